@@ -1,0 +1,1 @@
+"""From a reference to a torque, and the MuJoCo closed loop that tries it."""

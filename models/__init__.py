@@ -1,0 +1,1 @@
+"""What the machine is: MJCF models, tree dynamics, loop closure, reduction, assembly."""

@@ -1,0 +1,247 @@
+"""Poses of a mechanism on its branch: along a path of independent positions, and as far as the chain reaches.
+
+A path is followed by a tangent predictor and Newton in the dependent joints. Where Newton fails, corrects by more than
+the step itself, or the sign of det J_z turns, the step is halved: so a pose found is on the branch that the path began
+on, and a path that meets a singular pose stops there instead of slipping through.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from models.errors import AssemblyError
+from models.mechanism import Mechanism
+from models.newton import CLOSED_M
+
+_STEP = 0.035  # two degrees [rad]; on a slide, this share of the model's extent
+_MIN_SHARE = 1e-5  # of a step: shorter than this, the path has met a singular pose
+_NEWTON_STEPS = 12
+
+
+def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+    """Return the poses (n, n_q) on the branch of `start` along positions s of the independent joints (n, n_s).
+
+    Args:
+        path: independent positions [rad or m], each near the one before; the first may be far from `start`.
+        start: a closed pose (n_q,); home by default.
+
+    Raises:
+        AssemblyError: naming the joint's position at which the loop opens.
+    """
+    q = np.array(mechanism.home if start is None else start, dtype=float)
+    poses = np.empty((len(path), mechanism.n_q))
+    for k, s in enumerate(np.asarray(path, dtype=float)):
+        q, arrived = _advance(mechanism, q, s)
+        if not arrived:
+            raise AssemblyError(
+                f"mechanism '{mechanism.name}' does not close at {_where(mechanism, s)}: the loop comes apart at"
+                f" {_where(mechanism, q[mechanism.independent])}"
+            )
+        poses[k] = q
+    return poses
+
+
+def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+    """Return the pose (n_q,) at independent positions s (n_s,), reached from `start` (home by default) on its branch."""
+    return follow(mechanism, np.atleast_2d(np.asarray(s, dtype=float)), start)[0]
+
+
+def _where(mechanism: Mechanism, s: np.ndarray) -> str:
+    joints = mechanism.independent_joints
+    return ", ".join(f"{j.name} = {j.shown(x):.6g} {j.unit}" for j, x in zip(joints, s, strict=True))
+
+
+def _step_sizes(mechanism: Mechanism) -> np.ndarray:
+    extent = float(mechanism.model.stat.extent)
+    return np.array([_STEP if joint.kind == "hinge" else _STEP * extent for joint in mechanism.joints])
+
+
+def _advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, bool]:
+    """Return the pose at `target`, or the last one on the branch before the loop comes apart, and whether it arrived."""
+    independent, dependent = mechanism.independent, mechanism.dependent
+    step_size = _step_sizes(mechanism)
+    q = np.array(q, dtype=float)
+    _, _, gamma, determinant = (np.array(x) for x in mechanism.dynamics.closure_step(q))
+    share = 1.0
+    while True:
+        left = target - q[independent]
+        longest = np.max(np.abs(left) / step_size[independent], initial=0.0)
+        if longest == 0.0:
+            return q, True
+        fraction = min(1.0, share / longest)
+        ds = left if fraction == 1.0 else fraction * left
+        trial = q + gamma @ ds
+        trial[independent] = target if fraction == 1.0 else q[independent] + ds
+        predicted = trial[dependent].copy()
+        trial, gamma_trial, det_trial = _correct(mechanism, trial)
+        moved = np.max(np.abs(trial[dependent] - predicted) / step_size[dependent], initial=0.0)
+        turned = np.max(np.abs(gamma_trial - gamma), initial=0.0) > 0.5 * (1 + np.max(np.abs(gamma), initial=0.0))
+        if np.isfinite(moved) and moved < 0.25 and not turned and det_trial * determinant > 0:
+            q, gamma, determinant = trial, gamma_trial, det_trial
+            share = min(1.0, 2 * share)
+            continue
+        share = 0.5 * min(share, longest)
+        if share < _MIN_SHARE:
+            return q, False
+
+
+def _correct(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the pose closed by Newton in its dependent joints, with Gamma and det J_z there; NaN where it fails."""
+    q = np.array(q)
+    dependent = mechanism.dependent
+    for iteration in range(_NEWTON_STEPS):
+        phi, step, gamma, determinant = mechanism.dynamics.closure_step(q)
+        step = np.array(step).ravel()
+        size = np.abs(step).max(initial=0.0)
+        if not np.isfinite(size) or size > 10:
+            break
+        # One step past convergence costs little and leaves rounding only.
+        done = np.abs(np.array(phi)).max(initial=0.0) <= CLOSED_M and (size < 1e-12 or iteration > 2)
+        q[dependent] += step
+        if done or step.size == 0:
+            return q, np.array(gamma), float(determinant)
+    return np.full_like(q, np.nan), np.full((mechanism.n_q, mechanism.dof), np.nan), np.nan
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class End:
+    """Where the reach ends: the independent position there [rad or m], and why in a few words."""
+
+    position: float
+    reason: str  # "range of A", "singular pose", "full turn"
+    joint: int | None  # whose range it is
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Reach:
+    """What one independent joint can do while the other independent joints stay at home.
+
+    `poses` (n, n_q) samples the interval, ends included. `toggles` are (dependent joint, independent position) where a
+    dependent joint turns back: the dead centres of that joint. `singular` are positions where J_z loses rank.
+    """
+
+    coordinate: int
+    lower: End
+    upper: End
+    poses: np.ndarray
+    singular: tuple[float, ...]
+    toggles: tuple[tuple[int, float], ...]
+
+    @property
+    def turns_fully(self) -> bool:
+        """Whether nothing stops the joint within a turn to either side."""
+        return self.lower.reason == self.upper.reason == "full turn"
+
+
+def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
+    """Return the interval of an independent joint on the home branch: to a joint's range, a singular pose, or a turn."""
+    down, lower, singular_down = _walk(mechanism, coordinate, -1)
+    up, upper, singular_up = _walk(mechanism, coordinate, +1)
+    poses = np.array([*down[::-1], mechanism.home, *up])
+    return Reach(
+        coordinate=coordinate,
+        lower=lower,
+        upper=upper,
+        poses=poses,
+        singular=tuple([*singular_down, *singular_up]),
+        toggles=_toggles(mechanism, coordinate, poses),
+    )
+
+
+def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.ndarray], End, list[float]]:
+    """Return the poses from home (left out) to the end in one direction, the end, and a singular position if one."""
+    index = int(mechanism.independent[coordinate])
+    joint = mechanism.joints[index]
+    step = _step_sizes(mechanism)[index] / 2
+    turn = 2 * np.pi if joint.kind == "hinge" else 20 * float(mechanism.model.stat.extent)
+    home = mechanism.home
+    limit = joint.upper if sign > 0 else joint.lower
+    last = limit if abs(limit - home[index]) <= turn else home[index] + sign * turn
+    poses, q = [], np.array(home)
+    if sign * (last - q[index]) <= 0:
+        return poses, End(position=float(q[index]), reason=f"range of {joint.name}", joint=index), []
+    while True:
+        target = q[index] + sign * step
+        final = sign * (target - last) >= -1e-9
+        s = q[mechanism.independent].copy()
+        s[coordinate] = last if final else target
+        trial, arrived = _advance(mechanism, q, s)
+        stop = _range_stop(mechanism, q, trial, coordinate)
+        if stop is not None:
+            poses.append(stop[0])
+            return poses, End(position=float(stop[0][index]), reason=f"range of {stop[1].name}", joint=stop[2]), []
+        if not arrived:
+            pose = _singular_pose(mechanism, trial, coordinate)
+            poses.append(trial)
+            return poses, End(position=float(pose[index]), reason="singular pose", joint=None), [float(pose[index])]
+        poses.append(trial)
+        q = trial
+        if final:
+            reason = "full turn" if last != limit else f"range of {joint.name}"
+            return poses, End(position=float(last), reason=reason, joint=index if last == limit else None), []
+
+
+def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int):
+    """Return the pose, joint and index where the first dependent joint leaves its range between two poses, or None."""
+    first = None
+    for i in mechanism.dependent:
+        joint = mechanism.joints[i]
+        for limit, outside in ((joint.upper, trial[i] - joint.upper), (joint.lower, joint.lower - trial[i])):
+            if not outside > 0:
+                continue
+            pose = _pose_where(mechanism, q, trial, coordinate, lambda p, i=i, limit=limit: p[i] - limit)
+            distance = abs(pose[mechanism.independent[coordinate]] - q[mechanism.independent[coordinate]])
+            if first is None or distance < first[3]:
+                first = (pose, joint, int(i), distance)
+    return first if first is None else first[:3]
+
+
+def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int, function) -> np.ndarray:
+    """Return the pose between two poses at which `function(pose)` changes sign (the start if it does not)."""
+    index = mechanism.independent[coordinate]
+
+    def pose_at(x: float) -> np.ndarray:
+        s = q[mechanism.independent].copy()
+        s[coordinate] = x
+        return _advance(mechanism, q, s)[0]
+
+    a, b = q[index], trial[index]
+    if function(q) * function(trial) >= 0:
+        return np.array(q)
+    return pose_at(float(scipy.optimize.brentq(lambda x: function(pose_at(x)), a, b, xtol=1e-14)))
+
+
+def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:
+    """Return the pose with phi = 0 and det J_z = 0 next to `near`; `near` itself where that does not converge."""
+    index = int(mechanism.independent[coordinate])
+    free = [*[int(i) for i in mechanism.dependent], index]
+    scale = float(mechanism.dynamics.singularity(mechanism.home)) or 1.0
+
+    def system(x: np.ndarray) -> np.ndarray:
+        q = np.array(near)
+        q[free] = x
+        phi = np.array(mechanism.dynamics.independent_closure(q)).ravel()
+        return np.append(phi, float(mechanism.dynamics.singularity(q)) / scale)
+
+    solution = scipy.optimize.root(system, near[free], tol=1e-14)
+    pose = np.array(near)
+    pose[free] = solution.x
+    close = np.max(np.abs(pose - near) / _step_sizes(mechanism)) < 4
+    return pose if close and np.abs(system(solution.x)).max() < 1e-8 else np.array(near)
+
+
+def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[tuple[int, float], ...]:
+    """Return where each dependent joint's rate against the independent one changes sign."""
+    index = mechanism.independent[coordinate]
+
+    def rate(pose: np.ndarray, joint: int) -> float:
+        return float(np.array(mechanism.dynamics.velocity_map(pose))[joint, coordinate])
+
+    found = []
+    rates = np.array([np.array(mechanism.dynamics.velocity_map(pose))[:, coordinate] for pose in poses])
+    for joint in mechanism.dependent:
+        for k in np.flatnonzero(rates[:-1, joint] * rates[1:, joint] < 0):
+            pose = _pose_where(mechanism, poses[k], poses[k + 1], coordinate, lambda p, j=int(joint): rate(p, j))
+            found.append((int(joint), float(pose[index])))
+    return tuple(sorted(found, key=lambda item: item[1]))

@@ -1,0 +1,112 @@
+"""Loop closure: the equations phi(q) = 0 of a model's `connect` constraints, and which of them are independent.
+
+A connect asks two body-fixed points to coincide: phi = p_world_1 - p_world_2, three rows, MuJoCo's own residual. A
+planar loop has rank 2 in them, and repeated pins add rows without rank; rank and rows come from pivoted QR
+(Golub & Van Loan, Matrix Computations, 5.4.2), never from counting.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import mujoco
+import numpy as np
+import scipy.linalg
+
+from models.errors import ModelError
+from models.tree import Tree
+
+# Singular values below this share of the largest count as zero. An exact planar loop shows 1e-16; a pose within
+# a millionth of a link length of singular still shows 1e-6.
+RANK_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Closure:
+    """One `connect`: its name, the bodies that it ties, and its three residuals [m] as expressions of q."""
+
+    name: str
+    index: int  # of MuJoCo's equality constraint
+    residual: ca.SX
+
+
+def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
+    """Return the active loop closures of a model.
+
+    Raises:
+        ModelError: for an active equality constraint of another kind than `connect`.
+    """
+    closures = []
+    disabled = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+    for index in range(model.neq):
+        if not model.eq_active0[index] or disabled:
+            continue
+        kind = mujoco.mjtEq(int(model.eq_type[index]))
+        if kind != mujoco.mjtEq.mjEQ_CONNECT:
+            raise ModelError(
+                f"equality constraint '{equality_name(model, index)}' is of kind"
+                f" '{kind.name.removeprefix('mjEQ_').lower()}'; the planner closes loops by 'connect' only"
+            )
+        closures.append(_connect(model, tree, index))
+    return tuple(closures)
+
+
+def equality_name(model: mujoco.MjModel, index: int) -> str:
+    """Return the constraint's own name, or one made of the sites or bodies that it ties."""
+    name = model.equality(index).name
+    if name:
+        return name
+    first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+    element = model.site if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE) else model.body
+    try:
+        return f"{element(first).name or first}-{element(second).name or second}"
+    except (KeyError, IndexError):
+        return f"equality {index}"
+
+
+def _connect(model: mujoco.MjModel, tree: Tree, index: int) -> Closure:
+    first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        ends = [(int(model.site_bodyid[site]), model.site_pos[site]) for site in (first, second)]
+    else:
+        ends = [(first, model.eq_data[index, 0:3]), (second, model.eq_data[index, 3:6])]
+    residual = tree.point(*ends[0]) - tree.point(*ends[1])
+    return Closure(name=equality_name(model, index), index=index, residual=residual)
+
+
+def numerical_rank(jacobian: np.ndarray) -> int:
+    """Return the rank of a matrix by its singular values."""
+    if jacobian.size == 0:
+        return 0
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    return int(np.sum(values > RANK_TOLERANCE * max(values[0], np.finfo(float).tiny)))
+
+
+def independent_rows(jacobian: np.ndarray, rank: int) -> np.ndarray:
+    """Return the indices (rank,) of rows that span the row space, in file order."""
+    if rank == 0:
+        return np.zeros(0, dtype=int)
+    _, _, pivots = scipy.linalg.qr(jacobian.T, mode="economic", pivoting=True)
+    return np.sort(pivots[:rank])
+
+
+def dependent_columns(jacobian: np.ndarray, rank: int, last: list[int]) -> np.ndarray:
+    """Return the columns (rank,) to solve for: a well-conditioned set that avoids those in `last` where it can.
+
+    Gram-Schmidt with pivoting, first over the columns outside `last` and then over `last`, so that the joints in `last`
+    (the actuated ones) stay independent wherever the rest can carry the loop.
+    """
+    work = np.array(jacobian, dtype=float)
+    floor = RANK_TOLERANCE * max(np.linalg.norm(work, axis=0).max(initial=0.0), np.finfo(float).tiny)
+    chosen: list[int] = []
+    for group in ([c for c in range(work.shape[1]) if c not in last], list(last)):
+        candidates = list(group)
+        while candidates and len(chosen) < rank:
+            norms = np.linalg.norm(work[:, candidates], axis=0)
+            best = int(np.argmax(norms))
+            if norms[best] <= floor:
+                break
+            column = candidates.pop(best)
+            chosen.append(column)
+            direction = work[:, column] / norms[best]
+            work -= np.outer(direction, direction @ work)
+    return np.array(sorted(chosen), dtype=int)

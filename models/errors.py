@@ -1,0 +1,37 @@
+"""The errors that linkplan raises: one tree, rooted at `LinkplanError`.
+
+A message is one line that says what was asked, what is legal and what was got.
+"""
+
+
+class LinkplanError(Exception):
+    """Anything that linkplan refuses; its text is one line meant for the user."""
+
+
+class ModelError(LinkplanError):
+    """An MJCF model, a payload or a name in it that cannot be used."""
+
+
+class AssemblyError(ModelError):
+    """A pose that does not close the loops, or that cannot be reached on the branch."""
+
+
+class ProblemError(LinkplanError):
+    """A problem file or a value in it that makes no sense."""
+
+
+class PlanFileError(LinkplanError):
+    """A plan folder that cannot be read or written."""
+
+
+class InfeasibleError(LinkplanError):
+    """Raised by `Plan.require()` on a plan that is not optimal; carries the plan."""
+
+    def __init__(self, message: str, plan: object) -> None:
+        Exception.__init__(self, message)
+        self.plan = plan
+
+
+def one_line(text: object) -> str:
+    """Return `text` as one line, white space folded."""
+    return " ".join(str(text).split())

@@ -1,0 +1,258 @@
+"""A closed-chain mechanism: a MuJoCo model, its joints, closures and actuators, and its reduced dynamics."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from models import newton
+from models.actuators import Actuator, read_actuators
+from models.closure import dependent_columns, independent_rows, numerical_rank, read_closures
+from models.errors import AssemblyError, ModelError
+from models.library import compile_model
+from models.names import nearest
+from models.payload import Payload, payload_from
+from models.reduction import ReducedDynamics, reduce_tree
+from models.tree import HINGE, SLIDE, build_tree
+
+# Joint angles named in `home` beside the independent ones choose a branch; the loop may settle this far from them.
+HOME_TOLERANCE = np.radians(5.0)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Joint:
+    """A hinge [rad] or slide [m] with its range, infinite where the model sets none."""
+
+    name: str
+    kind: str  # "hinge" or "slide"
+    lower: float
+    upper: float
+
+    @property
+    def unit(self) -> str:
+        """The unit of the joint's position in files and messages."""
+        return "deg" if self.kind == "hinge" else "m"
+
+    def shown(self, position: float) -> float:
+        """Return a position [rad or m] in the unit of files and messages."""
+        return float(np.degrees(position)) if self.kind == "hinge" else float(position)
+
+    def read(self, value: float) -> float:
+        """Return a value in the unit of files and messages as a position [rad or m]."""
+        return float(np.radians(value)) if self.kind == "hinge" else float(value)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Mechanism:
+    """A mechanism assembled at its home pose.
+
+    `independent` and `dependent` are indices into the joints; `home` (n_q,) closes the loops; `home_gap_m` is how far
+    they stood open at the model's own reference pose, before assembly.
+    """
+
+    name: str
+    model: mujoco.MjModel
+    payload: Payload | None
+    joints: tuple[Joint, ...]
+    actuators: tuple[Actuator, ...]
+    closure_names: tuple[str, ...]
+    closure_rows: np.ndarray  # independent rows of phi
+    independent: np.ndarray
+    dependent: np.ndarray
+    home: np.ndarray
+    reference: np.ndarray
+    home_gap_m: float
+    dynamics: ReducedDynamics
+
+    @property
+    def n_q(self) -> int:
+        """The number of joints."""
+        return len(self.joints)
+
+    @property
+    def dof(self) -> int:
+        """The degrees of freedom, n_q less the rank of the closure."""
+        return len(self.independent)
+
+    @property
+    def n_u(self) -> int:
+        """The number of usable actuators."""
+        return len(self.actuators)
+
+    @property
+    def independent_joints(self) -> tuple[Joint, ...]:
+        """The joints whose positions are the reduced coordinates s."""
+        return tuple(self.joints[i] for i in self.independent)
+
+    @property
+    def effort_limit(self) -> np.ndarray:
+        """The actuators' limits (n_u, 2) [N.m or N]."""
+        return np.array([[a.lower, a.upper] for a in self.actuators]).reshape(-1, 2)
+
+    def joint_index(self, name: str, error: type[Exception] = ModelError) -> int:
+        """Return the index of a joint by name."""
+        names = [joint.name for joint in self.joints]
+        if name not in names:
+            raise error(
+                f"joint '{name}' is not in mechanism '{self.name}'{nearest(name, names)}; joints are {', '.join(names)}"
+            )
+        return names.index(name)
+
+    def gap_m(self, q: np.ndarray) -> float:
+        """Return the largest distance [m] between two points that a closure ties, at pose q (n_q,)."""
+        phi = np.array(self.dynamics.closure(q)).reshape(-1, 3)
+        return float(np.linalg.norm(phi, axis=1).max(initial=0.0))
+
+
+def load_mechanism(
+    source: str | Path,
+    *,
+    payload: Payload | str | Mapping | None = None,
+    home: Mapping[str, float] | None = None,
+) -> Mechanism:
+    """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
+
+    Args:
+        source: a built-in name, a path, or MJCF text.
+        payload: a `Payload`, a built-in payload's name, or a table with body, mass_kg, com_m, inertia_kgm2.
+        home: joint positions by name [rad or m] at which to assemble. Independent joints are held there; the others
+            choose the branch. Without it the model's keyframe "home", else its reference pose, is the guess.
+
+    Raises:
+        ModelError: when the model cannot be used.
+        AssemblyError: when its loops do not close at, or near, the pose asked.
+    """
+    payload = payload_from(payload)
+    name, model = compile_model(source, payload)
+    joints = _read_joints(name, model)
+    tree = build_tree(model)
+    closures = read_closures(model, tree)
+    actuators = read_actuators(model)
+    phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
+    loop = ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(ca.jacobian(phi, tree.q))])
+
+    reference = _reference_pose(model)
+    asked = _asked_home(name, joints, home)
+    pose = _assemble_home(name, joints, loop, reference, asked)
+    jacobian = np.array(loop(pose)[1]).reshape(-1, len(joints))
+    rank = numerical_rank(jacobian)
+    if rank == len(joints):
+        raise ModelError(
+            f"mechanism '{name}' is locked: {len(joints)} joints less {rank} independent closure rows leave 0 degrees of"
+            " freedom"
+        )
+    rows = independent_rows(jacobian, rank)
+    actuated = list(dict.fromkeys(actuator.joint for actuator in actuators))
+    dependent = dependent_columns(jacobian[rows], rank, last=actuated)
+    independent = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
+    dynamics = reduce_tree(tree, phi, _effort_matrix(len(joints), actuators), rows, independent, dependent)
+
+    mechanism = Mechanism(
+        name=name,
+        model=model,
+        payload=payload,
+        joints=joints,
+        actuators=actuators,
+        closure_names=tuple(closure.name for closure in closures),
+        closure_rows=rows,
+        independent=independent,
+        dependent=dependent,
+        home=pose,
+        reference=reference,
+        home_gap_m=0.0,
+        dynamics=dynamics,
+    )
+    object.__setattr__(mechanism, "home_gap_m", mechanism.gap_m(reference))
+    for array in (mechanism.home, mechanism.reference, rows, independent, dependent):
+        array.flags.writeable = False
+    return mechanism
+
+
+def _read_joints(name: str, model: mujoco.MjModel) -> tuple[Joint, ...]:
+    if model.njnt == 0:
+        raise ModelError(f"model '{name}' has no joint: there is nothing to move")
+    joints = []
+    for index in range(model.njnt):
+        label = model.joint(index).name or f"joint{index}"
+        kind = int(model.jnt_type[index])
+        if kind not in (HINGE, SLIDE):
+            spelled = mujoco.mjtJoint(kind).name.removeprefix("mjJNT_").lower()
+            raise ModelError(f"joint '{label}' of model '{name}' is of type {spelled}; joints are hinge or slide")
+        limited = bool(model.jnt_limited[index]) and not model.opt.disableflags & int(
+            mujoco.mjtDisableBit.mjDSBL_LIMIT
+        )
+        lower, upper = model.jnt_range[index] if limited else (-np.inf, np.inf)
+        joints.append(
+            Joint(name=label, kind="hinge" if kind == HINGE else "slide", lower=float(lower), upper=float(upper))
+        )
+    return tuple(joints)
+
+
+def _effort_matrix(n_q: int, actuators: tuple[Actuator, ...]) -> np.ndarray:
+    matrix = np.zeros((n_q, len(actuators)))
+    for column, actuator in enumerate(actuators):
+        matrix[actuator.joint, column] = actuator.gear
+    return matrix
+
+
+def _reference_pose(model: mujoco.MjModel) -> np.ndarray:
+    """Return the keyframe "home" of the model, or its reference pose `qpos0`."""
+    for key in range(model.nkey):
+        if model.key(key).name == "home":
+            return np.array(model.key_qpos[key], dtype=float)
+    return np.array(model.qpos0, dtype=float)
+
+
+def _asked_home(name: str, joints: tuple[Joint, ...], home: Mapping[str, float] | None) -> dict[int, float]:
+    names = [joint.name for joint in joints]
+    asked = {}
+    for joint, value in (home or {}).items():
+        if joint not in names:
+            raise ModelError(
+                f"joint '{joint}' is not in mechanism '{name}'{nearest(joint, names)}; joints are {', '.join(names)}"
+            )
+        asked[names.index(joint)] = float(value)
+    return asked
+
+
+def _assemble_home(name, joints, loop: ca.Function, reference: np.ndarray, asked: dict[int, float]) -> np.ndarray:
+    """Return a pose that closes every loop, with the asked joints held as far as the loops leave them free.
+
+    From the reference pose along a straight line to the asked one where that closes, which stays on the reference's
+    branch; else by Newton from the asked values, which then choose the branch.
+    """
+
+    def residual(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        phi, jacobian = loop(q)
+        return np.array(phi).ravel(), np.array(jacobian).reshape(-1, len(joints))
+
+    everything = list(range(len(joints)))
+    reference, gap = newton.close(residual, reference, everything)
+    if not asked:
+        if gap > newton.CLOSED_M:
+            raise AssemblyError(
+                f"mechanism '{name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm;"
+                " name a pose near a closed one with mechanism.home_deg"
+            )
+        return reference
+    start = np.array([asked.get(i, reference[i]) for i in everything])
+    gaps = []
+    # Hold every asked joint; where the loop does not leave them all free, the later ones only choose the branch.
+    for n_held in range(len(asked), 0, -1):
+        held = dict(list(asked.items())[:n_held])
+        free = [i for i in everything if i not in held]
+        poses = [newton.close(residual, start, free)]
+        if gap <= newton.CLOSED_M and n_held == len(asked):
+            poses.insert(0, newton.follow(residual, reference, held))
+        for pose, open_by in poses:
+            away = max(abs(pose[i] - value) for i, value in asked.items())
+            if open_by <= newton.CLOSED_M and away <= HOME_TOLERANCE:
+                return pose
+            gaps.append(open_by)
+    where = ", ".join(f"{joints[i].name} = {joints[i].shown(v):.6g} {joints[i].unit}" for i, v in asked.items())
+    raise AssemblyError(
+        f"mechanism '{name}' does not close at {where}: the loop stays open by {1e3 * gaps[0]:.3g} mm"
+    )

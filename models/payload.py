@@ -1,0 +1,110 @@
+"""A rigid payload welded to a body of a model: mass, centre of mass, inertia."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+
+from models.errors import ModelError
+from models.names import choose, nearest
+
+BODY_NAME = "linkplan_payload"
+
+# The triangle inequality of principal moments is MuJoCo's own test; this much rounding in a typed-in inertia is let pass.
+_INERTIA_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Payload:
+    """A rigid body welded to `body`.
+
+    `com_m` (3,) [m] is the centre of mass in the body's frame; `inertia_kgm2` (3,) [kg m2] holds the moments about axes
+    parallel to the body's frame through the centre of mass.
+    """
+
+    body: str
+    mass_kg: float
+    com_m: np.ndarray
+    inertia_kgm2: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("com_m", "inertia_kgm2"):
+            value = np.array(getattr(self, name), dtype=float)
+            if value.shape != (3,) or not np.all(np.isfinite(value)):
+                raise ModelError(f"payload.{name} is three finite numbers, got {getattr(self, name)!r}")
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+        if not (np.isfinite(self.mass_kg) and self.mass_kg > 0):
+            raise ModelError(f"payload.mass_kg is a positive number, got {self.mass_kg!r}")
+        moments = np.sort(self.inertia_kgm2)
+        if moments[0] < 0:
+            raise ModelError(f"payload.inertia_kgm2 has no negative moments, got {self.inertia_kgm2.tolist()}")
+        if moments[2] > moments[:2].sum() * (1 + _INERTIA_ROUNDING):
+            raise ModelError(
+                "payload.inertia_kgm2 belongs to no rigid body: the largest moment exceeds the sum of the other two,"
+                f" got {self.inertia_kgm2.tolist()}"
+            )
+
+    def scaled(self, factor: float) -> "Payload":
+        """Return the payload with mass and inertia multiplied by `factor`, its centre of mass kept."""
+        return replace(self, mass_kg=self.mass_kg * factor, inertia_kgm2=self.inertia_kgm2 * factor)
+
+
+# The shank of the source's knee: it points along the world's -x where the knee is straight (q_O = 56.27 deg). Only the
+# moment about y enters the motion of a planar linkage; the other two describe a lean body about as wide as it is deep.
+SHANK = Payload(
+    body="crank",
+    mass_kg=4.0,
+    com_m=np.array([-0.11105599230618464, 0.0, -0.16633269844768545]),
+    inertia_kgm2=np.array([0.05, 0.05, 0.05]),
+)
+
+BUILT_IN: Mapping[str, Payload] = {"shank": SHANK}
+
+_KEYS = ("body", "mass_kg", "com_m", "inertia_kgm2")
+
+
+def payload_from(value: object) -> Payload | None:
+    """Return the payload that a problem file's `mechanism.payload` means: a built-in name, a table, or "none"."""
+    if value is None or value == "none":
+        return None
+    if isinstance(value, Payload):
+        return value
+    if isinstance(value, str):
+        return BUILT_IN[choose("payload", value, [*BUILT_IN, "none"])]
+    if not isinstance(value, Mapping):
+        raise ModelError(f"payload is a built-in name ({', '.join(BUILT_IN)}) or a table, got {value!r}")
+    for key in value:
+        if key not in _KEYS:
+            raise ModelError(f"unknown key 'payload.{key}'{nearest(str(key), _KEYS)}; keys are {', '.join(_KEYS)}")
+    missing = [key for key in _KEYS[:3] if key not in value]
+    if missing:
+        raise ModelError(f"payload needs {', '.join(_KEYS[:3])}; missing {', '.join(missing)}")
+    if not isinstance(value["body"], str):
+        raise ModelError(f"payload.body is a body's name, got {value['body']!r}")
+    if isinstance(value["mass_kg"], bool) or not isinstance(value["mass_kg"], int | float):
+        raise ModelError(f"payload.mass_kg is a positive number, got {value['mass_kg']!r}")
+    inertia = value.get("inertia_kgm2", [0.0, 0.0, 0.0])
+    try:
+        com, moments = np.array(value["com_m"], dtype=float), np.array(inertia, dtype=float)
+    except (TypeError, ValueError):
+        raise ModelError(
+            f"payload.com_m and payload.inertia_kgm2 are three numbers each, got {value['com_m']!r} and {inertia!r}"
+        ) from None
+    return Payload(body=value["body"], mass_kg=float(value["mass_kg"]), com_m=com, inertia_kgm2=moments)
+
+
+def attach(spec: mujoco.MjSpec, payload: Payload) -> None:
+    """Weld the payload to its body in `spec`."""
+    names = [body.name for body in spec.bodies if body.name and body.name != "world"]
+    if payload.body not in names:
+        raise ModelError(
+            f"payload.body '{payload.body}' is not a body of the model{nearest(payload.body, names)};"
+            f" bodies are {', '.join(names) or 'all unnamed'}"
+        )
+    body = spec.body(payload.body).add_body(name=BODY_NAME)
+    body.explicitinertial = True
+    body.mass = payload.mass_kg
+    body.ipos = payload.com_m
+    body.inertia = payload.inertia_kgm2

@@ -1,0 +1,123 @@
+"""Reduced dynamics of a closed chain, by coordinate partitioning.
+
+    q' = Gamma v,   Gamma = [I; -J_z^-1 J_s],   q'' = Gamma a + gamma,   gamma_z = -J_z^-1 (J' q')
+    Gamma^T (M q'' + h - tau_passive) = Gamma^T B u
+
+v = s' and a = s'' belong to the independent joints, z are the dependent ones, J = dphi/dq over independent rows
+(Wehage & Haug, J. Mech. Design 104, 1982). Multipliers follow from the dependent rows, J_z^T lambda = (...)_z.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from models.tree import Tree
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class ReducedDynamics:
+    """CasADi functions of a closed chain; each can be called with numbers or with SX.
+
+    q (n_q,) are all joints, v and a (n_s,) the independent joints' rates and accelerations, u (n_u,) efforts.
+    Generalised efforts are (n_s,), [N.m] on a hinge and [N] on a slide.
+    """
+
+    closure: ca.Function  # q -> phi (n_rows,) [m], every row
+    independent_closure: ca.Function  # q -> phi (rank,) [m], independent rows
+    closure_jacobian: ca.Function  # q -> J (n_rows, n_q)
+    closure_step: ca.Function  # q -> phi (rank,), Newton's step -J_z^-1 phi in z, Gamma, det J_z
+    velocity_map: ca.Function  # q -> Gamma (n_q, n_s)
+    singularity: ca.Function  # q -> det J_z, zero at a singular pose
+    mass_matrix: ca.Function  # q -> M (n_q, n_q), armature included
+    bias: ca.Function  # q, q' -> h (n_q,), MuJoCo's qfrc_bias
+    passive: ca.Function  # q, q' -> springs and dampers (n_q,)
+    reduced_inertia: ca.Function  # q -> Gamma^T M Gamma (n_s, n_s)
+    gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that holds the weight
+    effort_map: ca.Function  # q -> Gamma^T B (n_s, n_u)
+    inverse_dynamics: ca.Function  # q, v, a -> Gamma^T B u that the motion needs (n_s,)
+    residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
+    acceleration: ca.Function  # q, v, u -> a (n_s,)
+    flow: ca.Function  # q, v, u -> q' (n_q,), v' (n_s,)
+    linearisation: ca.Function  # q, v, u -> da/ds, da/dv, da/du along the closed chain
+    closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N], zero on rows left out
+    energy: ca.Function  # q, v -> kinetic, potential [J]
+
+
+def reduce_tree(
+    tree: Tree, phi: ca.SX, effort_matrix: np.ndarray, rows: np.ndarray, independent: np.ndarray, dependent: np.ndarray
+) -> ReducedDynamics:
+    """Return the reduced dynamics of `tree` under the closure phi (n_rows,), of which `rows` are independent."""
+    q, qd, qdd = tree.q, tree.qd, tree.qdd
+    n_s, n_u = len(independent), effort_matrix.shape[1]
+    v, a, u = ca.SX.sym("v", n_s), ca.SX.sym("a", n_s), ca.SX.sym("u", n_u)
+    jacobian = ca.jacobian(phi, q)
+    chosen = [int(row) for row in rows]
+    J = jacobian[chosen, :]
+    J_s, J_z = J[:, [int(i) for i in independent]], J[:, [int(i) for i in dependent]]
+
+    gamma_map = ca.SX.zeros(q.numel(), n_s)
+    gamma_map[[int(i) for i in independent], :] = ca.SX.eye(n_s)
+    gamma_map[[int(i) for i in dependent], :] = -_solve(J_z, J_s)
+    determinant = ca.det(J_z) if chosen else ca.SX(1)
+    convective = ca.Function("convective", [q, qd], [ca.jtimes(J @ qd, q, qd)])
+    rates = gamma_map @ v
+    gamma = ca.SX.zeros(q.numel())
+    gamma[[int(i) for i in dependent]] = -_solve(J_z, convective(q, rates))
+
+    tree_effort = ca.Function("tree_effort", [q, qd, qdd], [tree.inverse_dynamics - tree.passive])
+    needed = tree_effort(q, rates, gamma_map @ a + gamma)
+    B = ca.SX(ca.DM(effort_matrix))
+    inverse = gamma_map.T @ needed
+    effort_map = gamma_map.T @ B
+    inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
+    reduced_bias = gamma_map.T @ tree_effort(q, rates, gamma)
+    acceleration = _solve(inertia, effort_map @ u - reduced_bias)
+
+    force = ca.SX.zeros(phi.numel())
+    force[chosen] = _solve(J_z.T, (needed - B @ u)[[int(i) for i in dependent]])
+    kinetic_at = ca.Function("kinetic", [q, qd], [tree.kinetic_energy])
+
+    def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
+        return ca.Function(name, inputs, [ca.densify(output) for output in outputs])
+
+    return ReducedDynamics(
+        closure=function("closure", [q], phi),
+        independent_closure=function("independent_closure", [q], phi[chosen]),
+        closure_jacobian=function("closure_jacobian", [q], jacobian),
+        closure_step=function("closure_step", [q], phi[chosen], -_solve(J_z, phi[chosen]), gamma_map, determinant),
+        velocity_map=function("velocity_map", [q], gamma_map),
+        singularity=function("singularity", [q], determinant),
+        mass_matrix=function("mass_matrix", [q], tree.mass_matrix),
+        bias=function("bias", [q, qd], tree.bias),
+        passive=function("passive", [q, qd], tree.passive),
+        reduced_inertia=function("reduced_inertia", [q], inertia),
+        gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
+        effort_map=function("effort_map", [q], effort_map),
+        inverse_dynamics=function("inverse_dynamics", [q, v, a], inverse),
+        residual=function("residual", [q, v, a, u], inverse - effort_map @ u),
+        acceleration=function("acceleration", [q, v, u], acceleration),
+        flow=function("flow", [q, v, u], rates, acceleration),
+        linearisation=function(
+            "linearisation",
+            [q, v, u],
+            ca.jacobian(acceleration, q) @ gamma_map,
+            ca.jacobian(acceleration, v),
+            ca.jacobian(acceleration, u),
+        ),
+        closure_force=function("closure_force", [q, v, a, u], force),
+        energy=function("energy", [q, v], kinetic_at(q, rates), tree.potential_energy),
+    )
+
+
+def _solve(A: ca.SX, b: ca.SX) -> ca.SX:
+    """Return A^-1 b: Cramer's rule up to two unknowns, which is shortest, CasADi's symbolic factorisation beyond."""
+    n = A.shape[0]
+    if n == 0:
+        return ca.SX.zeros(0, b.shape[1])
+    if n == 1:
+        return b / A[0, 0]
+    if n == 2:
+        adjugate = ca.vertcat(ca.horzcat(A[1, 1], -A[0, 1]), ca.horzcat(-A[1, 0], A[0, 0]))
+        return (adjugate @ b) / (A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
+    return ca.solve(A, b)

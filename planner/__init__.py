@@ -1,0 +1,1 @@
+"""From a continuous problem to a certified trajectory."""

@@ -1,0 +1,197 @@
+"""The certificate of a plan: what holds between the nodes, where the solver did not look.
+
+On a dense grid of the continuous motion: the carried effort and the effort by inverse dynamics against the limits, the
+loops' gap, every joint's range and speed, the distance to a singular pose; and the state reached when the reduced model
+is integrated under the carried effort, against the planned state.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from models.along import joint_rates, needed_effort, sampled
+from models.assembly import follow
+from models.mechanism import Mechanism
+from planner.problem import PlanningProblem
+from planner.trajectory import Trajectory
+
+# What a certificate must show. Closure: what DESIGN promises. Integration: a hundredth of a degree, a tenth of what a good
+# encoder resolves. Dynamics: between nodes, efforts that differ from the carried ones by more than this share of the
+# largest carried effort are another motion's. Ranges and speeds: rounding of degrees and no more.
+CLOSURE_M = 1e-9
+INTEGRATION_DEG = 0.01
+INTEGRATION_M = 1e-5
+DYNAMICS_SHARE = 0.02
+RANGE_SLACK = 1e-9
+
+SAMPLES_PER_INTERVAL = 12
+# The integration's own error: two digits below the 1e-10 that the certificate speaks of.
+_RTOL, _ATOL = 1e-12, 1e-13
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Certificate:
+    """Findings on one motion; a list of reasons why it fails, empty where it passes.
+
+    Efforts in the actuators' units; margins are negative outside, infinite where nothing limits; `worst_time_s` says
+    where each finding is worst.
+    """
+
+    effort_excess: float
+    inverse_dynamics_excess: float
+    dynamics_residual: float
+    closure_gap_m: float
+    integration_error_deg: float
+    integration_error_m: float
+    position_margin: np.ndarray  # (n_q,) [rad or m]
+    speed_margin: np.ndarray  # (n_q,)
+    singularity_ratio: float  # least sigma_min(J_z) along the motion, of that at home
+    peak_effort: np.ndarray  # (n_u,)
+    node_error: np.ndarray  # (n_intervals,) growth of the integration error over each interval, scaled
+    worst_time_s: dict[str, float]
+    failures: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether everything holds."""
+        return not self.failures
+
+
+def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
+    """Return the certificate of a motion against its problem's limits.
+
+    Raises:
+        AssemblyError: when the motion leaves what the loops allow.
+    """
+    mechanism, limits = problem.mechanism, problem.limits
+    time = trajectory.dense_times(SAMPLES_PER_INTERVAL)
+    s, v, a = (f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
+    u = trajectory.effort_at(time)
+    q = follow(mechanism, s, trajectory.start_pose)
+    worst: dict[str, float] = {}
+
+    def peak(name: str, values: np.ndarray) -> float:
+        at = int(np.argmax(values))
+        worst[name] = float(time[at])
+        return float(values[at])
+
+    over = np.maximum(u - limits.effort[:, 1], limits.effort[:, 0] - u).max(axis=1)
+    effort_excess = max(0.0, peak("effort_excess", over))
+    needed, missed = needed_effort(mechanism, q, v, a)
+    needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed).max(axis=1)
+    inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over))
+    residual = np.abs(sampled(mechanism.dynamics.residual, q, v, a, u)).max(axis=(1, 2))
+    dynamics_residual = peak("dynamics_residual", residual)
+    phi = sampled(mechanism.dynamics.closure, q)
+    gap = np.linalg.norm(phi.reshape(len(q), -1, 3), axis=2).max(axis=1, initial=0.0)
+    closure_gap = peak("closure_gap_m", gap)
+    position_margin, speed_margin = _margins(mechanism, limits, q, v, time, worst)
+    ratio = _singularity_ratio(mechanism, q)
+    integration, node_error = _integrate(mechanism, trajectory)
+    hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
+    in_deg = float(np.degrees(integration[hinge].max(initial=0.0)))
+    in_m = float(integration[~hinge].max(initial=0.0))
+
+    failures = []
+    if effort_excess > 0:
+        failures.append(f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s")
+    allowed = DYNAMICS_SHARE * _generalised_peak(mechanism, q, u)
+    if dynamics_residual > allowed:
+        failures.append(
+            f"between nodes the motion needs {dynamics_residual:.3g} more effort than the plan carries"
+            f" at t = {worst['dynamics_residual']:.4g} s (allowed: {allowed:.3g})"
+        )
+    if closure_gap > CLOSURE_M:
+        failures.append(f"a loop opens by {closure_gap:.3g} m at t = {worst['closure_gap_m']:.4g} s")
+    if not in_deg <= INTEGRATION_DEG or not in_m <= INTEGRATION_M:
+        failures.append(f"the integrated model ends {in_deg:.3g} deg, {in_m:.3g} m from the plan")
+    for what, margin in (("range", position_margin), ("speed limit", speed_margin)):
+        for joint, value in zip(mechanism.joints, margin, strict=True):
+            if value < -RANGE_SLACK:
+                failures.append(
+                    f"joint {joint.name} leaves its {what} by {-joint.shown(value):.3g} {joint.unit}"
+                    f"{'/s' if 'speed' in what else ''} at t = {worst[f'{what} of {joint.name}']:.4g} s"
+                )
+    return Certificate(
+        effort_excess=effort_excess,
+        inverse_dynamics_excess=inverse_excess,
+        dynamics_residual=dynamics_residual,
+        closure_gap_m=closure_gap,
+        integration_error_deg=in_deg,
+        integration_error_m=in_m,
+        position_margin=position_margin,
+        speed_margin=speed_margin,
+        singularity_ratio=ratio,
+        peak_effort=np.abs(u).max(axis=0),
+        node_error=node_error,
+        worst_time_s=worst,
+        failures=tuple(failures),
+    )
+
+
+def _generalised_peak(mechanism: Mechanism, q: np.ndarray, u: np.ndarray) -> float:
+    return float(np.abs(np.einsum("ksu,ku->ks", sampled(mechanism.dynamics.effort_map, q), u)).max())
+
+
+def _margins(mechanism: Mechanism, limits, q, v, time, worst) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least distances (n_q,) of every joint's position and speed to their limits, negative outside."""
+    rates = joint_rates(mechanism, q, v)
+    margins = []
+    for what, values, bounds in (("range", q, limits.position), ("speed limit", rates, limits.speed)):
+        inside = np.minimum(values - bounds[:, 0], bounds[:, 1] - values)
+        for joint, column in zip(mechanism.joints, inside.T, strict=True):
+            worst[f"{what} of {joint.name}"] = float(time[int(np.argmin(column))])
+        margins.append(inside.min(axis=0))
+    return margins[0], margins[1]
+
+
+def _singularity_ratio(mechanism: Mechanism, q: np.ndarray) -> float:
+    """Return the least sigma_min(J_z) over poses q, as a share of that at home; 1 for a mechanism without loops."""
+    if len(mechanism.dependent) == 0:
+        return 1.0
+
+    def smallest(pose: np.ndarray) -> float:
+        J = np.array(mechanism.dynamics.closure_jacobian(pose))
+        return float(np.linalg.svd(J[np.ix_(mechanism.closure_rows, mechanism.dependent)], compute_uv=False)[-1])
+
+    return min(smallest(pose) for pose in q[::4]) / smallest(mechanism.home)
+
+
+def _integrate(mechanism: Mechanism, trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest error (n_s,) of the integrated independent positions at the breaks, and its growth per interval.
+
+    All joints are integrated, q' = Gamma v, v' = M_r^-1 (...): closure is then an outcome and not an assumption.
+    """
+    n_q, independent = mechanism.n_q, mechanism.independent
+    flow, breaks = mechanism.dynamics.flow, trajectory.breaks_s
+    planned = np.concatenate([trajectory.position[0], trajectory.position[-1, -1:]])
+    state = np.concatenate([trajectory.start_pose, trajectory.velocity[0, 0]])
+    state[independent] = planned[0]
+    errors = np.zeros((len(breaks), mechanism.dof))
+    for k in range(len(breaks) - 1):
+        width = breaks[k + 1] - breaks[k]
+        coefficients = trajectory.effort[:, k]
+
+        def rate(t: float, x: np.ndarray, coefficients=coefficients, width=width) -> np.ndarray:
+            q_rate, v_rate = flow(x[:n_q], x[n_q:], _bezier(coefficients, t / width))
+            return np.concatenate([q_rate.full().ravel(), v_rate.full().ravel()])
+
+        result = solve_ivp(rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=_ATOL * np.maximum(1.0, np.abs(state)))
+        if not result.success:
+            errors[k + 1 :] = np.inf
+            break
+        state = result.y[:, -1]
+        errors[k + 1] = np.abs(state[independent] - planned[k + 1])
+    growth = np.diff(errors, axis=0).max(axis=1)
+    return errors.max(axis=0), growth
+
+
+def _bezier(coefficients: np.ndarray, tau: float) -> np.ndarray:
+    """Return a Bernstein polynomial's value by de Casteljau: coefficients (degree + 1, n)."""
+    points = coefficients
+    while len(points) > 1:
+        points = points[:-1] + tau * (points[1:] - points[:-1])
+    return points[0]
+
+

@@ -1,0 +1,95 @@
+"""Why there is no motion: the limit, the joint, the time, the amount; and what would make one possible."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from models.along import joint_rates
+from planner.guess import Guess, motion_of
+from planner.mesh import Mesh, segmented
+from planner.problem import Limits, PlanningProblem
+from planner.solve import solve
+from planner.switches import find_cuts
+from planner.trajectory import Trajectory
+from planner.transcription import trajectory_of, transcribe
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class LeastLimit:
+    """The smallest common factor on the effort limits with which a problem has a motion, and that motion."""
+
+    factor: float
+    trajectory: Trajectory
+
+
+def least_limit(problem: PlanningProblem, guess: Guess, mesh: Mesh, durations: np.ndarray) -> LeastLimit | None:
+    """Return the least factor on the effort limits that admits a motion, or None where none was found.
+
+    Solved twice: on the mesh as given, then with cuts at the switches that it showed, where the factor is exact.
+    """
+    limit = problem.limits.effort
+    if not np.all(np.isfinite(limit)):
+        return None
+    best = None
+    for _ in range(2):
+        transcribed = transcribe(problem, guess, mesh, durations, least_limit=True)
+        solution = solve(transcribed)
+        if not solution.converged:
+            break
+        factor = float(solution.x[transcribed.program.layout.extra()][0])
+        if best is not None and factor > best.factor * (1 + 1e-6):
+            break
+        best = LeastLimit(factor=factor, trajectory=trajectory_of(transcribed, solution.x, factor * limit))
+        cuts = find_cuts(best.trajectory, factor * limit)
+        if len(cuts) == 0:
+            break
+        durations = np.diff(np.concatenate([[0.0], cuts, [best.trajectory.duration_s]]))
+        mesh, guess = segmented(durations, mesh.n_intervals), motion_of(best.trajectory)
+    return best
+
+
+def effort_sentence(problem: PlanningProblem, least: LeastLimit) -> tuple[str, dict[str, float]]:
+    """Return the sentence on efforts that a motion would need, and its figures."""
+    limit, trajectory = problem.limits.effort, least.trajectory
+    time = trajectory.dense_times(8)
+    u = trajectory.effort_at(time)
+    # The least effort is bang-bang: name the actuator that is furthest beyond its limit, at the first such instant.
+    over = np.maximum(u - limit[:, 1], limit[:, 0] - u)
+    column = int(np.argmax(over.max(axis=0)))
+    at = int(np.flatnonzero(over[:, column] > 0.999 * over[:, column].max())[0])
+    actuator = problem.mechanism.actuators[column]
+    needed, bound = float(u[at, column]), float(limit[column, 1] if u[at, column] > 0 else limit[column, 0])
+    sentence = (
+        f"{actuator.name} on joint {problem.mechanism.joints[actuator.joint].name} would have to give"
+        f" {abs(needed):.4g} {actuator.unit} at t = {time[at]:.3g} s, {abs(needed - bound):.4g} {actuator.unit} beyond its"
+        f" limit of {abs(bound):.4g}"
+    )
+    return sentence, {"needed_effort": abs(needed), "needed_limit_factor": least.factor}
+
+
+def without(limits: Limits, what: str) -> Limits:
+    """Return limits with those on "speed" or "position" taken away."""
+    value = getattr(limits, what)
+    return replace(limits, **{what: np.column_stack([np.full(len(value), -np.inf), np.full(len(value), np.inf)])})
+
+
+def overrun_sentence(problem: PlanningProblem, trajectory: Trajectory, poses: np.ndarray, what: str) -> str | None:
+    """Return the sentence on the joint that a motion takes furthest beyond its speed limit or range, or None."""
+    mechanism = problem.mechanism
+    time = trajectory.dense_times(8)
+    bounds = problem.limits.speed if what == "speed" else problem.limits.position
+    values = joint_rates(mechanism, poses, trajectory.velocity_at(time)) if what == "speed" else poses
+    over = np.maximum(values - bounds[:, 1], bounds[:, 0] - values)
+    joint_index = int(np.argmax(over.max(axis=0)))
+    at = int(np.argmax(over[:, joint_index]))
+    if over[at, joint_index] <= 0:
+        return None
+    joint = mechanism.joints[joint_index]
+    unit = joint.unit + ("/s" if what == "speed" else "")
+    value = values[at, joint_index]
+    bound = bounds[joint_index, 1] if value > bounds[joint_index, 1] else bounds[joint_index, 0]
+    verb = "move at" if what == "speed" else "reach"
+    return (
+        f"joint {joint.name} would have to {verb} {joint.shown(value):.4g} {unit} at t = {time[at]:.3g} s,"
+        f" {abs(joint.shown(value - bound)):.4g} {unit} beyond its limit of {joint.shown(bound):.4g}"
+    )

@@ -1,0 +1,71 @@
+"""A plan: the answer to a planning problem, with its certificate, or the sentence that says why there is none."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from models.errors import InfeasibleError
+from planner.certificate import Certificate
+from planner.problem import PlanningProblem
+from planner.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Step:
+    """One solve on the way to a plan: what was tried, on how many intervals, and what came of it."""
+
+    what: str
+    intervals: int
+    segments: int
+    converged: bool
+    solver_status: str
+    objective: float
+    integration_error_deg: float | None
+    build_s: float
+    solve_s: float
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Plan:
+    """A motion with its certificate, or none and the reason.
+
+    `status` is "optimal" (converged and certified), "infeasible" (no motion keeps the limits) or "failed" (no answer was
+    found); `message` says it in a sentence. `objective` is in SI: effort [N2 m2 s or N2 s], time [s], tracking
+    [rad2 s or m2 s]. `details` holds further figures by name, unit in the name.
+    """
+
+    problem: PlanningProblem
+    status: str
+    message: str
+    objective: float | None = None
+    trajectory: Trajectory | None = None
+    certificate: Certificate | None = None
+    history: tuple[Step, ...] = ()
+    details: dict[str, float] = field(default_factory=dict)
+
+    def require(self) -> "Plan":
+        """Return this plan if it is optimal.
+
+        Raises:
+            InfeasibleError: carrying the plan, if it is not.
+        """
+        if self.status != "optimal":
+            raise InfeasibleError(self.message, self)
+        return self
+
+    @property
+    def intervals(self) -> int:
+        """The number of intervals of the final mesh (of the problem's, where there is no motion)."""
+        if self.trajectory is None:
+            return self.problem.mesh.intervals
+        return len(self.trajectory.breaks_s) - 1
+
+
+def tracking_errors(plan: Plan) -> tuple[float, float] | None:
+    """Return the rms and largest distance [rad or m] of a plan from its reference, or None without one."""
+    reference, trajectory = plan.problem.reference, plan.trajectory
+    if reference is None or trajectory is None:
+        return None
+    time = trajectory.dense_times(16)
+    error = np.linalg.norm(trajectory.position_at(time) - reference.derivative(time), axis=1)
+    return float(np.sqrt(np.mean(error**2))), float(error.max())

@@ -1,0 +1,314 @@
+"""From a planning problem to a certified plan: presolve, solve, find the switches, certify, refine, explain."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from models.assembly import close_at, follow, reach
+from models.errors import AssemblyError, ProblemError
+from planner.certificate import Certificate, certify
+from planner.guess import Guess, first_guess, motion_of
+from planner.infeasibility import effort_sentence, least_limit, overrun_sentence, without
+from planner.mesh import Mesh, halved, segmented, uniform
+from planner.plan import Plan, Step, tracking_errors
+from planner.prescribed import prescribe, reference_demand
+from planner.problem import PlanningProblem
+from planner.solve import Solution, solve
+from planner.switches import find_cuts
+from planner.trajectory import Trajectory
+from planner.transcription import transcribe, trajectory_of
+
+# Rounds of refinement after the first solve, and the share of the worst interval's error that marks one for halving.
+_ROUNDS = 4
+_MARK = 0.1
+# A solve with cuts at its switches replaces the one before when it is no slower than this relative rounding allows.
+_NO_WORSE = 1e-6
+
+Say = Callable[[str], None]
+
+
+def plan_motion(problem: PlanningProblem, say: Say = lambda text: None) -> Plan:
+    """Return the plan of a problem; one without an answer says why in `message`.
+
+    Args:
+        problem: what to plan.
+        say: called with a line of progress now and then.
+
+    Raises:
+        ProblemError: when start, goal or reference contradict the mechanism itself.
+    """
+    start_pose = _start_pose(problem)
+    if problem.motion.kind == "track":
+        return _plan_prescribed(problem, start_pose, say)
+    contradiction = _plain_contradiction(problem)
+    if contradiction is not None:
+        return Plan(problem=problem, status="infeasible", message=contradiction)
+    guess = first_guess(problem, start_pose)
+    mesh, durations = uniform(_even(problem)), np.array([guess.duration_s])
+    history: list[Step] = []
+    found = _solve(problem, guess, mesh, durations, "first solve", history, say)
+    if found is None:
+        return _explain(problem, guess, mesh, durations, history, say)
+    return _certified(problem, found, mesh, history, say)
+
+
+def _even(problem: PlanningProblem) -> int:
+    n = problem.mesh.intervals
+    return n + n % 2 if problem.motion.kind == "periodic" else n
+
+
+def _start_pose(problem: PlanningProblem) -> np.ndarray:
+    """Return the closed pose at the start.
+
+    Raises:
+        ProblemError: when start or goal lie outside what the mechanism reaches, with the interval.
+    """
+    mechanism, motion = problem.mechanism, problem.motion
+    for name in ("start", "goal"):
+        value = getattr(motion, name)
+        if value is not None:
+            _check_reach(problem, f"motion.{name}_deg", value)
+    if motion.start is not None:
+        return close_at(mechanism, motion.start)
+    first = problem.reference.derivative(np.zeros(1))[0]
+    period = np.linspace(0.0, problem.reference.period_s, 181)
+    for extreme in (np.argmin, np.argmax):
+        values = problem.reference.derivative(period)
+        for column in range(mechanism.dof):
+            _check_reach(problem, "reference", values[int(extreme(values[:, column]))], ranges=False)
+    return close_at(mechanism, first)
+
+
+def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, ranges: bool = True) -> None:
+    mechanism = problem.mechanism
+    for column, joint in enumerate(mechanism.independent_joints):
+        index = int(mechanism.independent[column])
+        low, high = problem.limits.position[index]
+        interval, reason = (low, high), f"range of {joint.name}"
+        inside = low <= s[column] <= high
+        if inside or not ranges:
+            can = reach(mechanism, column) if mechanism.dof == 1 else None
+            if can is None or can.turns_fully:
+                continue
+            interval = (can.lower.position, can.upper.position)
+            inside = interval[0] <= s[column] <= interval[1]
+            reason = can.lower.reason if s[column] < interval[0] else can.upper.reason
+        if not inside:
+            raise ProblemError(
+                f"{what} {joint.name} = {joint.shown(s[column]):.6g} {joint.unit} is beyond reach:"
+                f" {joint.name} reaches from {joint.shown(interval[0]):.6g} to {joint.shown(interval[1]):.6g} {joint.unit}"
+                f" ({reason})"
+            )
+
+
+def _plain_contradiction(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a limit that no motion can keep, found without solving, or None."""
+    mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
+    for name in ("start_speed", "goal_speed"):
+        value = getattr(motion, name)
+        for column, joint in enumerate(mechanism.independent_joints):
+            low, high = limits.speed[mechanism.independent[column]]
+            if value is not None and not low <= value[column] <= high:
+                return (
+                    f"infeasible: motion.{name} of joint {joint.name} is {joint.shown(value[column]):.4g} {joint.unit}/s, beyond"
+                    f" its speed limit of {joint.shown(high if value[column] > 0 else low):.4g} {joint.unit}/s"
+                )
+    if motion.kind == "reach" and motion.duration_s is not None:
+        for column, joint in enumerate(mechanism.independent_joints):
+            mean = (motion.goal[column] - motion.start[column]) / motion.duration_s
+            low, high = limits.speed[mechanism.independent[column]]
+            if not low <= mean <= high:
+                bound = high if mean > 0 else low
+                shortest = (motion.goal[column] - motion.start[column]) / bound if bound else np.inf
+                return (
+                    f"infeasible: joint {joint.name} would have to move at {joint.shown(mean):.4g} {joint.unit}/s on average"
+                    f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.shown(bound):.4g} {joint.unit}/s;"
+                    f" that limit alone asks for {shortest:.4g} s"
+                )
+    return None
+
+
+def _plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray, say: Say) -> Plan:
+    say("following the reference")
+    demand = reference_demand(problem, start_pose)
+    if demand is not None:
+        return Plan(
+            problem=problem,
+            status="infeasible",
+            message=f"infeasible: {demand.sentence('following the reference exactly')};"
+            ' motion.kind = "periodic" plans the nearest motion that keeps the limits',
+            details={"needed": demand.needed, "limit": demand.limit, "time_s": demand.time_s},
+        )
+    trajectory = prescribe(problem, start_pose)
+    certificate = certify(problem, trajectory)
+    return _finished(problem, trajectory, certificate, 0.0, [], "the reference keeps every limit and is followed exactly")
+
+
+def _solve(
+    problem: PlanningProblem,
+    guess: Guess,
+    mesh: Mesh,
+    durations: np.ndarray,
+    what: str,
+    history: list[Step],
+    say: Say,
+    position_rows: bool = False,
+) -> tuple[Trajectory, Solution] | None:
+    say(f"{what}: {problem.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
+    transcribed = transcribe(problem, guess, mesh, durations, position_rows=position_rows)
+    solution = solve(transcribed)
+    history.append(
+        Step(
+            what=what,
+            intervals=mesh.n_intervals,
+            segments=mesh.n_segments,
+            converged=solution.converged,
+            solver_status=solution.status,
+            objective=solution.objective,
+            integration_error_deg=None,
+            build_s=transcribed.build_s + solution.build_s,
+            solve_s=solution.solve_s,
+        )
+    )
+    if not solution.converged:
+        return None
+    return trajectory_of(transcribed, solution.x, problem.limits.effort), solution
+
+
+def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history: list[Step], say: Say) -> Plan:
+    """Return the plan of a solution: cuts at its switches, then finer meshes until the certificate passes."""
+    trajectory, solution = found
+    if problem.objective == "time":
+        trajectory, solution, mesh = _settle_switches(problem, trajectory, solution, mesh, history, say)
+    certificate = _try_certify(problem, trajectory)
+    position_rows = False
+    for _ in range(_ROUNDS):
+        if certificate is not None and certificate.passed:
+            break
+        position_rows = position_rows or certificate is None or np.any(certificate.position_margin < 0)
+        error = np.ones(mesh.n_intervals) if certificate is None else certificate.node_error
+        marked = error >= _MARK * error.max() if np.isfinite(error).all() else np.ones(mesh.n_intervals, dtype=bool)
+        if problem.motion.kind == "periodic" and problem.motion.start is not None:
+            marked[:] = True  # keep the middle of the motion on a node
+        mesh = halved(mesh, marked)
+        durations = np.bincount(mesh.segment, weights=_widths(trajectory, marked))
+        finer = _solve(problem, motion_of(trajectory), mesh, durations, "finer mesh", history, say, bool(position_rows))
+        if finer is None:
+            break
+        trajectory, solution = finer
+        certificate = _try_certify(problem, trajectory)
+    if certificate is None:
+        return Plan(
+            problem=problem,
+            status="failed",
+            message="failed: the motion that the solver returned leaves the branch on which the mechanism was assembled",
+            history=tuple(history),
+        )
+    return _finished(problem, trajectory, certificate, solution.objective, history, None)
+
+
+def _widths(trajectory: Trajectory, marked: np.ndarray) -> np.ndarray:
+    widths = np.diff(trajectory.breaks_s)
+    pieces = np.where(marked, 2, 1)
+    return np.repeat(widths / pieces, pieces)
+
+
+def _try_certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate | None:
+    try:
+        return certify(problem, trajectory)
+    except AssemblyError:
+        return None
+
+
+def _settle_switches(problem, trajectory, solution, mesh, history, say):
+    """Return a least-time solution with mesh cuts at its switches, moved by the solver to where they are best."""
+    for _ in range(2):
+        cuts = find_cuts(trajectory, problem.limits.effort)
+        if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6 or len(cuts) + 1 == mesh.n_segments:
+            break
+        durations = np.diff(np.concatenate([[0.0], cuts, [trajectory.duration_s]]))
+        finer = segmented(durations, problem.mesh.intervals)
+        found = _solve(problem, motion_of(trajectory), finer, durations, "cuts at the switches", history, say)
+        if found is None or found[1].objective > solution.objective * (1 + _NO_WORSE):
+            break
+        (trajectory, solution), mesh = found, finer
+    return trajectory, solution, mesh
+
+
+def _finished(problem, trajectory, certificate, objective, history, message: str | None) -> Plan:
+    plan = Plan(problem=problem, status="optimal", message="", objective=objective, trajectory=trajectory, certificate=certificate)
+    details: dict[str, float] = {}
+    sentence = message or f"{problem.objective}-optimal motion of {trajectory.duration_s:.6g} s"
+    errors = tracking_errors(plan)
+    if errors is not None and message is None and problem.objective == "tracking":
+        joint = problem.mechanism.independent_joints[0]
+        details |= {f"tracking_rms_{joint.unit}": joint.shown(errors[0]), f"tracking_max_{joint.unit}": joint.shown(errors[1])}
+        sentence = (
+            f"nearest motion to the reference: {joint.shown(errors[0]):.4g} {joint.unit} rms,"
+            f" {joint.shown(errors[1]):.4g} {joint.unit} at most away from it"
+        )
+        demand = reference_demand(problem, trajectory.start_pose)
+        if demand is not None:
+            sentence += f"; {demand.sentence('the reference itself')}"
+            details |= {"reference_needs": demand.needed, "reference_needs_at_s": demand.time_s}
+    if not certificate.passed:
+        return replace(
+            plan,
+            status="failed",
+            message=f"failed: the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}",
+            history=tuple(history),
+            details=details,
+        )
+    return replace(plan, message=sentence, history=tuple(history), details=details)
+
+
+def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: list[Step], say: Say) -> Plan:
+    """Return the plan of a problem whose first solve failed: another start where a motion exists, else the reason."""
+    say("no motion found; looking for the limit that forbids one")
+    least = least_limit(problem, guess, mesh, durations)
+    if least is not None and least.factor <= 1.0:
+        found = _solve(problem, motion_of(least.trajectory), mesh, np.array([least.trajectory.duration_s]), "start from the motion of least peak effort", history, say)
+        if found is not None:
+            return _certified(problem, found, mesh, history, say)
+    if least is not None and least.factor > 1.0:
+        sentence, details = effort_sentence(problem, least)
+        return Plan(
+            problem=problem,
+            status="infeasible",
+            message=f"infeasible: {sentence}{_shortest(problem, details, say)}",
+            history=tuple(history),
+            details=details,
+        )
+    for what in ("speed", "position"):
+        relaxed = replace(problem, limits=without(problem.limits, what))
+        found = _solve(relaxed, guess, mesh, durations, f"without limits on {what}", history, say)
+        if found is not None:
+            trajectory = found[0]
+            poses = follow(problem.mechanism, trajectory.position_at(trajectory.dense_times(8)), trajectory.start_pose)
+            sentence = overrun_sentence(problem, trajectory, poses, what)
+            if sentence is not None:
+                return Plan(problem=problem, status="infeasible", message=f"infeasible: {sentence}", history=tuple(history))
+    status = history[-1].solver_status if history else "nothing tried"
+    return Plan(
+        problem=problem,
+        status="failed",
+        message=f"failed: the solver found neither a motion nor a limit that forbids one ({status})",
+        history=tuple(history),
+    )
+
+
+def _shortest(problem: PlanningProblem, details: dict[str, float], say: Say) -> str:
+    """Return the words on the shortest feasible duration of a motion between two states, where it can be found."""
+    if problem.motion.kind != "reach" or problem.motion.duration_s is None:
+        return ""
+    say("looking for the shortest feasible duration")
+    quickest = plan_motion(
+        replace(problem, objective="time", motion=replace(problem.motion, duration_s=None, max_duration_s=None)), say
+    )
+    if quickest.status != "optimal":
+        return ""
+    details["shortest_duration_s"] = quickest.trajectory.duration_s
+    return f"; the shortest feasible duration is {quickest.trajectory.duration_s:.5g} s"
+
+

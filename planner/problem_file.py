@@ -1,0 +1,421 @@
+"""Problem files: TOML tables to a `PlanningProblem`, every key checked, every value in range.
+
+Angles are in degrees with `_deg` in the key, positions of slides in metres with `_m`; all else is SI. A built-in name works
+wherever a file does.
+"""
+
+import copy
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from models.assembly import close_at
+from models.errors import AssemblyError, ProblemError, one_line
+from models.mechanism import Mechanism, load_mechanism
+from models.names import choose, nearest
+from models.payload import BUILT_IN as PAYLOADS
+from planner.prescribed import is_whole
+from planner.problem import KINDS, OBJECTIVES, Limits, MeshSettings, Motion, PlanningProblem, Tracking
+from planner.reference import Sine
+from planner.schemes import scheme
+
+BUILT_IN = ("knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare")
+
+KEYS: Mapping[str, tuple[str, ...]] = {
+    "mechanism": ("model", "payload", "home_deg", "home_m"),
+    "motion": (
+        "kind",
+        "start_deg",
+        "start_m",
+        "goal_deg",
+        "goal_m",
+        "start_speed_deg_s",
+        "start_speed_m_s",
+        "goal_speed_deg_s",
+        "goal_speed_m_s",
+        "duration_s",
+        "max_duration_s",
+    ),
+    "reference": ("amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg", "frequency_hz"),
+    "objective": ("minimize",),
+    "limits": ("effort", "range_deg", "range_m", "speed_deg_s", "speed_m_s"),
+    "mesh": ("scheme", "intervals"),
+    "tracking": (
+        "kp",
+        "kd",
+        "period_s",
+        "delay_periods",
+        "duration_s",
+        "lqr_position_deg",
+        "lqr_velocity_deg_s",
+    ),
+}
+# Meshes beyond this take minutes; a typing slip of a zero should not.
+MAX_INTERVALS = 20_000
+# A dependent joint named in start_deg or goal_deg must stand this near to where the closed loop has it.
+_POSE_TOLERANCE = np.radians(0.05)
+
+Tables = dict[str, dict]
+
+
+def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> PlanningProblem:
+    """Return the problem of a built-in name or a TOML file, with `key=value` overrides applied.
+
+    Raises:
+        ProblemError: for anything in the file or an override that cannot be used.
+        ModelError: when the mechanism that it names cannot be.
+    """
+    name, tables, folder = read_tables(source)
+    for override in overrides:
+        apply_override(tables, override)
+    return problem_from_tables(name, tables, folder)
+
+
+def built_in_text(name: str) -> str:
+    """Return the TOML text of a built-in problem."""
+    return resources.files("planner").joinpath("problems").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+
+
+def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
+    """Return a problem's name, its tables and the folder of its file (None for a built-in)."""
+    text = str(source)
+    if text in BUILT_IN:
+        return text, tomllib.loads(built_in_text(text)), None
+    path = Path(text)
+    if path.is_dir():
+        raise ProblemError(f"problem '{text}' is a folder; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
+    if not path.is_file():
+        raise ProblemError(
+            f"unknown problem '{text}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
+        )
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ProblemError(f"problem '{text}' cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ProblemError(f"problem '{text}' is not UTF-8 text") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ProblemError(f"problem '{text}' is not TOML: {one_line(error)}") from error
+    return path.stem, tables, path.parent
+
+
+def apply_override(tables: Tables, override: str) -> None:
+    """Set one key of `tables` from "section.key=value", the value in TOML syntax, a bare word being a string."""
+    key, equals, text = override.partition("=")
+    path = [part.strip() for part in key.split(".")]
+    if not equals or len(path) < 2 or not all(path):
+        raise ProblemError(f"--set takes section.key=value, got '{override}'")
+    value = parse_value(text.strip(), override)
+    node: object = tables
+    for depth, part in enumerate(path[:-1]):
+        if not isinstance(node, dict):
+            break
+        child = node.setdefault(part, {})
+        if path[: depth + 1] == ["mechanism", "payload"] and isinstance(child, str) and child in PAYLOADS:
+            built_in = PAYLOADS[child]
+            child = node[part] = {
+                "body": built_in.body,
+                "mass_kg": built_in.mass_kg,
+                "com_m": built_in.com_m.tolist(),
+                "inertia_kgm2": built_in.inertia_kgm2.tolist(),
+            }
+        node = child
+    if not isinstance(node, dict):
+        raise ProblemError(f"--set {override}: '{'.'.join(path[:-1])}' is a value, not a table")
+    node[path[-1]] = value
+
+
+def parse_value(text: str, where: str) -> object:
+    """Return a TOML value; a bare word is a string.
+
+    Raises:
+        ProblemError: when the text is neither.
+    """
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError as error:
+        if re.fullmatch(r"[^\s\"'\[\]{}=,]+", text):
+            return text
+        raise ProblemError(f"--set {where}: the value is neither TOML nor a bare word: {one_line(error)}") from error
+
+
+def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -> PlanningProblem:
+    """Return the problem that a file's tables mean; model paths are taken from the working folder, then the file's."""
+    tables = copy.deepcopy(tables)
+    _check_keys(tables)
+    section = {key: tables.get(key, {}) for key in KEYS}
+    mechanism = _mechanism(section["mechanism"], folder)
+    tables.setdefault("mechanism", {})["model"] = section["mechanism"]["model"]
+    kind = _word(section["motion"], "motion.kind", KINDS)
+    default = "tracking" if kind == "track" or (kind == "periodic" and section["reference"]) else "effort"
+    objective = _word(section["objective"], "objective.minimize", OBJECTIVES, default)
+    reference = _reference(section["reference"], mechanism) if section["reference"] else None
+    problem = PlanningProblem(
+        name=name,
+        mechanism=mechanism,
+        motion=_motion(section["motion"], kind, mechanism, reference),
+        objective=objective,
+        limits=_limits(section["limits"], mechanism),
+        reference=reference,
+        mesh=_mesh(section["mesh"]),
+        tracking=_tracking(section["tracking"]),
+        source=tables,
+    )
+    _check_poses(section["motion"], problem)
+    return problem
+
+
+def _check_keys(tables: Tables) -> None:
+    for section, content in tables.items():
+        if section == "description" and isinstance(content, str):
+            continue
+        if section not in KEYS:
+            raise ProblemError(f"unknown table or key '{section}'{nearest(section, KEYS)}; tables are {', '.join(KEYS)}")
+        if not isinstance(content, dict):
+            raise ProblemError(f"'{section}' is a table ([{section}]), got {content!r}")
+        for key in content:
+            if key not in KEYS[section]:
+                raise ProblemError(
+                    f"unknown key '{section}.{key}'{nearest(key, KEYS[section])}; keys are {', '.join(KEYS[section])}"
+                )
+
+
+def _mechanism(section: dict, folder: Path | None) -> Mechanism:
+    model = section.get("model")
+    if not isinstance(model, str) or not model:
+        raise ProblemError(f"mechanism.model is a built-in name or a path to an MJCF file, got {model!r}")
+    if folder is not None and not Path(model).is_file() and (folder / model).is_file():
+        model = str(folder / model)
+    if Path(model).is_file():
+        model = str(Path(model).resolve())
+    section["model"] = model
+    return load_mechanism(model, payload=section.get("payload"), home=_home(section))
+
+
+def _home(section: dict) -> dict[str, float]:
+    home = {}
+    for key, factor in (("home_deg", np.pi / 180), ("home_m", 1.0)):
+        table = section.get(key, {})
+        if not isinstance(table, dict):
+            raise ProblemError(f"mechanism.{key} is a table of joint = value, got {table!r}")
+        for joint, value in table.items():
+            home[joint] = factor * _number(value, f"mechanism.{key}.{joint}")
+    return home
+
+
+def _word(section: dict, key: str, legal: Sequence[str], default: str | None = None) -> str:
+    value = section.get(key.split(".")[1], default)
+    if value is None:
+        raise ProblemError(f"{key} is missing; it is one of {', '.join(legal)}")
+    if not isinstance(value, str):
+        raise ProblemError(f"{key} is one of {', '.join(legal)}, got {value!r}")
+    return choose(key, value, legal, ProblemError)
+
+
+def _number(value: object, key: str, *, positive: bool = False, infinite: bool = False, least: float | None = None) -> float:
+    """Return a finite number.
+
+    Raises:
+        ProblemError: naming the key, when it is anything else.
+    """
+    wanted = "a positive number" if positive else "a number" if least is None else f"a number of at least {least:g}"
+    legal = isinstance(value, int | float) and not isinstance(value, bool)
+    if not legal or np.isnan(value) or (np.isinf(value) and not infinite):
+        raise ProblemError(f"{key} is {wanted}, got {value!r}")
+    if (positive and value <= 0) or (least is not None and value < least):
+        raise ProblemError(f"{key} is {wanted}, got {value!r}")
+    return float(value)
+
+
+def _joint_values(section: dict, key: str, table_name: str, mechanism: Mechanism) -> dict[int, object]:
+    """Return {joint index: raw value} of `key`_deg and `key`_m (before any _s), units checked against the joints."""
+    found: dict[int, object] = {}
+    stem, rate = (key[: -len("_s")], "_s") if key.endswith("_s") else (key, "")
+    for unit, kind, other in (("deg", "hinge", "m"), ("m", "slide", "deg")):
+        name = f"{stem}_{unit}{rate}"
+        table = section.get(name, {})
+        if not isinstance(table, dict):
+            raise ProblemError(f"{table_name}.{name} is a table of joint = value, got {table!r}")
+        for joint, value in table.items():
+            index = mechanism.joint_index(joint, ProblemError)
+            if mechanism.joints[index].kind != kind:
+                raise ProblemError(
+                    f"joint '{joint}' is a {mechanism.joints[index].kind}; use {table_name}.{stem}_{other}{rate}, not {name}"
+                )
+            found[index] = value
+    return found
+
+
+def _state(section: dict, key: str, mechanism: Mechanism, default: float | None) -> np.ndarray | None:
+    """Return the independent joints' values (n_s,) of a boundary condition, or None where nothing is said."""
+    values = _joint_values(section, key, "motion", mechanism)
+    if not values:
+        return None
+    result = []
+    for index in mechanism.independent:
+        joint = mechanism.joints[index]
+        if index not in values and default is None:
+            raise ProblemError(f"motion.{key}_{joint.unit} names no value for joint {joint.name}, which moves on its own")
+        value = values.get(int(index), default)
+        result.append(joint.read(_number(value, f"motion.{key} of joint {joint.name}")))
+    if key.endswith("_s"):
+        for index in values:
+            if index not in mechanism.independent:
+                raise ProblemError(
+                    f"motion.{key} of joint {mechanism.joints[index].name}: its speed follows from"
+                    f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
+                )
+    return np.array(result)
+
+
+def _motion(section: dict, kind: str, mechanism: Mechanism, reference: Sine | None) -> Motion:
+    duration = section.get("duration_s", "free" if reference is None else reference.period_s)
+    if isinstance(duration, str) and duration != "free":
+        raise ProblemError(f'motion.duration_s is a positive number or "free", got {duration!r}')
+    duration = None if duration == "free" else _number(duration, "motion.duration_s", positive=True)
+    longest = section.get("max_duration_s")
+    if kind == "periodic" and reference is not None and duration is not None:
+        if not is_whole(duration * reference.frequency_hz):
+            raise ProblemError(
+                f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
+                f" {reference.period_s:g} s, got {duration:g}"
+            )
+    return Motion(
+        kind=kind,
+        start=_state(section, "start", mechanism, None),
+        goal=_state(section, "goal", mechanism, None),
+        start_speed=_state(section, "start_speed_s", mechanism, 0.0),
+        goal_speed=_state(section, "goal_speed_s", mechanism, 0.0),
+        duration_s=duration,
+        max_duration_s=None if longest is None else _number(longest, "motion.max_duration_s", positive=True),
+    )
+
+
+def _reference(section: dict, mechanism: Mechanism) -> Sine:
+    def values(key: str, default: float | None) -> np.ndarray:
+        found = _joint_values(section, key, "reference", mechanism)
+        for index in found:
+            if index not in mechanism.independent:
+                names = ", ".join(j.name for j in mechanism.independent_joints)
+                raise ProblemError(f"reference.{key} is for independent joints ({names}), got {mechanism.joints[index].name}")
+        result = []
+        for index, joint in zip(mechanism.independent, mechanism.independent_joints, strict=True):
+            if int(index) not in found and default is None:
+                raise ProblemError(f"reference.{key}_{joint.unit} names no value for joint {joint.name}")
+            result.append(joint.read(_number(found.get(int(index), default), f"reference.{key} of joint {joint.name}")))
+        return np.array(result)
+
+    phase = section.get("phase_deg", {})
+    if not isinstance(phase, dict):
+        raise ProblemError(f"reference.phase_deg is a table of joint = value, got {phase!r}")
+    for joint in phase:
+        mechanism.joint_index(joint, ProblemError)
+    phases = [_number(phase.get(j.name, 0.0), f"reference.phase_deg.{j.name}") for j in mechanism.independent_joints]
+    return Sine(
+        amplitude=values("amplitude", None),
+        bias=values("bias", 0.0),
+        phase=np.radians(phases),
+        frequency_hz=_number(section.get("frequency_hz"), "reference.frequency_hz", positive=True),
+    )
+
+
+def _interval(value: object, key: str) -> tuple[float, float]:
+    if not isinstance(value, list) or len(value) != 2:
+        raise ProblemError(f"{key} is [low, high], got {value!r}")
+    low, high = (_number(end, key, infinite=True) for end in value)
+    if not low < high:
+        raise ProblemError(f"{key} is [low, high] with low < high, got {value!r}")
+    return low, high
+
+
+def _limits(section: dict, mechanism: Mechanism) -> Limits:
+    effort = np.array(mechanism.effort_limit)
+    table = section.get("effort", {})
+    if not isinstance(table, dict):
+        raise ProblemError(f"limits.effort is a table of actuator = [low, high], got {table!r}")
+    names = [actuator.name for actuator in mechanism.actuators]
+    for name, value in table.items():
+        effort[names.index(choose("actuator in limits.effort", name, names, ProblemError))] = _interval(
+            value, f"limits.effort.{name}"
+        )
+    position = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
+    for index, value in _joint_values(section, "range", "limits", mechanism).items():
+        joint = mechanism.joints[index]
+        low, high = (joint.read(end) for end in _interval(value, f"limits.range_{joint.unit}.{joint.name}"))
+        if low < joint.lower or high > joint.upper:
+            raise ProblemError(
+                f"limits.range_{joint.unit}.{joint.name} = {value!r} is wider than the model's own range"
+                f" [{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}], where its stops act"
+            )
+        position[index] = low, high
+    speed = np.tile([-np.inf, np.inf], (mechanism.n_q, 1))
+    for index, value in _joint_values(section, "speed_s", "limits", mechanism).items():
+        joint = mechanism.joints[index]
+        key = f"limits.speed_{joint.unit}_s.{joint.name}"
+        if isinstance(value, list):
+            ends = _interval(value, key)
+        else:
+            ends = (-_number(value, key, positive=True), _number(value, key, positive=True))
+        if not ends[0] <= 0 <= ends[1]:
+            raise ProblemError(f"{key} admits rest, low <= 0 <= high, got {value!r}")
+        speed[index] = [joint.read(end) for end in ends]
+    return Limits(effort=effort, position=position, speed=speed)
+
+
+def _mesh(section: dict) -> MeshSettings:
+    default = MeshSettings()
+    name = section.get("scheme", default.scheme)
+    intervals = section.get("intervals", default.intervals)
+    if not isinstance(intervals, int) or isinstance(intervals, bool) or not 2 <= intervals <= MAX_INTERVALS:
+        raise ProblemError(f"mesh.intervals is a whole number from 2 to {MAX_INTERVALS}, got {intervals!r}")
+    return MeshSettings(scheme=scheme(name).name, intervals=intervals)
+
+
+def _tracking(section: dict) -> Tracking:
+    default = Tracking()
+    delay = section.get("delay_periods", 0)
+    if not isinstance(delay, int) or isinstance(delay, bool) or not 0 <= delay <= 1000:
+        raise ProblemError(f"tracking.delay_periods is a whole number from 0 to 1000, got {delay!r}")
+    duration = section.get("duration_s")
+
+    def angle(key: str, value: float) -> float:
+        return np.radians(_number(section.get(key, np.degrees(value)), f"tracking.{key}", positive=True))
+
+    return Tracking(
+        kp=_number(section.get("kp", default.kp), "tracking.kp", least=0.0),
+        kd=_number(section.get("kd", default.kd), "tracking.kd", least=0.0),
+        period_s=_number(section.get("period_s", default.period_s), "tracking.period_s", positive=True),
+        delay_periods=delay,
+        duration_s=None if duration is None else _number(duration, "tracking.duration_s", positive=True),
+        lqr_position=float(angle("lqr_position_deg", default.lqr_position)),
+        lqr_velocity=float(angle("lqr_velocity_deg_s", default.lqr_velocity)),
+    )
+
+
+def _check_poses(section: dict, problem: PlanningProblem) -> None:
+    """Refuse a start or goal whose dependent joints do not stand where the closed loop has them."""
+    mechanism = problem.mechanism
+    for key, s in (("start", problem.motion.start), ("goal", problem.motion.goal)):
+        named = _joint_values(section, key, "motion", mechanism)
+        extra = [index for index in named if index not in mechanism.independent]
+        if s is None or not extra:
+            continue
+        try:
+            pose = close_at(mechanism, s)
+        except AssemblyError as error:
+            raise ProblemError(f"motion.{key}_deg does not close: {error}") from error
+        for index in extra:
+            joint = mechanism.joints[index]
+            asked = joint.read(_number(named[index], f"motion.{key} of joint {joint.name}"))
+            if abs(asked - pose[index]) > _POSE_TOLERANCE:
+                raise ProblemError(
+                    f"motion.{key}_{joint.unit} does not close: with"
+                    f" {', '.join(f'{j.name} = {j.shown(x):.6g}' for j, x in zip(mechanism.independent_joints, s, strict=True))}"
+                    f" the loop has {joint.name} at {joint.shown(pose[index]):.6g} {joint.unit}, asked"
+                    f" {joint.shown(asked):.6g}"
+                )
+

@@ -1,0 +1,134 @@
+"""Transcriptions: how a motion is written on one interval, as validated constants.
+
+On an interval of width h, with tau in [0, 1] and collocation nodes c_1..c_m, the acceleration is the polynomial through
+its values a_i at the nodes; velocity and position are its exact integrals,
+
+    v(tau) = v_0 + h sum_j a_j int_0^tau l_j,      s(tau) = s_0 + h tau v_0 + h^2 sum_j a_j int_0^tau int l_j,
+
+so that s' = v at every instant and not only at the nodes (the second-order-consistent form of Moreno-Martin, Ros &
+Celaya, arXiv 2302.09056: applied to q'' = f, first-order schemes let the interpolated velocity differ from the
+derivative of the interpolated position). Radau nodes give order 2m-1, Lobatto's three nodes are Hermite-Simpson's.
+
+The effort is a polynomial of degree m-1 held by its Bernstein coefficients: the curve stays in their convex hull
+(Farouki, CAGD 29, 2012), so coefficients within a limit keep the effort within it at every instant.
+"""
+
+import re
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+import numpy as np
+from scipy.special import comb
+
+from models.errors import ProblemError
+from models.names import nearest
+
+MAX_DEGREE = 9
+NAMES = ("hermite-simpson", *(f"radau-{d}" for d in range(1, MAX_DEGREE + 1)))
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Scheme:
+    """A transcription's constants on the unit interval, for m nodes.
+
+    `nodes` (m,); `velocity` (m, m) and `position` (m, m) integrate nodal accelerations once and twice up to each node;
+    `velocity_end` and `position_end` (m,) up to 1; `weights` (m,) are the quadrature's. `effort_at` (m, m) takes Bernstein
+    coefficients to values at the nodes; `acceleration_coefficients` (m, m), `velocity_coefficients` (m + 1, m) and
+    `position_coefficients` (m + 2, m) take nodal accelerations to Bernstein coefficients of a, v - v_0 and
+    s - s_0 - h tau v_0.
+    """
+
+    name: str
+    nodes: np.ndarray
+    velocity: np.ndarray
+    position: np.ndarray
+    velocity_end: np.ndarray
+    position_end: np.ndarray
+    weights: np.ndarray
+    effort_at: np.ndarray
+    acceleration_coefficients: np.ndarray
+    velocity_coefficients: np.ndarray
+    position_coefficients: np.ndarray
+
+    def __post_init__(self) -> None:
+        m = len(self.nodes)
+        tolerance = 1e-10  # conditioning of nine Radau nodes costs five digits of the machine's sixteen
+        ones = np.ones(m)
+        checks = (
+            np.all(np.diff(self.nodes) > 0) and self.nodes[0] >= 0 and self.nodes[-1] <= 1,
+            np.allclose(self.velocity @ ones, self.nodes, atol=tolerance),
+            np.allclose(self.position @ ones, self.nodes**2 / 2, atol=tolerance),
+            abs(self.weights.sum() - 1) < tolerance,
+            abs(self.position_end.sum() - 0.5) < tolerance,
+            np.allclose(self.effort_at.sum(axis=1), 1, atol=tolerance),
+        )
+        if not all(checks):
+            raise ValueError(f"scheme '{self.name}' is inconsistent: {checks}")
+        for field in self.__slots__:
+            value = getattr(self, field)
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    @property
+    def n_nodes(self) -> int:
+        """The number m of collocation nodes in an interval."""
+        return len(self.nodes)
+
+
+@cache
+def scheme(name: str) -> Scheme:
+    """Return the transcription called `name`: "hermite-simpson", or "radau-1" to "radau-9".
+
+    Raises:
+        ProblemError: for any other name.
+    """
+    if name == "hermite-simpson":
+        return _build(name, np.array([0.0, 0.5, 1.0]))
+    match = re.fullmatch(r"radau-(\d+)", str(name))
+    if match and 1 <= int(match[1]) <= MAX_DEGREE:
+        return _build(name, np.array(ca.collocation_points(int(match[1]), "radau")))
+    raise ProblemError(
+        f"unknown mesh.scheme '{name}'{nearest(str(name), NAMES)};"
+        f" schemes are hermite-simpson and radau-1 to radau-{MAX_DEGREE}"
+    )
+
+
+def _build(name: str, nodes: np.ndarray) -> Scheme:
+    m = len(nodes)
+    basis = bernstein_matrix(m - 1, nodes)
+    to_acceleration = np.linalg.inv(basis)
+    to_velocity = bernstein_integral(m - 1) @ to_acceleration
+    to_position = bernstein_integral(m) @ to_velocity
+    return Scheme(
+        name=name,
+        nodes=nodes,
+        velocity=bernstein_matrix(m, nodes) @ to_velocity,
+        position=bernstein_matrix(m + 1, nodes) @ to_position,
+        velocity_end=to_velocity[-1].copy(),
+        position_end=to_position[-1].copy(),
+        weights=to_velocity[-1].copy(),
+        effort_at=basis,
+        acceleration_coefficients=to_acceleration,
+        velocity_coefficients=to_velocity,
+        position_coefficients=to_position,
+    )
+
+
+def bernstein_matrix(degree: int, points: np.ndarray) -> np.ndarray:
+    """Return the Bernstein polynomials (n_points, degree + 1) of a degree at points of [0, 1]."""
+    t = np.asarray(points, dtype=float)[:, None]
+    k = np.arange(degree + 1)
+    return comb(degree, k) * t**k * (1 - t) ** (degree - k)
+
+
+def bernstein_gram(degree: int) -> np.ndarray:
+    """Return int_0^1 B_i B_j (degree + 1, degree + 1), which makes integrals of squared polynomials exact."""
+    k = np.arange(degree + 1)
+    i, j = np.meshgrid(k, k, indexing="ij")
+    return comb(degree, i) * comb(degree, j) / ((2 * degree + 1) * comb(2 * degree, i + j))
+
+
+def bernstein_integral(degree: int) -> np.ndarray:
+    """Return the matrix (degree + 2, degree + 1) from Bernstein coefficients to those of the integral from 0."""
+    return np.tril(np.ones((degree + 2, degree + 1)), -1) / (degree + 1)

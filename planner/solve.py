@@ -1,0 +1,68 @@
+"""Solving a program with IPOPT."""
+
+import time
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from planner.transcription import Transcribed
+
+# Feasibility and optimality of the scaled program; the certificate then judges the motion itself.
+TOLERANCE = 1e-10
+MAX_ITERATIONS = 1000
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Solution:
+    """What a solver answered: unknowns, whether they are a local optimum, its own words, and the time it took [s]."""
+
+    x: np.ndarray
+    objective: float
+    converged: bool
+    status: str
+    iterations: int
+    build_s: float
+    solve_s: float
+
+
+def solve(transcribed: Transcribed, *, warm: bool = False) -> Solution:
+    """Return the solver's answer; never raises for a problem that has none."""
+    begin = time.perf_counter()
+    functions = transcribed.program.functions
+    options = {
+        "print_time": False,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.tol": TOLERANCE,
+        "ipopt.constr_viol_tol": TOLERANCE,
+        "ipopt.max_iter": MAX_ITERATIONS,
+        # Limits are promises: IPOPT may not relax them by its customary 1e-8.
+        "ipopt.bound_relax_factor": 0.0,
+        "ipopt.honor_original_bounds": "yes",
+        "grad_f": functions["grad_f"],
+        "jac_g": functions["jac_g"],
+        "hess_lag": functions["hess_lag"],
+    }
+    if warm:
+        options |= {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
+    solver = ca.nlpsol("solver", "ipopt", functions["nlp"], options)
+    built = time.perf_counter()
+    result = solver(
+        x0=transcribed.start,
+        p=transcribed.parameters,
+        lbx=transcribed.lower,
+        ubx=transcribed.upper,
+        lbg=transcribed.row_lower,
+        ubg=transcribed.row_upper,
+    )
+    stats = solver.stats()
+    return Solution(
+        x=np.array(result["x"]).ravel(),
+        objective=float(result["f"]) * transcribed.objective_scale,
+        converged=bool(stats["success"]),
+        status=str(stats["return_status"]),
+        iterations=int(stats["iter_count"]),
+        build_s=built - begin,
+        solve_s=time.perf_counter() - built,
+    )

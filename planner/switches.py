@@ -1,0 +1,51 @@
+"""Where a least-time motion switches: cuts for a mesh whose segments then settle on them."""
+
+import numpy as np
+
+from planner.trajectory import Trajectory
+
+# A coefficient within this share of the limits' span counts as at its limit; the solver leaves 1e-8.
+_AT_LIMIT = 1e-3
+# Up to this many intervals between two arcs at limits are one smeared switch; more are an arc of their own.
+_SMEARED = 3
+
+
+def find_cuts(trajectory: Trajectory, limit: np.ndarray) -> np.ndarray:
+    """Return the times (n,) [s] at which efforts jump between their limits or leave them, increasing.
+
+    Args:
+        trajectory: a solution on a fixed mesh.
+        limit: (n_u, 2) of the efforts.
+
+    A switch inside an interval shows as one smeared interval; its time follows from the impulse, which the smeared
+    interval keeps: u_before (t - t_0) + u_after (t_1 - t) = int u dt.
+    """
+    breaks = trajectory.breaks_s
+    cuts: list[float] = []
+    for j, (low, high) in enumerate(limit):
+        if not (np.isfinite(low) and np.isfinite(high) and high > low):
+            continue
+        coefficients = trajectory.effort[:, :, j]
+        slack = _AT_LIMIT * (high - low)
+        arc = np.where(coefficients.min(axis=0) > high - slack, 1, np.where(coefficients.max(axis=0) < low + slack, -1, 0))
+        edges = np.flatnonzero(np.diff(arc)) + 1
+        starts, ends = np.concatenate([[0], edges]), np.concatenate([edges, [len(arc)]])
+        for run, (a, b) in enumerate(zip(starts, ends, strict=True)):
+            before = arc[starts[run - 1]] if run else 0
+            after = arc[starts[run + 1]] if run + 1 < len(starts) else 0
+            if arc[a] != 0:
+                if before != 0:
+                    cuts.append(float(breaks[a]))
+            elif b - a > _SMEARED:
+                cuts += [float(breaks[k]) for k, neighbour in ((a, before), (b, after)) if neighbour != 0]
+            elif before * after < 0:
+                impulse = float(np.sum(coefficients[:, a:b].mean(axis=0) * np.diff(breaks[a : b + 1])))
+                u_before, u_after = (high, low) if before > 0 else (low, high)
+                t = (impulse + u_before * breaks[a] - u_after * breaks[b]) / (u_before - u_after)
+                cuts.append(float(np.clip(t, breaks[a], breaks[b])))
+    apart = 0.5 * float(np.diff(breaks).min())
+    kept: list[float] = []
+    for cut in sorted(cuts):
+        if cut - breaks[0] > apart and breaks[-1] - cut > apart and (not kept or cut - kept[-1] > apart):
+            kept.append(cut)
+    return np.array(kept)

@@ -1,0 +1,92 @@
+"""A motion as continuous functions of time: piecewise polynomials of position, velocity and effort."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BPoly
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Trajectory:
+    """Independent positions s(t), their velocity v(t) = s'(t), and efforts u(t), over [0, duration].
+
+    `breaks_s` (n + 1,) are the intervals' ends. Coefficients are Bernstein's on each interval: `position`
+    (degree + 1, n, n_s) [rad or m], `velocity` (degree + 1, n, n_s), `effort` (degree + 1, n, n_u) [N.m or N]. Efforts may
+    jump at a break, where the later interval's value holds. `start_pose` (n_q,) is the closed pose at the start: with s(t)
+    it fixes the dependent joints. A `periodic` motion goes on beyond its ends; any other rests at its end states.
+    """
+
+    breaks_s: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+    start_pose: np.ndarray
+    periodic: bool
+
+    def __post_init__(self) -> None:
+        for name in ("breaks_s", "position", "velocity", "effort", "start_pose"):
+            value = np.array(getattr(self, name), dtype=float)
+            if not np.all(np.isfinite(value)):
+                raise ValueError(f"trajectory.{name} has values that are not finite")
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+        n = len(self.breaks_s) - 1
+        shapes = [self.position.shape[1], self.velocity.shape[1], self.effort.shape[1]]
+        if n < 1 or np.any(np.diff(self.breaks_s) <= 0) or shapes != [n, n, n]:
+            raise ValueError(f"trajectory has {n} intervals, its coefficients {shapes}; breaks must increase")
+
+    @property
+    def duration_s(self) -> float:
+        """The duration [s]."""
+        return float(self.breaks_s[-1] - self.breaks_s[0])
+
+    @property
+    def n_s(self) -> int:
+        """The number of independent joints."""
+        return self.position.shape[2]
+
+    @property
+    def n_u(self) -> int:
+        """The number of actuators."""
+        return self.effort.shape[2]
+
+    def _times(self, time_s: np.ndarray) -> np.ndarray:
+        time = np.asarray(time_s, dtype=float)
+        if self.periodic:
+            return self.breaks_s[0] + np.mod(time - self.breaks_s[0], self.duration_s)
+        return np.clip(time, self.breaks_s[0], self.breaks_s[-1])
+
+    def position_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return s (n, n_s) [rad or m] at times (n,)."""
+        return BPoly(self.position, self.breaks_s)(self._times(time_s))
+
+    def velocity_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return v (n, n_s) [rad/s or m/s] at times (n,); zero outside a motion that is not periodic."""
+        velocity = BPoly(self.velocity, self.breaks_s)(self._times(time_s))
+        return np.where(self._inside(time_s)[:, None], velocity, 0.0)
+
+    def acceleration_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return v' (n, n_s) [rad/s2 or m/s2] at times (n,); zero outside a motion that is not periodic."""
+        if self.velocity.shape[0] == 1:
+            return np.zeros((len(np.asarray(time_s)), self.n_s))
+        acceleration = BPoly(self.velocity, self.breaks_s).derivative()(self._times(time_s))
+        return np.where(self._inside(time_s)[:, None], acceleration, 0.0)
+
+    def effort_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return u (n, n_u) [N.m or N] at times (n,); that of the nearer end outside."""
+        return BPoly(self.effort, self.breaks_s)(self._times(time_s))
+
+    def _inside(self, time_s: np.ndarray) -> np.ndarray:
+        time = np.asarray(time_s, dtype=float)
+        slack = 1e-12 * max(1.0, self.duration_s)
+        return self.periodic | ((time >= self.breaks_s[0] - slack) & (time <= self.breaks_s[-1] + slack))
+
+    def dense_times(self, per_interval: int) -> np.ndarray:
+        """Return times strictly inside and at both ends of every interval, `per_interval` steps each, increasing.
+
+        A break appears twice, a hair before and at it, so that both sides of a jump in effort are looked at.
+        """
+        widths = np.diff(self.breaks_s)
+        inner = np.linspace(0.0, 1.0, per_interval + 1)
+        inner[-1] = 1.0 - 1e-12
+        return (self.breaks_s[:-1, None] + widths[:, None] * inner).ravel()

@@ -1,0 +1,1 @@
+"""Questions with answers: check, compare, bode, the demo, and the command line."""
