@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from models.audit import audit
 from models.errors import ProblemError
 from models.mechanism import Mechanism
 from planner.reference import Sine
@@ -83,8 +84,8 @@ class Tracking:
     period_s: float = 1e-4
     delay_periods: int = 0
     duration_s: float | None = None  # of the tracking run; default: the plan and a rest after it, or eight periods
-    lqr_position: float = np.radians(0.05)
-    lqr_velocity: float = np.radians(10.0)
+    lqr_position: float = np.radians(1.0)
+    lqr_velocity: float = np.radians(100.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -106,6 +107,12 @@ class PlanningProblem:
 
     def __post_init__(self) -> None:
         motion, n_s = self.motion, self.mechanism.dof
+        falsifying = [item.text for item in audit(self.mechanism.model) if item.falsifies]
+        if falsifying:
+            raise ProblemError(
+                f"mechanism '{self.mechanism.name}' cannot be planned truly, its model has what the planner does not honour:"
+                f" {'; '.join(falsifying)}"
+            )
         if self.objective not in OBJECTIVES:
             raise ProblemError(f"objective.minimize is one of {', '.join(OBJECTIVES)}, got '{self.objective}'")
         if self.mechanism.n_u == 0:
@@ -136,3 +143,8 @@ class PlanningProblem:
         for name, n_rows in rows.items():
             if len(getattr(self.limits, name)) != n_rows:
                 raise ProblemError(f"limits.{name} needs {n_rows} rows, got {len(getattr(self.limits, name))}")
+
+    @property
+    def not_honoured(self) -> tuple[str, ...]:
+        """What the model says that plans leave out without becoming false, each in a few words."""
+        return tuple(item.text for item in audit(self.mechanism.model))

@@ -1,0 +1,64 @@
+"""The motion that a tracker follows, sampled at its control instants."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.along import needed_effort
+from models.assembly import follow
+from models.mechanism import Mechanism
+from planner.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class SampledReference:
+    """A motion at control instants t_k = k T, for k = 0 to n - 1.
+
+    `pose` (n, n_q), `position`, `velocity`, `acceleration` (n, n_s); `effort` (n, n_u) [N.m or N] is the reduced inverse
+    dynamics' at the middle of each hold, where a held value stands for its mean. `cycle` is the number of samples after
+    which all repeats, or None.
+    """
+
+    period_s: float
+    time_s: np.ndarray
+    pose: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    effort: np.ndarray
+    cycle: int | None
+
+    def __post_init__(self) -> None:
+        for name in ("time_s", "pose", "position", "velocity", "effort"):
+            value = np.array(getattr(self, name), dtype=float)
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+
+    @property
+    def n(self) -> int:
+        """The number of control instants."""
+        return len(self.time_s)
+
+
+def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, duration_s: float) -> SampledReference:
+    """Return a trajectory at the control instants of a period [s] over a duration [s].
+
+    A periodic trajectory goes on; any other holds its last position at rest.
+    """
+    n = max(1, round(duration_s / period_s))
+    time = period_s * np.arange(n)
+    position = trajectory.position_at(time)
+    pose = follow(mechanism, position, trajectory.start_pose)
+    middle = time + 0.5 * period_s
+    pose_middle = follow(mechanism, trajectory.position_at(middle), trajectory.start_pose)
+    effort, _ = needed_effort(mechanism, pose_middle, trajectory.velocity_at(middle), trajectory.acceleration_at(middle))
+    ratio = trajectory.duration_s / period_s
+    whole = trajectory.periodic and abs(ratio - round(ratio)) < 1e-6
+    return SampledReference(
+        period_s=period_s,
+        time_s=time,
+        pose=pose,
+        position=position,
+        velocity=trajectory.velocity_at(time),
+        effort=effort,
+        cycle=round(ratio) if whole else None,
+    )

@@ -1,0 +1,189 @@
+"""Plans on disk: `plan.json`, `trajectory.npz` and `trajectory.csv` in a folder."""
+
+import csv
+import json
+import zipfile
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from models.along import joint_rates
+from models.assembly import follow
+from models.errors import LinkplanError, PlanFileError
+from planner.certificate import Certificate, certify
+from planner.folders import plain, write_json
+from planner.plan import Plan
+from planner.problem import PlanningProblem
+from planner.problem_file import problem_from_tables
+from planner.trajectory import Trajectory
+
+FORMAT = 1
+_ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
+_CSV_PER_INTERVAL = 10
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of linkplan and of what its numbers depend on."""
+    return {name: metadata.version(name) for name in ("linkplan", "mujoco", "casadi", "numpy", "scipy", "control")}
+
+
+def record(plan: Plan) -> dict:
+    """Return what `plan.json` and `linkplan plan --json` say of a plan."""
+    problem, mechanism = plan.problem, plan.problem.mechanism
+    names = [actuator.name for actuator in mechanism.actuators]
+    certificate = plan.certificate
+    return plain(
+        {
+            "format": FORMAT,
+            "name": problem.name,
+            "status": plan.status,
+            "message": plan.message,
+            "objective": plan.objective,
+            "objective_kind": problem.objective,
+            "duration_s": None if plan.trajectory is None else plan.trajectory.duration_s,
+            "peak_effort": None if certificate is None else dict(zip(names, certificate.peak_effort, strict=True)),
+            "effort_limit": dict(zip(names, problem.limits.effort, strict=True)),
+            "effort_unit": {actuator.name: actuator.unit for actuator in mechanism.actuators},
+            "certificate": None if certificate is None else certificate_record(problem, certificate),
+            "mesh": {"scheme": problem.mesh.scheme, "intervals": plan.intervals},
+            "time_s": {
+                "build": sum(step.build_s for step in plan.history),
+                "solve": sum(step.solve_s for step in plan.history),
+            },
+            "details": plan.details,
+            "history": [
+                {name: getattr(step, name) for name in step.__slots__ if name != "integration_error_deg"}
+                for step in plan.history
+            ],
+            "not_honoured": list(problem.not_honoured),
+            "versions": versions(),
+            "problem": problem.source,
+        }
+    )
+
+
+def certificate_record(problem: PlanningProblem, certificate: Certificate) -> dict:
+    """Return a certificate's figures by name, with their units in the names."""
+    joints = problem.mechanism.joints
+    margins = list(zip(joints, certificate.position_margin, certificate.speed_margin, strict=True))
+    return {
+        "passed": certificate.passed,
+        "failures": list(certificate.failures),
+        "effort_excess": certificate.effort_excess,
+        "inverse_dynamics_excess": certificate.inverse_dynamics_excess,
+        "dynamics_residual": certificate.dynamics_residual,
+        "closure_gap_m": certificate.closure_gap_m,
+        "integration_error_deg": certificate.integration_error_deg,
+        "integration_error_m": certificate.integration_error_m,
+        "joint_margin_deg": {j.name: j.shown(m) for j, m, _ in margins if j.kind == "hinge" and np.isfinite(m)},
+        "joint_margin_m": {j.name: m for j, m, _ in margins if j.kind == "slide" and np.isfinite(m)},
+        "speed_margin_deg_s": {j.name: j.shown(m) for j, _, m in margins if j.kind == "hinge" and np.isfinite(m)},
+        "speed_margin_m_s": {j.name: m for j, _, m in margins if j.kind == "slide" and np.isfinite(m)},
+        "singularity_ratio": certificate.singularity_ratio,
+        "worst_time_s": certificate.worst_time_s,
+    }
+
+
+def write_plan(plan: Plan, folder: Path) -> None:
+    """Write a plan's files into an existing, empty folder.
+
+    Raises:
+        PlanFileError: when the plan has no motion.
+    """
+    if plan.trajectory is None:
+        raise PlanFileError(f"nothing to save: {plan.message}")
+    write_json(folder / "plan.json", record(plan))
+    trajectory = plan.trajectory
+    arrays = {name: getattr(trajectory, name) for name in _ARRAYS}
+    np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)
+    _write_csv(plan, folder / "trajectory.csv")
+
+
+def _write_csv(plan: Plan, path: Path) -> None:
+    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
+    time = trajectory.dense_times(_CSV_PER_INTERVAL)
+    q = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
+    rates = joint_rates(mechanism, q, trajectory.velocity_at(time))
+    accelerations, efforts = trajectory.acceleration_at(time), trajectory.effort_at(time)
+    header, columns = ["time_s"], [time]
+    for index, joint in enumerate(mechanism.joints):
+        header += [f"{joint.name}_{joint.unit}", f"{joint.name}_{joint.unit}_s"]
+        columns += [_shown(joint, q[:, index]), _shown(joint, rates[:, index])]
+    for index, joint in enumerate(mechanism.independent_joints):
+        header.append(f"{joint.name}_{joint.unit}_s2")
+        columns.append(_shown(joint, accelerations[:, index]))
+    for index, actuator in enumerate(mechanism.actuators):
+        header.append(f"{actuator.name}_{actuator.unit.replace('.', '')}")
+        columns.append(efforts[:, index])
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(header)
+        writer.writerows([[f"{value:.12g}" for value in row] for row in np.column_stack(columns)])
+
+
+def _shown(joint, values: np.ndarray) -> np.ndarray:
+    return np.degrees(values) if joint.kind == "hinge" else values
+
+
+def read_plan(folder: str | Path) -> Plan:
+    """Return a saved plan, its problem built again and its certificate made anew from the motion on disk.
+
+    Raises:
+        PlanFileError: when the folder, or a file in it, is missing, truncated or not a plan's.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise PlanFileError(f"'{folder}' is not a plan: a plan is a folder with plan.json and trajectory.npz")
+    said = _read_json(folder / "plan.json")
+    missing = [key for key in ("format", "name", "status", "message", "problem") if key not in said]
+    if missing:
+        raise PlanFileError(f"'{folder / 'plan.json'}' is not a plan: it lacks {', '.join(missing)}")
+    if said["format"] != FORMAT:
+        raise PlanFileError(f"'{folder / 'plan.json'}' has format {said['format']!r}; this linkplan reads {FORMAT}")
+    trajectory = _read_trajectory(folder / "trajectory.npz")
+    try:
+        problem = problem_from_tables(str(said["name"]), said["problem"])
+    except LinkplanError as error:
+        raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built again: {error}") from error
+    mechanism = problem.mechanism
+    if (trajectory.n_s, trajectory.n_u, len(trajectory.start_pose)) != (mechanism.dof, mechanism.n_u, mechanism.n_q):
+        raise PlanFileError(
+            f"'{folder / 'trajectory.npz'}' is of another mechanism: it has {trajectory.n_s} independent joints and"
+            f" {trajectory.n_u} actuators, '{mechanism.name}' has {mechanism.dof} and {mechanism.n_u}"
+        )
+    certificate = certify(problem, trajectory)
+    return Plan(
+        problem=problem,
+        status=str(said["status"]),
+        message=str(said["message"]),
+        objective=said.get("objective"),
+        trajectory=trajectory,
+        certificate=certificate,
+        details=dict(said.get("details") or {}),
+    )
+
+
+def _read_json(path: Path) -> dict:
+    try:
+        said = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise PlanFileError(f"'{path}' cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise PlanFileError(f"'{path}' is truncated or not JSON: {error}") from error
+    if not isinstance(said, dict) or not isinstance(said.get("problem", {}), dict):
+        raise PlanFileError(f"'{path}' is not a plan")
+    return said
+
+
+def _read_trajectory(path: Path) -> Trajectory:
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in _ARRAYS}
+            return Trajectory(**arrays, periodic=bool(stored["periodic"]))
+    except OSError as error:
+        raise PlanFileError(f"'{path}' cannot be read: {error.strerror or 'it is not an npz file'}") from error
+    except KeyError as error:
+        raise PlanFileError(f"'{path}' lacks an array: {error.args[0]}") from error
+    except (zipfile.BadZipFile, ValueError, EOFError, IndexError) as error:
+        raise PlanFileError(f"'{path}' is truncated or not a trajectory: {error}") from error
