@@ -110,4 +110,3 @@ def _backward(A, B, Q, R, P) -> tuple[np.ndarray, np.ndarray]:
         P = Q + A[k].T @ P @ (A[k] - B[k] @ gains[k])
         P = 0.5 * (P + P.T)
     return gains, P
-

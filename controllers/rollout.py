@@ -6,6 +6,7 @@ periods, cut at the actuators' limits and held while MuJoCo steps.
 """
 
 import copy
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import mujoco
@@ -150,6 +151,57 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
         finite=done == n,
         effort_limit=np.array(limit),
         conditions=conditions(mechanism, model, reference, loop),
+    )
+
+
+def run_as_it_stands(
+    mechanism: Mechanism,
+    law: Callable[[float, float, float], float],
+    reference: Callable[[np.ndarray], np.ndarray],
+    duration_s: float,
+    idle_ctrl: Mapping[int, float],
+) -> Rollout:
+    """Return the log of a model run as its file stands: from its own reference pose, open loops, contacts and all.
+
+    Args:
+        mechanism: for its model, joints and first actuator; its assembly is not used.
+        law: (time, position, velocity) of the first actuator's joint to a command, every step.
+        reference: desired positions (n,) of that joint at times (n,).
+        duration_s: how long [s].
+        idle_ctrl: constant controls of other actuators, by MuJoCo's index.
+    """
+    model = copy.deepcopy(mechanism.model)
+    actuator = mechanism.actuators[0]
+    data = mujoco.MjData(model)
+    step = float(model.opt.timestep)
+    n, joint = round(duration_s / step), actuator.joint
+    poses, velocities = np.empty((n, mechanism.n_q)), np.empty((n, 1))
+    commanded, contacts = np.empty((n, 1)), np.zeros(n, dtype=int)
+    for index, value in idle_ctrl.items():
+        data.ctrl[index] = value
+    for k in range(n):
+        poses[k], velocities[k] = data.qpos, data.qvel[joint]
+        commanded[k] = law(data.time, float(data.qpos[joint]), float(data.qvel[joint]))
+        data.ctrl[actuator.index] = commanded[k, 0] / actuator.gain
+        mujoco.mj_step(model, data)
+        contacts[k] = data.ncon
+    time = step * np.arange(n)
+    phi = sampled(mechanism.dynamics.closure, poses).reshape(n, -1, 3)
+    limit = mechanism.effort_limit[:1]
+    return Rollout(
+        tracker="pd",
+        time_s=time,
+        position=poses[:, [joint]],
+        velocity=velocities,
+        reference=reference(time)[:, None],
+        pose=poses,
+        commanded=commanded,
+        applied=np.clip(commanded, limit[:, 0], limit[:, 1]),
+        gap_m=np.linalg.norm(phi, axis=2).max(axis=1, initial=0.0),
+        contacts=int(contacts.max()),
+        finite=bool(np.all(np.isfinite(poses))),
+        effort_limit=limit,
+        conditions={"mechanism": mechanism.name, "mujoco": mujoco.__version__, "timestep_s": step},
     )
 
 

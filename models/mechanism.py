@@ -181,13 +181,9 @@ def _read_joints(name: str, model: mujoco.MjModel) -> tuple[Joint, ...]:
         if kind not in (HINGE, SLIDE):
             spelled = mujoco.mjtJoint(kind).name.removeprefix("mjJNT_").lower()
             raise ModelError(f"joint '{label}' of model '{name}' is of type {spelled}; joints are hinge or slide")
-        limited = bool(model.jnt_limited[index]) and not model.opt.disableflags & int(
-            mujoco.mjtDisableBit.mjDSBL_LIMIT
-        )
+        limited = bool(model.jnt_limited[index]) and not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
         lower, upper = model.jnt_range[index] if limited else (-np.inf, np.inf)
-        joints.append(
-            Joint(name=label, kind="hinge" if kind == HINGE else "slide", lower=float(lower), upper=float(upper))
-        )
+        joints.append(Joint(name=label, kind="hinge" if kind == HINGE else "slide", lower=float(lower), upper=float(upper)))
     return tuple(joints)
 
 
@@ -253,6 +249,4 @@ def _assemble_home(name, joints, loop: ca.Function, reference: np.ndarray, asked
                 return pose
             gaps.append(open_by)
     where = ", ".join(f"{joints[i].name} = {joints[i].shown(v):.6g} {joints[i].unit}" for i, v in asked.items())
-    raise AssemblyError(
-        f"mechanism '{name}' does not close at {where}: the loop stays open by {1e3 * gaps[0]:.3g} mm"
-    )
+    raise AssemblyError(f"mechanism '{name}' does not close at {where}: the loop stays open by {1e3 * gaps[0]:.3g} mm")

@@ -199,9 +199,7 @@ def _child_frame(model, body, parent: Frame, q, qd, qdd, joints) -> Frame:
         p = anchor - arm
         v = anchor_velocity - ca.cross(w, arm)
         acceleration = anchor_acceleration + _rigid_acceleration(w, alpha, -arm)
-    return Frame(
-        p_world_B=p, R_world_B=R, v_world_B=v, w_world_B=w, acceleration_B=acceleration, alpha_world_B=alpha
-    )
+    return Frame(p_world_B=p, R_world_B=R, v_world_B=v, w_world_B=w, acceleration_B=acceleration, alpha_world_B=alpha)
 
 
 def _rigid_acceleration(w: ca.SX, alpha: ca.SX, arm: ca.SX) -> ca.SX:

@@ -177,7 +177,9 @@ def _integrate(mechanism: Mechanism, trajectory: Trajectory) -> tuple[np.ndarray
             q_rate, v_rate = flow(x[:n_q], x[n_q:], _bezier(coefficients, t / width))
             return np.concatenate([q_rate.full().ravel(), v_rate.full().ravel()])
 
-        result = solve_ivp(rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=_ATOL * np.maximum(1.0, np.abs(state)))
+        result = solve_ivp(
+            rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=_ATOL * np.maximum(1.0, np.abs(state))
+        )
         if not result.success:
             errors[k + 1 :] = np.inf
             break
@@ -193,5 +195,3 @@ def _bezier(coefficients: np.ndarray, tau: float) -> np.ndarray:
     while len(points) > 1:
         points = points[:-1] + tau * (points[1:] - points[:-1])
     return points[0]
-
-

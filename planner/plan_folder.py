@@ -3,6 +3,7 @@
 import csv
 import json
 import zipfile
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
@@ -15,7 +16,7 @@ from planner.certificate import Certificate, certify
 from planner.folders import plain, write_json
 from planner.plan import Plan
 from planner.problem import PlanningProblem
-from planner.problem_file import problem_from_tables
+from planner.problem_file import apply_override, problem_from_tables
 from planner.trajectory import Trajectory
 
 FORMAT = 1
@@ -126,8 +127,12 @@ def _shown(joint, values: np.ndarray) -> np.ndarray:
     return np.degrees(values) if joint.kind == "hinge" else values
 
 
-def read_plan(folder: str | Path) -> Plan:
+def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:
     """Return a saved plan, its problem built again and its certificate made anew from the motion on disk.
+
+    Args:
+        folder: where the plan was saved.
+        overrides: "key=value" settings on the saved problem, meant for those that do not change the plan (tracking).
 
     Raises:
         PlanFileError: when the folder, or a file in it, is missing, truncated or not a plan's.
@@ -142,6 +147,8 @@ def read_plan(folder: str | Path) -> Plan:
     if said["format"] != FORMAT:
         raise PlanFileError(f"'{folder / 'plan.json'}' has format {said['format']!r}; this linkplan reads {FORMAT}")
     trajectory = _read_trajectory(folder / "trajectory.npz")
+    for override in overrides:
+        apply_override(said["problem"], override)
     try:
         problem = problem_from_tables(str(said["name"]), said["problem"])
     except LinkplanError as error:

@@ -17,7 +17,7 @@ from planner.problem import PlanningProblem
 from planner.solve import Solution, solve
 from planner.switches import find_cuts
 from planner.trajectory import Trajectory
-from planner.transcription import transcribe, trajectory_of
+from planner.transcription import trajectory_of, transcribe
 
 # Rounds of refinement after the first solve, and the share of the worst interval's error that marks one for halving.
 _ROUNDS = 4
@@ -237,13 +237,18 @@ def _settle_switches(problem, trajectory, solution, mesh, history, say):
 
 
 def _finished(problem, trajectory, certificate, objective, history, message: str | None) -> Plan:
-    plan = Plan(problem=problem, status="optimal", message="", objective=objective, trajectory=trajectory, certificate=certificate)
+    plan = Plan(
+        problem=problem, status="optimal", message="", objective=objective, trajectory=trajectory, certificate=certificate
+    )
     details: dict[str, float] = {}
     sentence = message or f"{problem.objective}-optimal motion of {trajectory.duration_s:.6g} s"
     errors = tracking_errors(plan)
     if errors is not None and message is None and problem.objective == "tracking":
         joint = problem.mechanism.independent_joints[0]
-        details |= {f"tracking_rms_{joint.unit}": joint.shown(errors[0]), f"tracking_max_{joint.unit}": joint.shown(errors[1])}
+        details |= {
+            f"tracking_rms_{joint.unit}": joint.shown(errors[0]),
+            f"tracking_max_{joint.unit}": joint.shown(errors[1]),
+        }
         sentence = (
             f"nearest motion to the reference: {joint.shown(errors[0]):.4g} {joint.unit} rms,"
             f" {joint.shown(errors[1]):.4g} {joint.unit} at most away from it"
@@ -268,7 +273,15 @@ def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: 
     say("no motion found; looking for the limit that forbids one")
     least = least_limit(problem, guess, mesh, durations)
     if least is not None and least.factor <= 1.0:
-        found = _solve(problem, motion_of(least.trajectory), mesh, np.array([least.trajectory.duration_s]), "start from the motion of least peak effort", history, say)
+        found = _solve(
+            problem,
+            motion_of(least.trajectory),
+            mesh,
+            np.array([least.trajectory.duration_s]),
+            "start from the motion of least peak effort",
+            history,
+            say,
+        )
         if found is not None:
             return _certified(problem, found, mesh, history, say)
     if least is not None and least.factor > 1.0:
@@ -310,5 +323,3 @@ def _shortest(problem: PlanningProblem, details: dict[str, float], say: Say) -> 
         return ""
     details["shortest_duration_s"] = quickest.trajectory.duration_s
     return f"; the shortest feasible duration is {quickest.trajectory.duration_s:.5g} s"
-
-

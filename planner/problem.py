@@ -134,7 +134,7 @@ class PlanningProblem:
         if self.objective == "tracking" and motion.duration_s is None:
             raise ProblemError("objective.minimize 'tracking' needs a fixed motion.duration_s, got 'free'")
         if motion.duration_s is not None and not (np.isfinite(motion.duration_s) and motion.duration_s > 0):
-            raise ProblemError(f"motion.duration_s is a positive number or \"free\", got {motion.duration_s!r}")
+            raise ProblemError(f'motion.duration_s is a positive number or "free", got {motion.duration_s!r}')
         for name in ("start", "goal", "start_speed", "goal_speed"):
             value = getattr(motion, name)
             if value is not None and (value.shape != (n_s,) or not np.all(np.isfinite(value))):

@@ -169,6 +169,19 @@ def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -
     return problem
 
 
+def mechanism_from_tables(tables: Tables, folder: Path | None = None) -> Mechanism:
+    """Return the mechanism that a file's [mechanism] table means; the other tables are only checked for their keys."""
+    tables = copy.deepcopy(tables)
+    _check_keys(tables)
+    return _mechanism(tables.get("mechanism", {}), folder)
+
+
+def tracking_from_tables(tables: Tables) -> Tracking:
+    """Return the tracking settings of a file's [tracking] table."""
+    _check_keys(tables)
+    return _tracking(tables.get("tracking", {}))
+
+
 def _check_keys(tables: Tables) -> None:
     for section, content in tables.items():
         if section == "description" and isinstance(content, str):
@@ -301,7 +314,9 @@ def _reference(section: dict, mechanism: Mechanism) -> Sine:
         for index in found:
             if index not in mechanism.independent:
                 names = ", ".join(j.name for j in mechanism.independent_joints)
-                raise ProblemError(f"reference.{key} is for independent joints ({names}), got {mechanism.joints[index].name}")
+                raise ProblemError(
+                    f"reference.{key} is for independent joints ({names}), got {mechanism.joints[index].name}"
+                )
         result = []
         for index, joint in zip(mechanism.independent, mechanism.independent_joints, strict=True):
             if int(index) not in found and default is None:
@@ -418,4 +433,3 @@ def _check_poses(section: dict, problem: PlanningProblem) -> None:
                     f" the loop has {joint.name} at {joint.shown(pose[index]):.6g} {joint.unit}, asked"
                     f" {joint.shown(asked):.6g}"
                 )
-

@@ -30,7 +30,8 @@ SMOOTHING = 2.5e-9
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Scales:
     """Units in which the unknowns are of order one: time [s], positions (n_s,), efforts (n_u,), generalised efforts (n_s,),
-    closure [m]."""
+    closure [m].
+    """
 
     time_s: float
     position: np.ndarray
@@ -235,9 +236,7 @@ class Program:
     linear: sp.csr_matrix
 
 
-def build_program(
-    layout: Layout, mesh: Mesh, local: LocalProblem, linear: sp.spmatrix, cost: np.ndarray
-) -> Program:
+def build_program(layout: Layout, mesh: Mesh, local: LocalProblem, linear: sp.spmatrix, cost: np.ndarray) -> Program:
     """Return the program over a mesh.
 
     Args:
@@ -277,9 +276,7 @@ def build_program(
     f_values, gradients = local.gradient.map(n)(w, P)
     scatter = _scatter(gather.ravel(), layout.size)
     gradient = scatter @ ca.vec(gradients) + c
-    grad_f = ca.Function(
-        "nlp_grad_f", [x, p], [ca.sum2(f_values) + ca.dot(c, x), gradient], ["x", "p"], ["f", "grad_f_x"]
-    )
+    grad_f = ca.Function("nlp_grad_f", [x, p], [ca.sum2(f_values) + ca.dot(c, x), gradient], ["x", "p"], ["f", "grad_f_x"])
 
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)
     rows, columns = local.hessian_pattern
@@ -289,9 +286,7 @@ def build_program(
     hessian = _assemble(
         ca.vec(hess_values), np.minimum(first, second), np.maximum(first, second), (layout.size, layout.size)
     )
-    hess = ca.Function(
-        "nlp_hess_l", [x, p, lam_f, lam_g], [hessian], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
-    )
+    hess = ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])
     return Program(
         layout=layout,
         local=local,

@@ -1,0 +1,85 @@
+"""A stick drawing of a mechanism: each body as the points where it is pinned to others."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from models.mechanism import Mechanism
+from models.tree import SLIDE, build_tree
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Stick:
+    """One body: its name, whether it is fixed to the world, and its pins in the plane of the drawing (n, n_pins, 2) [m]."""
+
+    body: str
+    fixed: bool
+    pins: np.ndarray
+
+
+def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
+    """Return the bodies of a mechanism at poses (n, n_q), seen along the axis that most hinges share.
+
+    A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it.
+    """
+    model = mechanism.model
+    tree = build_tree(model)
+    pins: dict[int, list[ca.SX]] = {}
+    for body in range(1, model.nbody):
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            anchor = tree.point(body, model.jnt_pos[joint])
+            pins.setdefault(body, []).append(anchor)
+            parent = int(model.body_parentid[body])
+            # A slide's own anchor moves with it: on the parent it stands where the joint is at its reference.
+            at_parent = anchor
+            if model.jnt_type[joint] == SLIDE:
+                at_parent = tree.point(parent, np.array(model.body_pos[body]))
+            pins.setdefault(_solid(model, parent), []).append(at_parent)
+    for index in range(model.neq):
+        if not model.eq_active0[index] or int(model.eq_type[index]) != int(mujoco.mjtEq.mjEQ_CONNECT):
+            continue
+        first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
+        if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
+            ends = [(int(model.site_bodyid[site]), model.site_pos[site]) for site in (first, second)]
+        else:
+            ends = [(first, model.eq_data[index, 0:3]), (second, model.eq_data[index, 3:6])]
+        for body, point in ends:
+            pins.setdefault(_solid(model, body), []).append(tree.point(body, point))
+    right, up = _view(model)
+    result = []
+    for body in sorted(pins):
+        function = ca.Function("pins", [tree.q], [ca.densify(ca.horzcat(*pins[body]))])
+        points = np.array(function.map(len(poses))(poses.T)).reshape(3, len(poses), -1).transpose(1, 2, 0)
+        flat = np.stack([points @ right, points @ up], axis=-1)
+        result.append(Stick(body=_name(model, body), fixed=body == 0, pins=flat))
+    return tuple(result)
+
+
+def _solid(model: mujoco.MjModel, body: int) -> int:
+    """Return the body that `body` is rigidly part of: the nearest one up the tree with a joint, or the world (0)."""
+    return int(model.body_weldid[body])
+
+
+def _name(model: mujoco.MjModel, body: int) -> str:
+    return "ground" if body == 0 else model.body(body).name or f"body {body}"
+
+
+def _view(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return the drawing's right and up directions: across the hinges' common axis, up against gravity."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    axes = np.array(data.xaxis[model.jnt_type != SLIDE]).reshape(-1, 3)
+    normal = np.array([0.0, 1.0, 0.0])
+    if len(axes):
+        normal = np.linalg.svd(axes)[2][0]
+        normal = normal * np.sign(normal[np.argmax(np.abs(normal))])
+    up = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
+    if np.linalg.norm(up) < 0.1:
+        up = np.array([0.0, 1.0, 0.0]) - normal[1] * normal
+        up /= np.linalg.norm(up)
+        return np.cross(up, normal), up
+    up /= np.linalg.norm(up)
+    # Looking along +y, +x is to the right when +z is up.
+    return np.cross(normal, up), up

@@ -1,0 +1,147 @@
+"""The command line: `linkplan list | check | plan | track | compare | bode | view | demo`.
+
+Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
+problems found), said in a sentence; 2 bad input, one line. Heavy imports wait for the command that needs them.
+"""
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+
+from models.errors import LinkplanError, one_line
+
+DONE, NO, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+_EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), said in a sentence;
+2 bad input, one line on stderr; 130 interrupted"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that refuses in one line."""
+
+    def error(self, message: str) -> None:  # type: ignore[override]
+        """Print the refusal and leave with exit code 2."""
+        self.exit(BAD_INPUT, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the command line's parser."""
+    parser = _Parser(
+        prog="linkplan",
+        description="Optimal-control motion planning for closed-chain mechanisms.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="store_true", help="print linkplan's version and leave")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
+
+    def command(name: str, text: str, *, output: bool = True, settings: bool = True) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=_EPILOG)
+        sub.formatter_class = argparse.RawDescriptionHelpFormatter
+        sub.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
+        if output:
+            sub.add_argument("-o", "--output", metavar="DIR", help="write results and figures into this folder, whole")
+        if settings:
+            sub.add_argument(
+                "--set",
+                action="append",
+                default=[],
+                metavar="KEY=VALUE",
+                help="set any key of the problem file, e.g. motion.duration_s=0.2 (TOML; a bare word is a string)",
+            )
+        return sub
+
+    command("list", "list the built-in models, problems, payloads, schemes and trackers", output=False, settings=False)
+    check = command("check", "report on a mechanism's loops: freedom, closure, reach, singular poses, what is wrong")
+    check.add_argument("model", metavar="MODEL", help="a built-in model or problem, or an MJCF or problem file")
+    _at(check, "report inertia, gravity and effort map at this pose; may be given again")
+
+    plan = command("plan", "plan a motion and certify it between the nodes")
+    plan.add_argument("problem", metavar="PROBLEM", help="a built-in problem or a TOML file")
+
+    track = command("track", "run one tracker on a plan in MuJoCo")
+    track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    track.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
+    _mismatch(track, 1.0, 0)
+
+    compare = command("compare", "run all trackers side by side on a plan, nominal and with a mismatch")
+    compare.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    _mismatch(compare, 1.2, 1)
+
+    bode = command("bode", "frequency response, margins and sampled stability of a PD loop over joint angles")
+    bode.add_argument("model", metavar="MODEL-or-PROBLEM", help="a built-in model or problem, or an MJCF or TOML file")
+    bode.add_argument("--kp", type=float, metavar="KP", help="proportional gain [N.m/rad] (default: the problem's, 200)")
+    bode.add_argument("--kd", type=float, metavar="KD", help="derivative gain [N.m.s/rad] (default: the problem's, 1)")
+    bode.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
+    bode.add_argument("--delay-periods", type=int, metavar="N", help="whole periods of computing delay (default: 0)")
+    _at(bode, "a pose to look at; may be given again (default: five over the motion or the reach)")
+
+    view = command("view", "play a tracked plan in MuJoCo's interactive viewer", output=False)
+    view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    view.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
+    view.add_argument("--slow", type=float, default=4.0, metavar="X", help="times slower than real (default: %(default)s)")
+    view.add_argument("--seconds", type=float, metavar="S", help="close the window after this time (default: when you do)")
+
+    command("demo", "run the whole path on the Optimus knee into one folder (default: linkplan-demo)", settings=False)
+    return parser
+
+
+def _at(parser: argparse.ArgumentParser, text: str) -> None:
+    parser.add_argument("--at-deg", action="append", default=[], metavar="JOINT=ANGLE", help=text)
+
+
+def _mismatch(parser: argparse.ArgumentParser, mass_factor: float, delay: int) -> None:
+    parser.add_argument(
+        "--mass-factor",
+        type=float,
+        default=mass_factor,
+        metavar="X",
+        help="mismatch: factor on the payload's mass, on all moving masses without one (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--delay-periods",
+        type=int,
+        default=delay,
+        metavar="N",
+        help="mismatch: further control periods of delay (default: %(default)s)",
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code."""
+    parser = build_parser()
+    try:
+        arguments = parser.parse_args(argv)
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    if arguments.version:
+        from importlib.metadata import version
+
+        print(f"linkplan {version('linkplan')}")
+        return DONE
+    if arguments.command is None:
+        parser.print_help(sys.stderr)
+        return BAD_INPUT
+    return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    try:
+        from studies import commands
+
+        run: Callable[[argparse.Namespace], int] = getattr(commands, f"run_{arguments.command}")
+        return run(arguments)
+    except LinkplanError as error:
+        print(f"linkplan {arguments.command}: {one_line(error)}", file=sys.stderr)
+        return BAD_INPUT
+    except BrokenPipeError:
+        # The reader of our output left; leave without a word, and keep Python from flushing into the closed pipe.
+        sys.stdout = None
+        return DONE
+    except KeyboardInterrupt:
+        print(f"linkplan {arguments.command}: interrupted; nothing was written", file=sys.stderr)
+        return INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,100 @@
+"""Figures of a mechanism: the drawing at several poses, and what changes along its reach."""
+
+from pathlib import Path
+
+import numpy as np
+
+from models.along import sampled
+from models.skeleton import sticks
+from studies.figures.style import BLACK, GREY, RED, SERIES, outside_legend, page
+from studies.inspection import Inspection
+
+
+def inspection_figure(found: Inspection, path: Path) -> None:
+    """Draw the mechanism at five poses of its reach, its dependent joints, reduced inertia and gravity's effort."""
+    with page(path, rows=2, columns=2, size=(10.5, 7.5)) as axes:
+        draw_mechanism(axes[0, 0], found)
+        draw_dependent(axes[0, 1], found)
+        draw_inertia(axes[1, 0], found)
+        draw_gravity(axes[1, 1], found)
+        axes[0, 0].figure.suptitle(found.mechanism.name)
+
+
+def _shown(found: Inspection) -> tuple[np.ndarray, np.ndarray, object]:
+    """Return poses over the first coordinate's reach, that coordinate in its shown unit, and its joint."""
+    can = found.reaches[0]
+    joint = found.mechanism.joints[found.mechanism.independent[0]]
+    position = can.poses[:, found.mechanism.independent[0]]
+    return can.poses, np.array([joint.shown(x) for x in position]), joint
+
+
+def draw_mechanism(axes, found: Inspection) -> None:
+    """Draw the bodies as sticks at poses spread over the reach, the home pose strong."""
+    poses = found.reaches[0].poses
+    chosen = poses[np.linspace(0, len(poses) - 1, 5).astype(int)]
+    drawn = sticks(found.mechanism, np.vstack([chosen, found.mechanism.home]))
+    colours = iter(SERIES * 10)
+    for stick in drawn:
+        colour = GREY if stick.fixed else next(colours)
+        for k, pins in enumerate(stick.pins):
+            home = k == len(chosen)
+            loop = np.vstack([pins, pins[:1]]) if len(pins) > 2 and not stick.fixed else pins
+            axes.plot(
+                loop[:, 0],
+                loop[:, 1],
+                color=colour,
+                marker="^" if stick.fixed else "o",
+                markersize=5 if home else 3,
+                linestyle="" if stick.fixed else "-",
+                linewidth=2.6 if home else 1.2,
+                alpha=1.0 if home else 0.3,
+                label=stick.body if home else None,
+            )
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel("[m]")
+    axes.set_ylabel("[m]")
+    outside_legend(axes, fontsize=8)
+
+
+def _mark_singular(axes, found: Inspection, joint) -> None:
+    for position in found.reaches[0].singular:
+        axes.axvline(joint.shown(position), color=RED, linestyle=":", linewidth=1.2)
+    for _, position in found.reaches[0].toggles:
+        axes.axvline(joint.shown(position), color=GREY, linestyle=":", linewidth=1.2)
+
+
+def draw_dependent(axes, found: Inspection) -> None:
+    """Draw the dependent joints over the independent one; singular poses dotted red, toggles dotted grey."""
+    poses, x, joint = _shown(found)
+    for colour, index in zip(SERIES, found.mechanism.dependent, strict=False):
+        other = found.mechanism.joints[index]
+        axes.plot(x, [other.shown(q) for q in poses[:, index]], color=colour, label=f"{other.name} [{other.unit}]")
+    _mark_singular(axes, found, joint)
+    axes.set_xlabel(f"{joint.name} [{joint.unit}]")
+    axes.set_ylabel("dependent joints")
+    if len(found.mechanism.dependent):
+        outside_legend(axes)
+
+
+def draw_inertia(axes, found: Inspection) -> None:
+    """Draw the reduced inertia about the first independent joint, logarithmic: it rises without end at a singular pose."""
+    poses, x, joint = _shown(found)
+    axes.semilogy(x, sampled(found.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0], color=BLACK)
+    _mark_singular(axes, found, joint)
+    axes.set_xlabel(f"{joint.name} [{joint.unit}]")
+    axes.set_ylabel(f"reduced inertia [{'kg m2' if joint.kind == 'hinge' else 'kg'}]")
+
+
+def draw_gravity(axes, found: Inspection) -> None:
+    """Draw the effort on the first independent joint that holds the mechanism's weight."""
+    poses, x, joint = _shown(found)
+    effort = sampled(found.mechanism.dynamics.gravity_effort, poses)[:, 0, 0]
+    axes.plot(x, effort, color=BLACK)
+    # Next to a singular pose the effort grows without bound and would hide all else.
+    inner = effort[len(effort) // 20 : -max(1, len(effort) // 20)]
+    if len(inner):
+        margin = 0.2 * np.ptp(inner) + 1e-9
+        axes.set_ylim(inner.min() - margin, inner.max() + margin)
+    _mark_singular(axes, found, joint)
+    axes.set_xlabel(f"{joint.name} [{joint.unit}]")
+    axes.set_ylabel(f"effort that holds the weight [{'N.m' if joint.kind == 'hinge' else 'N'}]")

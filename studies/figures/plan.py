@@ -1,0 +1,71 @@
+"""Figures of a plan: motion and effort over time, limits where they bind."""
+
+from pathlib import Path
+
+import numpy as np
+
+from planner.plan import Plan
+from studies.figures.style import BLACK, GREY, SERIES, outside_legend, page
+
+
+def plan_figure(plan: Plan, path: Path) -> None:
+    """Draw a plan's positions, speeds and efforts on one page."""
+    with page(path, rows=3, size=(7.5, 7.5), sharex=True) as axes:
+        draw_position(axes[0, 0], plan)
+        draw_velocity(axes[1, 0], plan)
+        draw_effort(axes[2, 0], plan)
+        axes[0, 0].set_title(f"{plan.problem.name}: {plan.message}", fontsize=10, pad=24, wrap=True)
+        axes[2, 0].set_xlabel(_time_label(plan))
+
+
+def _time_scale(plan: Plan) -> float:
+    return 1e3 if plan.trajectory.duration_s < 0.02 else 1.0
+
+
+def _time_label(plan: Plan) -> str:
+    return "time [ms]" if _time_scale(plan) == 1e3 else "time [s]"
+
+
+def draw_position(axes, plan: Plan) -> None:
+    """Draw the independent positions, with the reference dashed where there is one."""
+    trajectory, reference = plan.trajectory, plan.problem.reference
+    time = trajectory.dense_times(10)
+    shown = _time_scale(plan) * time
+    for column, joint in enumerate(plan.problem.mechanism.independent_joints):
+        factor = joint.shown(1.0)
+        axes.plot(
+            shown, factor * trajectory.position_at(time)[:, column], color=SERIES[column], label=f"{joint.name} planned"
+        )
+        if reference is not None:
+            wanted = factor * reference.derivative(time)[:, column]
+            axes.plot(shown, wanted, color=BLACK, linestyle="--", linewidth=1.0, label=f"{joint.name} reference")
+        axes.set_ylabel(f"position [{joint.unit}]")
+    outside_legend(axes)
+
+
+def draw_velocity(axes, plan: Plan) -> None:
+    """Draw the independent speeds."""
+    time = plan.trajectory.dense_times(10)
+    for column, joint in enumerate(plan.problem.mechanism.independent_joints):
+        axes.plot(
+            _time_scale(plan) * time,
+            joint.shown(1.0) * plan.trajectory.velocity_at(time)[:, column],
+            color=SERIES[column],
+            label=joint.name,
+        )
+        axes.set_ylabel(f"speed [{joint.unit}/s]")
+
+
+def draw_effort(axes, plan: Plan) -> None:
+    """Draw the efforts, and those limits that they come within a factor of two of."""
+    trajectory = plan.trajectory
+    time = trajectory.dense_times(10)
+    effort = trajectory.effort_at(time)
+    for column, actuator in enumerate(plan.problem.mechanism.actuators):
+        axes.plot(_time_scale(plan) * time, effort[:, column], color=SERIES[column], label=actuator.name)
+        peak = np.abs(effort[:, column]).max()
+        for bound in plan.problem.limits.effort[column]:
+            if np.isfinite(bound) and abs(bound) < 2 * peak:
+                axes.axhline(bound, color=GREY, linestyle=":", linewidth=1.2)
+        axes.set_ylabel(f"effort [{actuator.unit}]")
+    outside_legend(axes)

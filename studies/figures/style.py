@@ -1,0 +1,52 @@
+"""One look for every figure: sizes, grid, and colours that colour-blind readers can tell apart (Okabe & Ito, 2008)."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
+SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
+TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE}
+SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+
+_STYLE = {
+    "axes.grid": True,
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlesize": 11,
+    "figure.dpi": 110,
+    "font.size": 9.5,
+    "grid.alpha": 0.3,
+    "legend.framealpha": 0.85,
+    "lines.linewidth": 1.6,
+    "savefig.bbox": "tight",
+}
+
+
+@contextmanager
+def page(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **layout) -> Iterator:
+    """Yield a figure's axes (rows, columns) and save the figure at `path` when the block ends."""
+    with plt.rc_context(_STYLE):
+        figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False, **layout)
+        try:
+            yield axes
+            _save(figure, path)
+        finally:
+            plt.close(figure)
+
+
+def _save(figure: Figure, path: Path) -> None:
+    figure.savefig(path)
+
+
+def outside_legend(axes, **options) -> None:
+    """Put a legend above the axes, where it hides no data."""
+    handles, labels = axes.get_legend_handles_labels()
+    axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(labels), frameon=False, **options)

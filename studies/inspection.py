@@ -1,0 +1,188 @@
+"""The study behind `linkplan check`: what a mechanism is, how far it reaches, and what is wrong with it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.assembly import Reach, close_at, reach
+from models.audit import audit
+from models.contacts import ContactPair, contact_pairs
+from models.errors import AssemblyError, ProblemError
+from models.mechanism import Mechanism
+
+# A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
+OPEN_M = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class PoseReport:
+    """The mechanism at one pose: inertia (n_s, n_s), gravity's effort (n_s,), the actuators' map (n_s, n_u), pin forces."""
+
+    pose: np.ndarray
+    reduced_inertia: np.ndarray
+    gravity_effort: np.ndarray
+    effort_map: np.ndarray
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Inspection:
+    """What `check` found; `problems` are sentences, empty for a mechanism that is fit to plan with."""
+
+    mechanism: Mechanism
+    closure_gap_m: float
+    reaches: tuple[Reach, ...]
+    contacts: tuple[ContactPair, ...]
+    points: tuple[PoseReport, ...]
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def inspect(mechanism: Mechanism, positions: list[dict[str, float]]) -> Inspection:
+    """Return the inspection of a mechanism, with a report at each of `positions` (joint name to position [rad or m])."""
+    reaches = tuple(reach(mechanism, column) for column in range(mechanism.dof))
+    poses = np.vstack([can.poses for can in reaches])
+    contacts = contact_pairs(mechanism, poses)
+    gap = max(mechanism.gap_m(mechanism.home), mechanism.home_gap_m if mechanism.home_gap_m > OPEN_M else 0.0)
+    problems, notes = _findings(mechanism, reaches, poses, contacts)
+    return Inspection(
+        mechanism=mechanism,
+        closure_gap_m=gap,
+        reaches=reaches,
+        contacts=contacts,
+        points=tuple(pose_report(mechanism, asked) for asked in positions),
+        problems=tuple(problems),
+        notes=tuple(notes),
+    )
+
+
+def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
+    """Return the report at the pose where the named joints stand at given positions, on the home branch.
+
+    Raises:
+        ProblemError: when the named joints do not fix the pose, or it is out of reach.
+    """
+    indices = {mechanism.joint_index(name, ProblemError): value for name, value in asked.items()}
+    s = mechanism.home[mechanism.independent].copy()
+    for index, value in indices.items():
+        if index not in mechanism.independent:
+            names = ", ".join(joint.name for joint in mechanism.independent_joints)
+            raise ProblemError(
+                f"--at-deg names independent joints ({names}); {mechanism.joints[index].name} follows from them"
+            )
+        s[list(mechanism.independent).index(index)] = value
+    try:
+        pose = close_at(mechanism, s)
+    except AssemblyError as error:
+        raise ProblemError(f"--at-deg is beyond reach: {error}") from error
+    dynamics = mechanism.dynamics
+    return PoseReport(
+        pose=pose,
+        reduced_inertia=np.array(dynamics.reduced_inertia(pose)),
+        gravity_effort=np.array(dynamics.gravity_effort(pose)).ravel(),
+        effort_map=np.array(dynamics.effort_map(pose)),
+    )
+
+
+def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str], list[str]]:
+    """Return the problems, and the notes on what is worth knowing but no fault, each a sentence."""
+    problems, notes = [], []
+    if mechanism.home_gap_m > OPEN_M:
+        problems.append(
+            f"loop {', '.join(mechanism.closure_names)} stands open by {1e3 * mechanism.home_gap_m:.3g} mm at the model's"
+            " reference pose: the simulator snaps it shut, on whichever branch"
+        )
+    if not mechanism.closure_names:
+        notes.append("the model has no active loop closure: it is an open tree")
+    if mechanism.n_u == 0:
+        problems.append("no actuator is a motor on a hinge or slide: nothing can be planned")
+    driven = {actuator.joint for actuator in mechanism.actuators}
+    for column, can in enumerate(reaches):
+        index = int(mechanism.independent[column])
+        joint = mechanism.joints[index]
+        if driven and index not in driven and mechanism.n_u < mechanism.dof:
+            damped = float(mechanism.model.dof_damping[index]) > 0
+            problems.append(
+                f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}"
+            )
+        for end in (can.lower, can.upper):
+            if end.joint is not None and end.joint != index:
+                other = mechanism.joints[end.joint]
+                problems.append(
+                    f"joint {other.name}'s range [{other.shown(other.lower):g}, {other.shown(other.upper):g}] {other.unit} stops"
+                    f" the loop at {joint.name} = {joint.shown(end.position):.4g} {joint.unit}"
+                    f" ({joint.name}'s own range: [{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}] {joint.unit})"
+                )
+        for position in can.singular:
+            notes.append(
+                f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: the loop can go no further"
+            )
+        for other, position in can.toggles:
+            notes.append(
+                f"toggle pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: joint"
+                f" {mechanism.joints[other].name} turns back there"
+            )
+    for pair in contacts:
+        problems.append(
+            f"geoms {pair.first} and {pair.second} touch in {len(pair.poses)} of {len(poses)} poses within reach, up to"
+            f" {1e3 * pair.depth_m:.2g} mm deep: contact forces are not planned for"
+        )
+    for item in audit(mechanism.model):
+        (problems if item.falsifies else notes).append(f"not honoured: {item.text}")
+    return problems, notes
+
+
+def inspection_record(found: Inspection) -> dict:
+    """Return what `linkplan check --json` says."""
+    mechanism = found.mechanism
+    independent = mechanism.independent_joints
+    hinges = [(joint, can) for joint, can in zip(independent, found.reaches, strict=True) if joint.kind == "hinge"]
+    slides = [(joint, can) for joint, can in zip(independent, found.reaches, strict=True) if joint.kind == "slide"]
+
+    def interval(joint, can: Reach) -> list[float]:
+        return [joint.shown(can.lower.position), joint.shown(can.upper.position)]
+
+    return {
+        "model": mechanism.name,
+        "dof": mechanism.dof,
+        "independent": [joint.name for joint in independent],
+        "dependent": [mechanism.joints[i].name for i in mechanism.dependent],
+        "closures": list(mechanism.closure_names),
+        "closure_rows": 3 * len(mechanism.closure_names),
+        "closure_rank": len(mechanism.closure_rows),
+        "closure_gap_m": found.closure_gap_m,
+        "home_deg": {j.name: j.shown(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "hinge"},
+        "home_m": {j.name: float(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "slide"},
+        "reach_deg": {joint.name: interval(joint, can) for joint, can in hinges},
+        "reach_m": {joint.name: interval(joint, can) for joint, can in slides},
+        "reach_ends": {
+            joint.name: [can.lower.reason, can.upper.reason] for joint, can in zip(independent, found.reaches, strict=True)
+        },
+        "singular_deg": [joint.shown(position) for joint, can in hinges for position in can.singular],
+        "toggle_deg": [joint.shown(position) for joint, can in hinges for _, position in can.toggles],
+        "actuators": {
+            a.name: {"joint": mechanism.joints[a.joint].name, "limit": [a.lower, a.upper], "unit": a.unit}
+            for a in mechanism.actuators
+        },
+        "contacts": [
+            {"geoms": [pair.first, pair.second], "poses": len(pair.poses), "depth_m": pair.depth_m}
+            for pair in found.contacts
+        ],
+        "problems": list(found.problems),
+        "notes": list(found.notes),
+        "points": [_point_record(mechanism, point) for point in found.points],
+    }
+
+
+def _point_record(mechanism: Mechanism, point: PoseReport) -> dict:
+    joints = list(zip(mechanism.joints, point.pose, strict=True))
+    names = [joint.name for joint in mechanism.independent_joints]
+    return {
+        "q_deg": {joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"},
+        "q_m": {joint.name: float(x) for joint, x in joints if joint.kind == "slide"},
+        "reduced_inertia_kgm2": point.reduced_inertia,
+        "gravity_effort": dict(zip(names, point.gravity_effort, strict=True)),
+        "effort_map": {
+            actuator.name: dict(zip(names, point.effort_map[:, column], strict=True))
+            for column, actuator in enumerate(mechanism.actuators)
+        },
+    }

@@ -1,0 +1,166 @@
+"""What the commands print for people: a few lines and tables per result."""
+
+import numpy as np
+
+from planner.plan import Plan
+from studies.bode import BodeStudy
+from studies.compare import Comparison, rollout_record
+from studies.inspection import Inspection
+from studies.tables import table
+
+
+def inspection_text(found: Inspection) -> str:
+    """Return the loop report of a mechanism."""
+    mechanism = found.mechanism
+    n_rows = 3 * len(mechanism.closure_names)
+    lines = [
+        f"{mechanism.name}: {mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
+        f" ({', '.join(j.name for j in mechanism.independent_joints)} independent of {mechanism.n_q} joints)",
+        f"closure: {', '.join(mechanism.closure_names) or 'none'}: {n_rows} rows, rank {len(mechanism.closure_rows)},"
+        f" gap {found.closure_gap_m:.3g} m",
+        "home: "
+        + ", ".join(f"{j.name} = {j.shown(x):.5g} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)),
+    ]
+    for joint, can in zip(mechanism.independent_joints, found.reaches, strict=True):
+        lines.append(
+            f"reach: {joint.name} from {joint.shown(can.lower.position):.5g} ({can.lower.reason})"
+            f" to {joint.shown(can.upper.position):.5g} {joint.unit} ({can.upper.reason})"
+        )
+    lines += [
+        f"actuator: {a.name} on {mechanism.joints[a.joint].name}, {a.lower:g} to {a.upper:g} {a.unit}"
+        for a in mechanism.actuators
+    ]
+    lines += [f"note: {note}" for note in found.notes]
+    if found.points:
+        lines += ["", _points_table(found)]
+    lines += ["", *(f"PROBLEM: {problem}" for problem in found.problems)] if found.problems else ["no problems found"]
+    return "\n".join(lines)
+
+
+def _points_table(found: Inspection) -> str:
+    mechanism = found.mechanism
+    independent = mechanism.independent_joints
+    head = [f"{j.name} [{j.unit}]" for j in mechanism.joints]
+    head += [f"M_{a.name}{b.name}" for i, a in enumerate(independent) for b in independent[i:]]
+    head += [f"gravity {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
+    head += [f"{a.name}->{j.name}" for a in mechanism.actuators for j in independent]
+    rows = []
+    for point in found.points:
+        upper = point.reduced_inertia[np.triu_indices(mechanism.dof)]
+        positions = [j.shown(x) for j, x in zip(mechanism.joints, point.pose, strict=True)]
+        rows.append([float(x) for x in [*positions, *upper, *point.gravity_effort, *point.effort_map.T.ravel()]])
+    return table(head, rows)
+
+
+def plan_text(plan: Plan) -> str:
+    """Return a plan's verdict and certificate."""
+    problem, trajectory, certificate = plan.problem, plan.trajectory, plan.certificate
+    lines = [
+        f"{problem.name}: {plan.status}",
+        plan.message if plan.message[:1].isupper() else plan.message.capitalize()[:1] + plan.message[1:],
+    ]
+    if trajectory is None or certificate is None:
+        return "\n".join(lines)
+    lines.append(f"duration {trajectory.duration_s:.8g} s, {problem.mesh.scheme}, {plan.intervals} intervals")
+    for actuator, peak, (low, high) in zip(
+        problem.mechanism.actuators, certificate.peak_effort, problem.limits.effort, strict=True
+    ):
+        lines.append(f"effort {actuator.name}: {peak:.5g} {actuator.unit} at the most, limit {low:g} to {high:g}")
+    rows = [
+        ["effort beyond its limit, any instant", certificate.effort_excess, "unit of effort"],
+        ["inverse dynamics less carried effort", certificate.dynamics_residual, "unit of effort"],
+        ["loop gap", certificate.closure_gap_m, "m"],
+        ["state after integration at 1e-12", certificate.integration_error_deg, "deg"],
+    ]
+    for joint, margin in zip(problem.mechanism.joints, certificate.position_margin, strict=True):
+        if np.isfinite(margin):
+            rows.append([f"margin to the range of {joint.name}", joint.shown(margin), joint.unit])
+    lines += [
+        "",
+        f"certificate: {'passed' if certificate.passed else 'NOT passed'}",
+        table(["between the nodes", "worst", "unit"], rows),
+    ]
+    lines += [f"not honoured: {text}" for text in problem.not_honoured]
+    return "\n".join(lines)
+
+
+def comparison_text(comparison: Comparison) -> str:
+    """Return the trackers side by side."""
+    plan = comparison.plan
+    lines = []
+    cases = [("nominal", comparison.nominal)]
+    if comparison.mismatch is not None:
+        cases.append((comparison.mismatch.name, comparison.mismatched))
+    for title, runs in cases:
+        conditions = next(iter(runs.values())).conditions
+        lines += [
+            "",
+            f"{plan.problem.name}, {title}: MuJoCo {conditions['mujoco']}, {conditions['integrator']},"
+            f" step {conditions['timestep_s']:g} s, control period {conditions['control_period_s']:g} s",
+        ]
+        rows = []
+        for name, rollout in runs.items():
+            record = rollout_record(plan, rollout)
+            rows.append(
+                [
+                    name,
+                    record.get("rms_error_deg", record.get("rms_error_m")),
+                    record.get("max_error_deg", record.get("max_error_m")),
+                    record.get("final_error_deg", record.get("final_error_m")),
+                    max(record["peak_effort"].values()),
+                    100 * record["saturated_fraction"],
+                    1e6 * record["loop_gap_max_m"],
+                    record["stable"],
+                ]
+            )
+        unit = "deg" if plan.problem.mechanism.independent_joints[0].kind == "hinge" else "m"
+        effort = plan.problem.mechanism.actuators[0].unit
+        head = [
+            "tracker",
+            f"rms [{unit}]",
+            f"max [{unit}]",
+            f"final [{unit}]",
+            f"peak [{effort}]",
+            "saturated [%]",
+            "gap [um]",
+            "stable",
+        ]
+        lines.append(table(head, rows))
+    return "\n".join(lines[1:])
+
+
+def bode_text(study: BodeStudy) -> str:
+    """Return the margins at every pose."""
+    mechanism, index = study.mechanism, study.mechanism.independent[0]
+    joint = mechanism.independent_joints[0]
+    rows = []
+    for point in study.points:
+        predicted, margins = point.predicted, point.predicted.sampled.margins
+        rows.append(
+            [
+                f"{joint.shown(predicted.pose[index]):.5g}",
+                predicted.reduced_inertia,
+                margins.stable,
+                point.settles_in_mujoco,
+                margins.spectral_radius,
+                margins.gain_margin_db,
+                margins.phase_margin_deg,
+                None if margins.delay_margin_s is None else 1e3 * margins.delay_margin_s,
+                margins.crossover_hz,
+                margins.bandwidth_hz,
+                margins.sensitivity_peak,
+            ]
+        )
+    inertia = "kg m2" if joint.kind == "hinge" else "kg"
+    head = [
+        f"{joint.name} [{joint.unit}]",
+        f"inertia [{inertia}]",
+        "stable",
+        "in MuJoCo",
+        "|pole|",
+        "GM [dB]",
+        "PM [deg]",
+        "DM [ms]",
+    ]
+    head += ["crossover [Hz]", "bandwidth [Hz]", "max |S|"]
+    return f"{study.message[0].upper()}{study.message[1:]}\n\n{table(head, rows)}"
