@@ -23,6 +23,7 @@ def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = No
     """Return the poses (n, n_q) on the branch of `start` along positions s of the independent joints (n, n_s).
 
     Args:
+        mechanism: whose loops are to stay closed.
         path: independent positions [rad or m], each near the one before; the first may be far from `start`.
         start: a closed pose (n_q,); home by default.
 
@@ -144,7 +145,7 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
         lower=lower,
         upper=upper,
         poses=poses,
-        singular=tuple([*singular_down, *singular_up]),
+        singular=(*singular_down, *singular_up),
         toggles=_toggles(mechanism, coordinate, poses),
     )
 

@@ -90,7 +90,7 @@ def build_tree(model: mujoco.MjModel) -> Tree:
         frames.append(_child_frame(model, body, frames[model.body_parentid[body]], q, qd, qdd, joints))
 
     gravity = ca.DM(model.opt.gravity) if not _disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else ca.DM.zeros(3)
-    tau, kinetic, potential = _newton_euler(model, frames, joints, qdd, gravity)
+    tau, kinetic, potential = _newton_euler(model, frames, joints, gravity)
     at_rest = ca.SX.zeros(n_q)
     mass = ca.jacobian(tau, qdd) + ca.diag(ca.DM(_armature(model)))
     passive, spring_energy = _passive(model, q, qd)
@@ -215,7 +215,7 @@ def _rotation(axis: np.ndarray, angle: ca.SX) -> ca.SX:
     return ca.DM(along) + ca.cos(angle) * ca.DM(np.eye(3) - along) + ca.sin(angle) * ca.DM(cross)
 
 
-def _newton_euler(model, frames, joints, qdd, gravity):
+def _newton_euler(model, frames, joints, gravity):
     """Return generalised forces (n_q,), kinetic and potential energy of the moving bodies."""
     force = [ca.SX.zeros(3) for _ in frames]  # on the subtree, at the body frame's origin
     moment = [ca.SX.zeros(3) for _ in frames]

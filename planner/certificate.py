@@ -78,7 +78,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
 
     over = np.maximum(u - limits.effort[:, 1], limits.effort[:, 0] - u).max(axis=1)
     effort_excess = max(0.0, peak("effort_excess", over))
-    needed, missed = needed_effort(mechanism, q, v, a)
+    needed, _ = needed_effort(mechanism, q, v, a)
     needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed).max(axis=1)
     inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over))
     residual = np.abs(sampled(mechanism.dynamics.residual, q, v, a, u)).max(axis=(1, 2))

@@ -80,6 +80,11 @@ def plain(value: object) -> object:
     return value
 
 
+def plain_record(record: Mapping) -> dict:
+    """Return a record in JSON's own types."""
+    return {str(key): plain(item) for key, item in record.items()}
+
+
 def write_json(path: Path, record: Mapping) -> None:
     """Write a record as indented JSON."""
-    path.write_text(json.dumps(plain(record), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    path.write_text(json.dumps(plain_record(record), indent=2, allow_nan=False) + "\n", encoding="utf-8")

@@ -13,10 +13,11 @@ from models.along import joint_rates
 from models.assembly import follow
 from models.errors import LinkplanError, PlanFileError
 from planner.certificate import Certificate, certify
-from planner.folders import plain, write_json
+from planner.folders import plain_record, write_json
 from planner.plan import Plan
 from planner.problem import PlanningProblem
-from planner.problem_file import apply_override, problem_from_tables
+from planner.problem_file import problem_from_tables
+from planner.tables import apply_override
 from planner.trajectory import Trajectory
 
 FORMAT = 1
@@ -34,7 +35,7 @@ def record(plan: Plan) -> dict:
     problem, mechanism = plan.problem, plan.problem.mechanism
     names = [actuator.name for actuator in mechanism.actuators]
     certificate = plan.certificate
-    return plain(
+    return plain_record(
         {
             "format": FORMAT,
             "name": problem.name,

@@ -28,7 +28,12 @@ _NO_WORSE = 1e-6
 Say = Callable[[str], None]
 
 
-def plan_motion(problem: PlanningProblem, say: Say = lambda text: None) -> Plan:
+def silent(text: str) -> None:
+    """Say nothing: the default for progress."""
+    del text
+
+
+def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
     """Return the plan of a problem; one without an answer says why in `message`.
 
     Args:
@@ -111,8 +116,8 @@ def _plain_contradiction(problem: PlanningProblem) -> str | None:
             low, high = limits.speed[mechanism.independent[column]]
             if value is not None and not low <= value[column] <= high:
                 return (
-                    f"infeasible: motion.{name} of joint {joint.name} is {joint.shown(value[column]):.4g} {joint.unit}/s, beyond"
-                    f" its speed limit of {joint.shown(high if value[column] > 0 else low):.4g} {joint.unit}/s"
+                    f"infeasible: motion.{name} of joint {joint.name} is {joint.shown(value[column]):.4g} {joint.unit}/s,"
+                    f" beyond its speed limit of {joint.shown(high if value[column] > 0 else low):.4g} {joint.unit}/s"
                 )
     if motion.kind == "reach" and motion.duration_s is not None:
         for column, joint in enumerate(mechanism.independent_joints):

@@ -5,25 +5,20 @@ wherever a file does.
 """
 
 import copy
-import re
-import tomllib
 from collections.abc import Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 
 import numpy as np
 
 from models.assembly import close_at
-from models.errors import AssemblyError, ProblemError, one_line
+from models.errors import AssemblyError, ProblemError
 from models.mechanism import Mechanism, load_mechanism
 from models.names import choose, nearest
-from models.payload import BUILT_IN as PAYLOADS
 from planner.prescribed import is_whole
 from planner.problem import KINDS, OBJECTIVES, Limits, MeshSettings, Motion, PlanningProblem, Tracking
 from planner.reference import Sine
 from planner.schemes import scheme
-
-BUILT_IN = ("knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare")
+from planner.tables import Tables, apply_override, read_tables
 
 KEYS: Mapping[str, tuple[str, ...]] = {
     "mechanism": ("model", "payload", "home_deg", "home_m"),
@@ -59,8 +54,6 @@ MAX_INTERVALS = 20_000
 # A dependent joint named in start_deg or goal_deg must stand this near to where the closed loop has it.
 _POSE_TOLERANCE = np.radians(0.05)
 
-Tables = dict[str, dict]
-
 
 def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> PlanningProblem:
     """Return the problem of a built-in name or a TOML file, with `key=value` overrides applied.
@@ -73,74 +66,6 @@ def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> PlanningP
     for override in overrides:
         apply_override(tables, override)
     return problem_from_tables(name, tables, folder)
-
-
-def built_in_text(name: str) -> str:
-    """Return the TOML text of a built-in problem."""
-    return resources.files("planner").joinpath("problems").joinpath(f"{name}.toml").read_text(encoding="utf-8")
-
-
-def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
-    """Return a problem's name, its tables and the folder of its file (None for a built-in)."""
-    text = str(source)
-    if text in BUILT_IN:
-        return text, tomllib.loads(built_in_text(text)), None
-    path = Path(text)
-    if path.is_dir():
-        raise ProblemError(f"problem '{text}' is a folder; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
-    if not path.is_file():
-        raise ProblemError(
-            f"unknown problem '{text}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
-        )
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ProblemError(f"problem '{text}' cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ProblemError(f"problem '{text}' is not UTF-8 text") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ProblemError(f"problem '{text}' is not TOML: {one_line(error)}") from error
-    return path.stem, tables, path.parent
-
-
-def apply_override(tables: Tables, override: str) -> None:
-    """Set one key of `tables` from "section.key=value", the value in TOML syntax, a bare word being a string."""
-    key, equals, text = override.partition("=")
-    path = [part.strip() for part in key.split(".")]
-    if not equals or len(path) < 2 or not all(path):
-        raise ProblemError(f"--set takes section.key=value, got '{override}'")
-    value = parse_value(text.strip(), override)
-    node: object = tables
-    for depth, part in enumerate(path[:-1]):
-        if not isinstance(node, dict):
-            break
-        child = node.setdefault(part, {})
-        if path[: depth + 1] == ["mechanism", "payload"] and isinstance(child, str) and child in PAYLOADS:
-            built_in = PAYLOADS[child]
-            child = node[part] = {
-                "body": built_in.body,
-                "mass_kg": built_in.mass_kg,
-                "com_m": built_in.com_m.tolist(),
-                "inertia_kgm2": built_in.inertia_kgm2.tolist(),
-            }
-        node = child
-    if not isinstance(node, dict):
-        raise ProblemError(f"--set {override}: '{'.'.join(path[:-1])}' is a value, not a table")
-    node[path[-1]] = value
-
-
-def parse_value(text: str, where: str) -> object:
-    """Return a TOML value; a bare word is a string.
-
-    Raises:
-        ProblemError: when the text is neither.
-    """
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError as error:
-        if re.fullmatch(r"[^\s\"'\[\]{}=,]+", text):
-            return text
-        raise ProblemError(f"--set {where}: the value is neither TOML nor a bare word: {one_line(error)}") from error
 
 
 def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -> PlanningProblem:
@@ -206,7 +131,9 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
     if Path(model).is_file():
         model = str(Path(model).resolve())
     section["model"] = model
-    return load_mechanism(model, payload=section.get("payload"), home=_home(section))
+    mechanism = load_mechanism(model, payload=section.get("payload"), home=_home(section))
+    _joint_values(section, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
+    return mechanism
 
 
 def _home(section: dict) -> dict[str, float]:
@@ -291,12 +218,12 @@ def _motion(section: dict, kind: str, mechanism: Mechanism, reference: Sine | No
         raise ProblemError(f'motion.duration_s is a positive number or "free", got {duration!r}')
     duration = None if duration == "free" else _number(duration, "motion.duration_s", positive=True)
     longest = section.get("max_duration_s")
-    if kind == "periodic" and reference is not None and duration is not None:
-        if not is_whole(duration * reference.frequency_hz):
-            raise ProblemError(
-                f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
-                f" {reference.period_s:g} s, got {duration:g}"
-            )
+    repeats = kind == "periodic" and reference is not None and duration is not None
+    if repeats and not is_whole(duration * reference.frequency_hz):
+        raise ProblemError(
+            f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
+            f" {reference.period_s:g} s, got {duration:g}"
+        )
     return Motion(
         kind=kind,
         start=_state(section, "start", mechanism, None),
@@ -427,9 +354,9 @@ def _check_poses(section: dict, problem: PlanningProblem) -> None:
             joint = mechanism.joints[index]
             asked = joint.read(_number(named[index], f"motion.{key} of joint {joint.name}"))
             if abs(asked - pose[index]) > _POSE_TOLERANCE:
+                pairs = zip(mechanism.independent_joints, s, strict=True)
                 raise ProblemError(
                     f"motion.{key}_{joint.unit} does not close: with"
-                    f" {', '.join(f'{j.name} = {j.shown(x):.6g}' for j, x in zip(mechanism.independent_joints, s, strict=True))}"
-                    f" the loop has {joint.name} at {joint.shown(pose[index]):.6g} {joint.unit}, asked"
-                    f" {joint.shown(asked):.6g}"
+                    f" {', '.join(f'{j.name} = {j.shown(x):.6g}' for j, x in pairs)} the loop has {joint.name} at"
+                    f" {joint.shown(pose[index]):.6g} {joint.unit}, asked {joint.shown(asked):.6g}"
                 )

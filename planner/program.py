@@ -29,8 +29,10 @@ SMOOTHING = 2.5e-9
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Scales:
-    """Units in which the unknowns are of order one: time [s], positions (n_s,), efforts (n_u,), generalised efforts (n_s,),
-    closure [m].
+    """Units in which the unknowns are of order one.
+
+    `time_s` [s], `position` (n_s,) [rad or m], `effort` (n_u,) and `residual` (n_s,), the generalised effort's, [N.m or N],
+    `length_m` the closure's [m].
     """
 
     time_s: float

@@ -126,7 +126,7 @@ def bernstein_gram(degree: int) -> np.ndarray:
     """Return int_0^1 B_i B_j (degree + 1, degree + 1), which makes integrals of squared polynomials exact."""
     k = np.arange(degree + 1)
     i, j = np.meshgrid(k, k, indexing="ij")
-    return comb(degree, i) * comb(degree, j) / ((2 * degree + 1) * comb(2 * degree, i + j))
+    return np.asarray(comb(degree, i) * comb(degree, j) / ((2 * degree + 1) * comb(2 * degree, i + j)))
 
 
 def bernstein_integral(degree: int) -> np.ndarray:

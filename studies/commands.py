@@ -11,24 +11,17 @@ import numpy as np
 from models.errors import ModelError, ProblemError
 from models.library import BUILT_IN as MODELS
 from models.mechanism import Mechanism
-from models.names import choose
+from models.names import choose, nearest
 from models.payload import BUILT_IN as PAYLOADS
 from planner.folders import check_target, plain, write_json, write_whole
 from planner.plan import Plan
 from planner.plan_folder import read_plan, record, write_plan
 from planner.planning import plan_motion
 from planner.problem import PlanningProblem, Tracking
-from planner.problem_file import (
-    BUILT_IN as PROBLEMS,
-)
-from planner.problem_file import (
-    apply_override,
-    mechanism_from_tables,
-    problem_from_tables,
-    read_tables,
-    tracking_from_tables,
-)
+from planner.problem_file import mechanism_from_tables, problem_from_tables, tracking_from_tables
 from planner.schemes import NAMES as SCHEMES
+from planner.tables import BUILT_IN as PROBLEMS
+from planner.tables import apply_override, read_tables
 from studies.cli import DONE, NO
 
 Say = Callable[[str], None]
@@ -86,11 +79,9 @@ def _tables(source: str, overrides: list[str]) -> tuple[str, dict, Path | None, 
         name, tables, folder = read_tables(source)
     else:
         if source not in MODELS and not path.exists():
-            legal = ", ".join([*MODELS, *PROBLEMS])
-            from models.names import nearest
-
+            names = [*MODELS, *PROBLEMS]
             raise ModelError(
-                f"unknown model '{source}'{nearest(source, [*MODELS, *PROBLEMS])}: neither a built-in name ({legal}) nor a file"
+                f"unknown model '{source}'{nearest(source, names)}: neither a built-in name ({', '.join(names)}) nor a file"
             )
         name, tables, folder = source, {"mechanism": {"model": source}}, None
     for override in overrides:
@@ -104,11 +95,9 @@ def _plan(arguments: argparse.Namespace, say: Say) -> Plan:
     path = Path(source)
     if source in PROBLEMS or path.is_file() or not path.exists():
         if source not in PROBLEMS and not path.is_file():
-            from models.names import nearest
-
             raise ProblemError(
-                f"unknown plan or problem '{source}'{nearest(source, PROBLEMS)}: neither a plan's folder, nor a problem file,"
-                f" nor built-in ({', '.join(PROBLEMS)})"
+                f"unknown plan or problem '{source}'{nearest(source, PROBLEMS)}: neither a plan's folder, nor a problem"
+                f" file, nor built-in ({', '.join(PROBLEMS)})"
             )
         name, tables, folder = read_tables(source)
         for override in overrides:
@@ -213,7 +202,8 @@ def _single(plan: Plan, arguments: argparse.Namespace, mismatch_given: bool):
 
     mismatch = default_mismatch(plan, arguments.mass_factor, arguments.delay_periods) if mismatch_given else None
     rollout = track(plan, arguments.tracker, mismatch)
-    return Comparison(plan=plan, nominal={arguments.tracker: rollout}, mismatch=None, mismatched={})
+    title = "nominal" if mismatch is None else mismatch.name
+    return Comparison(plan=plan, nominal={arguments.tracker: rollout}, mismatch=None, mismatched={}, title=title)
 
 
 def _check_mismatch(arguments: argparse.Namespace) -> bool:
@@ -349,9 +339,7 @@ def run_view(arguments: argparse.Namespace) -> int:
     if not has_screen():
         raise ProblemError("view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set")
     rollout = track(plan, arguments.tracker)
-    say(
-        f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower than real; close the window to end"
-    )
+    say(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
     play(plan.problem.mechanism, rollout, arguments.slow, arguments.seconds)
     if arguments.json:
         print(json.dumps({"plan": plan.problem.name, "tracker": arguments.tracker, "stable": rollout.stable}))

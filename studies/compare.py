@@ -14,6 +14,7 @@ from controllers.tracker import Tracker
 from models.errors import ProblemError
 from models.names import choose
 from planner.plan import Plan
+from planner.planning import silent
 
 TRACKERS = ("pd", "pd+ff", "lqr")
 # Below this many control periods in a motion a table of tracking errors says more about sampling than about trackers.
@@ -37,6 +38,7 @@ class Comparison:
     nominal: dict[str, Rollout]
     mismatch: Mismatch | None
     mismatched: dict[str, Rollout]
+    title: str = "nominal"  # of the first side
 
 
 def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: int = 1) -> Mismatch:
@@ -92,7 +94,7 @@ def track(plan: Plan, name: str, mismatch: Mismatch | None = None) -> Rollout:
     return run(plan.problem.mechanism, reference, build_tracker(name, plan, reference), _loop(plan, mismatch))
 
 
-def compare(plan: Plan, mismatch: Mismatch | None, say: Callable[[str], None] = lambda text: None) -> Comparison:
+def compare(plan: Plan, mismatch: Mismatch | None, say: Callable[[str], None] = silent) -> Comparison:
     """Return all trackers' runs on a plan, nominal and under a mismatch."""
     reference = tracking_reference(plan)
     trackers = {name: build_tracker(name, plan, reference) for name in TRACKERS}
@@ -152,6 +154,7 @@ def comparison_record(comparison: Comparison) -> dict:
         }
 
     record = {
+        "case": comparison.title,
         "plan": {
             "name": plan.problem.name,
             "status": plan.status,

@@ -9,7 +9,8 @@ from planner.folders import write_json, write_whole
 from planner.plan import Plan
 from planner.plan_folder import record, versions
 from planner.planning import plan_motion
-from planner.problem_file import BUILT_IN, load_problem
+from planner.problem_file import load_problem
+from planner.tables import BUILT_IN
 from studies.bode import bode_record, bode_study
 from studies.commands import save_plan
 from studies.compare import compare, comparison_record, default_mismatch

@@ -8,7 +8,7 @@ from models.assembly import Reach, close_at, reach
 from models.audit import audit
 from models.contacts import ContactPair, contact_pairs
 from models.errors import AssemblyError, ProblemError
-from models.mechanism import Mechanism
+from models.mechanism import Joint, Mechanism
 
 # A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
 OPEN_M = 1e-6
@@ -108,9 +108,8 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
             if end.joint is not None and end.joint != index:
                 other = mechanism.joints[end.joint]
                 problems.append(
-                    f"joint {other.name}'s range [{other.shown(other.lower):g}, {other.shown(other.upper):g}] {other.unit} stops"
-                    f" the loop at {joint.name} = {joint.shown(end.position):.4g} {joint.unit}"
-                    f" ({joint.name}'s own range: [{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}] {joint.unit})"
+                    f"joint {other.name}'s range {_range(other)} stops the loop at {joint.name} ="
+                    f" {joint.shown(end.position):.4g} {joint.unit} ({joint.name}'s own range: {_range(joint)})"
                 )
         for position in can.singular:
             notes.append(
@@ -129,6 +128,10 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}")
     return problems, notes
+
+
+def _range(joint: Joint) -> str:
+    return f"[{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}] {joint.unit}"
 
 
 def inspection_record(found: Inspection) -> dict:

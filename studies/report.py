@@ -88,7 +88,7 @@ def comparison_text(comparison: Comparison) -> str:
     """Return the trackers side by side."""
     plan = comparison.plan
     lines = []
-    cases = [("nominal", comparison.nominal)]
+    cases = [(comparison.title, comparison.nominal)]
     if comparison.mismatch is not None:
         cases.append((comparison.mismatch.name, comparison.mismatched))
     for title, runs in cases:

@@ -5,10 +5,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
@@ -33,17 +29,11 @@ _STYLE = {
 @contextmanager
 def page(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **layout) -> Iterator:
     """Yield a figure's axes (rows, columns) and save the figure at `path` when the block ends."""
-    with plt.rc_context(_STYLE):
-        figure, axes = plt.subplots(rows, columns, figsize=size, layout="constrained", squeeze=False, **layout)
-        try:
-            yield axes
-            _save(figure, path)
-        finally:
-            plt.close(figure)
-
-
-def _save(figure: Figure, path: Path) -> None:
-    figure.savefig(path)
+    with matplotlib.rc_context(_STYLE):
+        # A figure of its own, without pyplot: no screen is needed and nothing is left open.
+        figure = Figure(figsize=size, layout="constrained")
+        yield figure.subplots(rows, columns, squeeze=False, **layout)
+        figure.savefig(path)
 
 
 def outside_legend(axes, **options) -> None:

@@ -12,7 +12,7 @@ from studies.figures.style import BLUE, GREY, ORANGE, TRACKER_COLOURS, outside_l
 
 def comparison_figure(comparison: Comparison, path: Path) -> None:
     """Draw motion, error and effort of every tracker, nominal to the left and under the mismatch to the right."""
-    cases = [("nominal", comparison.nominal)]
+    cases = [(comparison.title, comparison.nominal)]
     if comparison.mismatch is not None:
         cases.append((comparison.mismatch.name, comparison.mismatched))
     mechanism = comparison.plan.problem.mechanism
