@@ -58,12 +58,14 @@ def reduce_tree(
 
     gamma_map = ca.SX.zeros(q.numel(), n_s)
     gamma_map[[int(i) for i in independent], :] = ca.SX.eye(n_s)
-    gamma_map[[int(i) for i in dependent], :] = -_solve(J_z, J_s)
+    if chosen:
+        gamma_map[[int(i) for i in dependent], :] = -_solve(J_z, J_s)
     determinant = ca.det(J_z) if chosen else ca.SX(1)
     convective = ca.Function("convective", [q, qd], [ca.jtimes(J @ qd, q, qd)])
     rates = gamma_map @ v
     gamma = ca.SX.zeros(q.numel())
-    gamma[[int(i) for i in dependent]] = -_solve(J_z, convective(q, rates))
+    if chosen:
+        gamma[[int(i) for i in dependent]] = -_solve(J_z, convective(q, rates))
 
     tree_effort = ca.Function("tree_effort", [q, qd, qdd], [tree.inverse_dynamics - tree.passive])
     needed = tree_effort(q, rates, gamma_map @ a + gamma)
@@ -75,7 +77,8 @@ def reduce_tree(
     acceleration = _solve(inertia, effort_map @ u - reduced_bias)
 
     force = ca.SX.zeros(phi.numel())
-    force[chosen] = _solve(J_z.T, (needed - B @ u)[[int(i) for i in dependent]])
+    if chosen:
+        force[chosen] = _solve(J_z.T, (needed - B @ u)[[int(i) for i in dependent]])
     kinetic_at = ca.Function("kinetic", [q, qd], [tree.kinetic_energy])
 
     def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:

@@ -140,7 +140,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     found = inspect(mechanism, _positions(arguments, mechanism))
     said = inspection_record(found)
     if target is not None:
-        from studies.figures.mechanism import inspection_figure
+        from studies.draw_mechanism import inspection_figure
 
         def write(place: Path) -> None:
             write_json(place / "check.json", said)
@@ -171,7 +171,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
 def save_plan(plan: Plan, place: Path) -> None:
     """Write a plan and its figure into an empty folder."""
-    from studies.figures.plan import plan_figure
+    from studies.draw_plan import plan_figure
 
     write_plan(plan, place)
     plan_figure(plan, place / "plan.png")
@@ -247,7 +247,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
 
 def _save_tracking(comparison, said: dict, place: Path, name: str, document: dict | None = None) -> None:
     from studies.document import KP
-    from studies.figures.tracking import comparison_figure, document_figure
+    from studies.draw_tracking import comparison_figure, document_figure
 
     write_json(place / f"{name}.json", said)
     comparison_figure(comparison, place / f"{name}.png")
@@ -282,7 +282,7 @@ def run_bode(arguments: argparse.Namespace) -> int:
     study = bode_study(mechanism, positions, gains, limit, say)
     said = bode_record(study)
     if target is not None:
-        from studies.figures.bode import bode_figure
+        from studies.draw_bode import bode_figure
 
         def write(place: Path) -> None:
             write_json(place / "bode.json", said)

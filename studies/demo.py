@@ -15,9 +15,9 @@ from studies.bode import bode_record, bode_study
 from studies.commands import save_plan
 from studies.compare import compare, comparison_record, default_mismatch
 from studies.document import KP, document_record, mended_runs, printed_runs
-from studies.figures.bode import bode_figure
-from studies.figures.mechanism import inspection_figure
-from studies.figures.tracking import comparison_figure, document_figure
+from studies.draw_bode import bode_figure
+from studies.draw_mechanism import inspection_figure
+from studies.draw_tracking import comparison_figure, document_figure
 from studies.frequency import Gains
 from studies.html import Page
 from studies.inspection import inspect, inspection_record

@@ -6,7 +6,8 @@ from pathlib import Path
 _STYLE = """
 body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
 h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.5rem; border-bottom: 1px solid #ddd; }
-pre { background: #f6f7f8; padding: .8rem 1rem; overflow-x: auto; font-size: 12.5px; line-height: 1.4; border-radius: 4px; }
+pre { background: #f6f7f8; padding: .8rem 1rem; white-space: pre-wrap; border-radius: 4px; }
+pre { font-size: 12.5px; line-height: 1.4; }
 figure { margin: 1.2rem 0; } img { max-width: 100%; } figcaption { color: #555; font-size: 13px; }
 """
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.plan import Plan
-from studies.figures.style import BLACK, GREY, SERIES, outside_legend, page
+from studies.drawing import BLACK, GREY, SERIES, outside_legend, page
 
 
 def plan_figure(plan: Plan, path: Path) -> None:

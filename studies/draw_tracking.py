@@ -7,7 +7,7 @@ import numpy as np
 
 from controllers.rollout import Rollout
 from studies.compare import Comparison
-from studies.figures.style import BLUE, GREY, ORANGE, TRACKER_COLOURS, outside_legend, page
+from studies.drawing import BLUE, GREY, ORANGE, TRACKER_COLOURS, outside_legend, page
 
 
 def comparison_figure(comparison: Comparison, path: Path) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from models.along import sampled
 from models.skeleton import sticks
-from studies.figures.style import BLACK, GREY, RED, SERIES, outside_legend, page
+from studies.drawing import BLACK, GREY, RED, SERIES, outside_legend, page
 from studies.inspection import Inspection
 
 

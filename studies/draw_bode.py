@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from studies.bode import BodeStudy
-from studies.figures.style import GREY, SERIES, page
+from studies.drawing import GREY, SERIES, page
 
 
 def bode_figure(study: BodeStudy, path: Path) -> None:
