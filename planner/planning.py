@@ -15,15 +15,15 @@ from planner.plan import Plan, Step, tracking_errors
 from planner.prescribed import prescribe, reference_demand
 from planner.problem import PlanningProblem
 from planner.solve import Solution, solve
-from planner.switches import find_cuts
+from planner.switches import find_cuts, pinned_efforts
 from planner.trajectory import Trajectory
 from planner.transcription import trajectory_of, transcribe
 
 # Rounds of refinement after the first solve, and the share of the worst interval's error that marks one for halving.
-_ROUNDS = 4
+_ROUNDS = 8
 _MARK = 0.1
-# A solve with cuts at its switches replaces the one before when it is no slower than this relative rounding allows.
-_NO_WORSE = 1e-6
+# A solve with cuts at its switches replaces the one before when it is no slower than the error of a mesh without cuts.
+_NO_WORSE = 1e-4
 
 Say = Callable[[str], None]
 
@@ -159,9 +159,10 @@ def _solve(
     history: list[Step],
     say: Say,
     position_rows: bool = False,
+    pinned: np.ndarray | None = None,
 ) -> tuple[Trajectory, Solution] | None:
     say(f"{what}: {problem.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
-    transcribed = transcribe(problem, guess, mesh, durations, position_rows=position_rows)
+    transcribed = transcribe(problem, guess, mesh, durations, position_rows=position_rows, pinned=pinned)
     solution = solve(transcribed)
     history.append(
         Step(
@@ -184,21 +185,23 @@ def _solve(
 def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history: list[Step], say: Say) -> Plan:
     """Return the plan of a solution: cuts at its switches, then finer meshes until the certificate passes."""
     trajectory, solution = found
+    pinned = None
     if problem.objective == "time":
-        trajectory, solution, mesh = _settle_switches(problem, trajectory, solution, mesh, history, say)
+        trajectory, solution, mesh, pinned = _settle_switches(problem, trajectory, solution, mesh, history, say)
     certificate = _try_certify(problem, trajectory)
     position_rows = False
     for _ in range(_ROUNDS):
         if certificate is not None and certificate.passed:
             break
         position_rows = position_rows or certificate is None or np.any(certificate.position_margin < 0)
-        error = np.ones(mesh.n_intervals) if certificate is None else certificate.node_error
+        error = np.ones(mesh.n_intervals) if certificate is None else certificate.interval_error
         marked = error >= _MARK * error.max() if np.isfinite(error).all() else np.ones(mesh.n_intervals, dtype=bool)
         if problem.motion.kind == "periodic" and problem.motion.start is not None:
             marked[:] = True  # keep the middle of the motion on a node
         mesh = halved(mesh, marked)
         durations = np.bincount(mesh.segment, weights=_widths(trajectory, marked))
-        finer = _solve(problem, motion_of(trajectory), mesh, durations, "finer mesh", history, say, bool(position_rows))
+        guess, rows = motion_of(trajectory), bool(position_rows)
+        finer = _solve(problem, guess, mesh, durations, "finer mesh", history, say, rows, pinned)
         if finer is None:
             break
         trajectory, solution = finer
@@ -227,18 +230,23 @@ def _try_certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificat
 
 
 def _settle_switches(problem, trajectory, solution, mesh, history, say):
-    """Return a least-time solution with mesh cuts at its switches, moved by the solver to where they are best."""
-    for _ in range(2):
-        cuts = find_cuts(trajectory, problem.limits.effort)
-        if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6 or len(cuts) + 1 == mesh.n_segments:
-            break
-        durations = np.diff(np.concatenate([[0.0], cuts, [trajectory.duration_s]]))
-        finer = segmented(durations, problem.mesh.intervals)
-        found = _solve(problem, motion_of(trajectory), finer, durations, "cuts at the switches", history, say)
-        if found is None or found[1].objective > solution.objective * (1 + _NO_WORSE):
-            break
-        (trajectory, solution), mesh = found, finer
-    return trajectory, solution, mesh
+    """Return a least-time solution with mesh cuts at its switches, its mesh, and the efforts held between them.
+
+    First with efforts held at the limits that the arcs showed, which leaves the cuts alone to be found; where that is
+    slower than the solution without cuts, the arcs were read wrongly and the efforts are set free again.
+    """
+    cuts = find_cuts(trajectory, problem.limits.effort)
+    if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6:
+        return trajectory, solution, mesh, None
+    durations = np.diff(np.concatenate([[0.0], cuts, [trajectory.duration_s]]))
+    finer = segmented(durations, problem.mesh.intervals)
+    guess = motion_of(trajectory)
+    held = pinned_efforts(trajectory, problem.limits.effort, cuts)
+    for pinned, what in ((held, "cuts at the switches"), (None, "cuts at the switches, efforts free")):
+        found = _solve(problem, guess, finer, durations, what, history, say, pinned=pinned)
+        if found is not None and found[1].objective <= solution.objective * (1 + _NO_WORSE):
+            return *found, finer, pinned
+    return trajectory, solution, mesh, None
 
 
 def _finished(problem, trajectory, certificate, objective, history, message: str | None) -> Plan:

@@ -43,6 +43,28 @@ def find_cuts(trajectory: Trajectory, limit: np.ndarray) -> np.ndarray:
                 u_before, u_after = (high, low) if before > 0 else (low, high)
                 t = (impulse + u_before * breaks[a] - u_after * breaks[b]) / (u_before - u_after)
                 cuts.append(float(np.clip(t, breaks[a], breaks[b])))
+    return _spread(cuts, breaks)
+
+
+def pinned_efforts(trajectory: Trajectory, limit: np.ndarray, cuts: np.ndarray) -> np.ndarray:
+    """Return the efforts (n_cuts + 1, n_u) that segments between cuts hold throughout: a limit, or NaN where they vary.
+
+    Looked at away from the cuts, next to which the fixed mesh smears the switch.
+    """
+    ends = np.concatenate([trajectory.breaks_s[:1], cuts, trajectory.breaks_s[-1:]])
+    pinned = np.full((len(ends) - 1, trajectory.n_u), np.nan)
+    for k, (begin, end) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+        effort = trajectory.effort_at(begin + np.linspace(0.15, 0.85, 50) * (end - begin))
+        for j, (low, high) in enumerate(limit):
+            slack = _AT_LIMIT * (high - low) if np.isfinite(high - low) else 0.0
+            for bound in (low, high):
+                if slack and np.all(np.abs(effort[:, j] - bound) < slack):
+                    pinned[k, j] = bound
+    return pinned
+
+
+def _spread(cuts: list[float], breaks: np.ndarray) -> np.ndarray:
+    """Return the cuts in order, those dropped that stand closer to another or to an end than half an interval."""
     apart = 0.5 * float(np.diff(breaks).min())
     kept: list[float] = []
     for cut in sorted(cuts):

@@ -17,6 +17,10 @@ from planner.trajectory import Trajectory
 
 # Free segments may shrink to this share of their guessed duration and no further, so that no interval collapses.
 _SHORTEST_SEGMENT = 0.02
+# A segment between cuts may shrink or stretch by this factor.
+_CUT_ROOM = 2.0
+# Efforts stay this share inside their limits, so that no rounding in evaluating the polynomial carries them outside.
+_ROUNDING = 4e-15
 # Share of a limit that a guessed effort may use: interior-point methods want room.
 _GUESS_ROOM = 0.95
 
@@ -78,6 +82,7 @@ def transcribe(
     effort_limit: np.ndarray | None = None,
     position_rows: bool = False,
     least_limit: bool = False,
+    pinned: np.ndarray | None = None,
 ) -> Transcribed:
     """Return the program of a problem on a mesh, with bounds and a starting point.
 
@@ -89,6 +94,7 @@ def transcribe(
         scales: units; chosen from the guess by default.
         effort_limit: (n_u, 2) in place of the problem's.
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
+        pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
     """
     begin = time.perf_counter()
@@ -114,6 +120,10 @@ def transcribe(
         cost[layout.durations()] = 1.0
     program = build_program(layout, mesh, local, linear, cost)
     lower, upper = _bounds(problem, layout, durations, scales, limit)
+    if pinned is not None:
+        held = np.repeat((pinned / scales.effort)[mesh.segment][:, None, :], chosen.n_nodes, axis=1)
+        place = layout.effort()[~np.isnan(held)]
+        lower[place] = upper[place] = held[~np.isnan(held)]
     row_lower, row_upper = _row_bounds(problem, local, layout, speed_joints, scales)
     breaks = mesh.breaks(durations)
     return Transcribed(
@@ -216,6 +226,9 @@ def _bounds(problem: PlanningProblem, layout: Layout, durations: np.ndarray, sca
         lower[place] = _SHORTEST_SEGMENT * scaled
         longest = motion.max_duration_s or 100.0 * float(np.sum(durations))
         upper[place] = longest / scales.time_s
+        if layout.n_segments > 1:
+            # Cuts begin next to their switches: kept from wandering off, they settle there.
+            lower[place], upper[place] = scaled / _CUT_ROOM, np.minimum(_CUT_ROOM * scaled, upper[place])
     return lower, upper
 
 
@@ -295,12 +308,13 @@ def trajectory_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) ->
     tau = (np.arange(m + 2) / (m + 1))[:, None, None]
     velocity = v + h * np.einsum("pj,kjs->pks", chosen.velocity_coefficients, a)
     position = s + tau * h * v + h**2 * np.einsum("pj,kjs->pks", chosen.position_coefficients, a)
-    effort = np.clip(x[layout.effort()] * scales.effort, limit[:, 0], limit[:, 1]).transpose(1, 0, 2)
+    inside = _ROUNDING * np.abs(limit)
+    effort = np.clip(x[layout.effort()] * scales.effort, limit[:, 0] + inside[:, 0], limit[:, 1] - inside[:, 1])
     return Trajectory(
         breaks_s=breaks,
         position=position,
         velocity=velocity,
-        effort=effort,
+        effort=effort.transpose(1, 0, 2),
         start_pose=transcribed.start_pose,
         periodic=transcribed.periodic,
     )
