@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.along import joint_rates
+from planner.certificate import Certificate
 from planner.guess import Guess, motion_of
 from planner.mesh import Mesh, segmented
 from planner.problem import Limits, PlanningProblem
@@ -71,6 +72,15 @@ def without(limits: Limits, what: str) -> Limits:
     """Return limits with those on "speed" or "position" taken away."""
     value = getattr(limits, what)
     return replace(limits, **{what: np.column_stack([np.full(len(value), -np.inf), np.full(len(value), np.inf)])})
+
+
+def tightened(limits: Limits, certificate: Certificate) -> Limits:
+    """Return limits drawn in on both sides by what a motion overran them by between the nodes, and a tenth more."""
+    changed = {}
+    for name, margin in (("position", certificate.position_margin), ("speed", certificate.speed_margin)):
+        inward = 1.1 * np.maximum(0.0, -margin)[:, None] * np.array([1.0, -1.0])
+        changed[name] = getattr(limits, name) + inward
+    return replace(limits, **changed)
 
 
 def overrun_sentence(problem: PlanningProblem, trajectory: Trajectory, poses: np.ndarray, what: str) -> str | None:

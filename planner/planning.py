@@ -9,7 +9,7 @@ from models.assembly import close_at, follow, reach
 from models.errors import AssemblyError, ProblemError
 from planner.certificate import Certificate, certify
 from planner.guess import Guess, first_guess, motion_of
-from planner.infeasibility import effort_sentence, least_limit, overrun_sentence, without
+from planner.infeasibility import effort_sentence, least_limit, overrun_sentence, tightened, without
 from planner.mesh import Mesh, halved, segmented, uniform
 from planner.plan import Plan, Step, tracking_errors
 from planner.prescribed import prescribe, reference_demand
@@ -189,19 +189,24 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
     if problem.objective == "time":
         trajectory, solution, mesh, pinned = _settle_switches(problem, trajectory, solution, mesh, history, say)
     certificate = _try_certify(problem, trajectory)
-    position_rows = False
+    position_rows, kept = False, problem
     for _ in range(_ROUNDS):
         if certificate is not None and certificate.passed:
             break
-        position_rows = position_rows or certificate is None or np.any(certificate.position_margin < 0)
+        position_rows = position_rows or certificate is None or bool(np.any(certificate.position_margin < 0))
         error = np.ones(mesh.n_intervals) if certificate is None else certificate.interval_error
-        marked = error >= _MARK * error.max() if np.isfinite(error).all() else np.ones(mesh.n_intervals, dtype=bool)
-        if problem.motion.kind == "periodic" and problem.motion.start is not None:
-            marked[:] = True  # keep the middle of the motion on a node
+        if certificate is not None and error.max() < 1.0:
+            # Only a range or speed is left, between the nodes: ask the solver for a little less than the limit.
+            kept = replace(problem, limits=tightened(kept.limits, certificate))
+            marked = np.zeros(mesh.n_intervals, dtype=bool)
+        else:
+            marked = error >= _MARK * error.max() if np.isfinite(error).all() else np.ones(mesh.n_intervals, dtype=bool)
+        if _turns_at_the_middle(problem):
+            marked[:] = marked.any()  # keep the middle of the motion on a node
         mesh = halved(mesh, marked)
         durations = np.bincount(mesh.segment, weights=_widths(trajectory, marked))
-        guess, rows = motion_of(trajectory), bool(position_rows)
-        finer = _solve(problem, guess, mesh, durations, "finer mesh", history, say, rows, pinned)
+        what = "finer mesh" if marked.any() else "limits kept between the nodes"
+        finer = _solve(kept, motion_of(trajectory), mesh, durations, what, history, say, position_rows, pinned)
         if finer is None:
             break
         trajectory, solution = finer
@@ -214,6 +219,11 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
             history=tuple(history),
         )
     return _finished(problem, trajectory, certificate, solution.objective, history, None)
+
+
+def _turns_at_the_middle(problem: PlanningProblem) -> bool:
+    """Return whether a periodic motion has to be at its goal after half of its duration."""
+    return problem.motion.kind == "periodic" and problem.motion.start is not None
 
 
 def _widths(trajectory: Trajectory, marked: np.ndarray) -> np.ndarray:
@@ -236,7 +246,7 @@ def _settle_switches(problem, trajectory, solution, mesh, history, say):
     slower than the solution without cuts, the arcs were read wrongly and the efforts are set free again.
     """
     cuts = find_cuts(trajectory, problem.limits.effort)
-    if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6:
+    if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6 or _turns_at_the_middle(problem):
         return trajectory, solution, mesh, None
     durations = np.diff(np.concatenate([[0.0], cuts, [trajectory.duration_s]]))
     finer = segmented(durations, problem.mesh.intervals)
