@@ -1,5 +1,6 @@
 """A closed-chain mechanism: a MuJoCo model, its joints, closures and actuators, and its reduced dynamics."""
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,6 +92,15 @@ class Mechanism:
     def effort_limit(self) -> np.ndarray:
         """The actuators' limits (n_u, 2) [N.m or N]."""
         return np.array([[a.lower, a.upper] for a in self.actuators]).reshape(-1, 2)
+
+    def fingerprint(self) -> str:
+        """Return a hash of all that the reduced dynamics depend on: the compiled model and the choice of coordinates."""
+        content = np.zeros(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
+        mujoco.mj_saveModel(self.model, None, content)
+        digest = hashlib.sha256(content.tobytes())
+        for choice in (self.independent, self.dependent, self.closure_rows):
+            digest.update(choice.tobytes() + b"|")
+        return digest.hexdigest()
 
     def joint_index(self, name: str, error: type[Exception] = ModelError) -> int:
         """Return the index of a joint by name."""

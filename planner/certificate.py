@@ -48,7 +48,8 @@ class Certificate:
     speed_margin: np.ndarray  # (n_q,)
     singularity_ratio: float  # least sigma_min(J_z) along the motion, of that at home
     peak_effort: np.ndarray  # (n_u,)
-    interval_error: np.ndarray  # (n_intervals,) each interval's worst finding as a share of what is allowed
+    growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed in all
+    residual_share: np.ndarray  # (n_intervals,) of the dynamics residual, in shares of what is allowed
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
 
@@ -124,7 +125,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         speed_margin=speed_margin,
         singularity_ratio=ratio,
         peak_effort=np.abs(u).max(axis=0),
-        interval_error=np.maximum(growth, residual.reshape(len(growth), -1).max(axis=1) / allowed),
+        growth=growth,
+        residual_share=residual.reshape(len(growth), -1).max(axis=1) / allowed,
         worst_time_s=worst,
         failures=tuple(failures),
     )

@@ -19,9 +19,9 @@ from planner.switches import find_cuts, pinned_efforts
 from planner.trajectory import Trajectory
 from planner.transcription import trajectory_of, transcribe
 
-# Rounds of refinement after the first solve, and the share of the worst interval's error that marks one for halving.
+# Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
 _ROUNDS = 8
-_MARK = 0.1
+_MARK = 0.5
 # A solve with cuts at its switches replaces the one before when it is no slower than the error of a mesh without cuts.
 _NO_WORSE = 1e-4
 
@@ -163,7 +163,7 @@ def _solve(
 ) -> tuple[Trajectory, Solution] | None:
     say(f"{what}: {problem.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
     transcribed = transcribe(problem, guess, mesh, durations, position_rows=position_rows, pinned=pinned)
-    solution = solve(transcribed)
+    solution = solve(transcribed, max_time_s=problem.solver.max_time_s)
     history.append(
         Step(
             what=what,
@@ -194,13 +194,10 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
         if certificate is not None and certificate.passed:
             break
         position_rows = position_rows or certificate is None or bool(np.any(certificate.position_margin < 0))
-        error = np.ones(mesh.n_intervals) if certificate is None else certificate.interval_error
-        if certificate is not None and error.max() < 1.0:
+        marked = _marked(mesh, certificate)
+        if not marked.any():
             # Only a range or speed is left, between the nodes: ask the solver for a little less than the limit.
             kept = replace(problem, limits=tightened(kept.limits, certificate))
-            marked = np.zeros(mesh.n_intervals, dtype=bool)
-        else:
-            marked = error >= _MARK * error.max() if np.isfinite(error).all() else np.ones(mesh.n_intervals, dtype=bool)
         if _turns_at_the_middle(problem):
             marked[:] = marked.any()  # keep the middle of the motion on a node
         mesh = halved(mesh, marked)
@@ -219,6 +216,16 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
             history=tuple(history),
         )
     return _finished(problem, trajectory, certificate, solution.objective, history, None)
+
+
+def _marked(mesh: Mesh, certificate: Certificate | None) -> np.ndarray:
+    """Return which intervals (n,) to halve: those with more than their share of an error that a certificate refuses."""
+    if certificate is None or not np.all(np.isfinite(certificate.growth)):
+        return np.ones(mesh.n_intervals, dtype=bool)
+    marked = certificate.residual_share > _MARK
+    if certificate.growth.sum() > 1.0:
+        marked |= certificate.growth > _MARK / mesh.n_intervals
+    return marked if certificate.growth.sum() > 1.0 or certificate.residual_share.max() > 1.0 else np.zeros_like(marked)
 
 
 def _turns_at_the_middle(problem: PlanningProblem) -> bool:

@@ -65,10 +65,25 @@ class Limits:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MeshSettings:
-    """The transcription's name and the number of intervals to begin with."""
+    """The transcription's name, the number of intervals to begin with, and what efforts are over an interval."""
 
     scheme: str = "radau-3"
     intervals: int = 40
+    effort: str = "polynomial"  # "constant", "linear" or "polynomial"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class SolverSettings:
+    """How a program is solved: whether its functions are compiled, and how long the solver may take [s].
+
+    `compile` is "auto" (compiled functions where the cache has them or the mesh is large), "always" or "never".
+    """
+
+    compile: str = "auto"
+    max_time_s: float = 600.0
+
+
+COMPILE = ("auto", "always", "never")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -102,6 +117,7 @@ class PlanningProblem:
     limits: Limits
     reference: Sine | None = None
     mesh: MeshSettings = field(default_factory=MeshSettings)
+    solver: SolverSettings = field(default_factory=SolverSettings)
     tracking: Tracking = field(default_factory=Tracking)
     source: dict = field(default_factory=dict)
 

@@ -15,7 +15,17 @@ from models.errors import AssemblyError, ProblemError
 from models.mechanism import Mechanism, load_mechanism
 from models.names import choose, nearest
 from planner.prescribed import is_whole
-from planner.problem import KINDS, OBJECTIVES, Limits, MeshSettings, Motion, PlanningProblem, Tracking
+from planner.problem import (
+    COMPILE,
+    KINDS,
+    OBJECTIVES,
+    Limits,
+    MeshSettings,
+    Motion,
+    PlanningProblem,
+    SolverSettings,
+    Tracking,
+)
 from planner.reference import Sine
 from planner.schemes import scheme
 from planner.tables import Tables, apply_override, read_tables
@@ -38,7 +48,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "reference": ("amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg", "frequency_hz"),
     "objective": ("minimize",),
     "limits": ("effort", "range_deg", "range_m", "speed_deg_s", "speed_m_s"),
-    "mesh": ("scheme", "intervals"),
+    "mesh": ("scheme", "intervals", "effort"),
+    "solver": ("compile", "max_time_s"),
     "tracking": (
         "kp",
         "kd",
@@ -87,6 +98,7 @@ def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -
         limits=_limits(section["limits"], mechanism),
         reference=reference,
         mesh=_mesh(section["mesh"]),
+        solver=_solver(section["solver"]),
         tracking=_tracking(section["tracking"]),
         source=tables,
     )
@@ -314,7 +326,16 @@ def _mesh(section: dict) -> MeshSettings:
     intervals = section.get("intervals", default.intervals)
     if not isinstance(intervals, int) or isinstance(intervals, bool) or not 2 <= intervals <= MAX_INTERVALS:
         raise ProblemError(f"mesh.intervals is a whole number from 2 to {MAX_INTERVALS}, got {intervals!r}")
-    return MeshSettings(scheme=scheme(name).name, intervals=intervals)
+    effort = section.get("effort", default.effort)
+    return MeshSettings(scheme=scheme(name, effort).name, intervals=intervals, effort=effort)
+
+
+def _solver(section: dict) -> SolverSettings:
+    default = SolverSettings()
+    return SolverSettings(
+        compile=_word(section, "solver.compile", COMPILE, default.compile),
+        max_time_s=_number(section.get("max_time_s", default.max_time_s), "solver.max_time_s", positive=True),
+    )
 
 
 def _tracking(section: dict) -> Tracking:

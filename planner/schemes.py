@@ -9,11 +9,13 @@ so that s' = v at every instant and not only at the nodes (the second-order-cons
 Celaya, arXiv 2302.09056: applied to q'' = f, first-order schemes let the interpolated velocity differ from the
 derivative of the interpolated position). Radau nodes give order 2m-1, Lobatto's three nodes are Hermite-Simpson's.
 
-The effort is a polynomial of degree m-1 held by its Bernstein coefficients: the curve stays in their convex hull
-(Farouki, CAGD 29, 2012), so coefficients within a limit keep the effort within it at every instant.
+The first-order form of a scheme integrates the nodal velocities instead, s' being the polynomial through them; it is kept
+for comparison ("trapezoid", "hermite-simpson" beside their "-consistent" forms).
+
+The effort is a polynomial held by its Bernstein coefficients: the curve stays in their convex hull (Farouki, CAGD 29, 2012),
+so coefficients within a limit keep the effort within it at every instant. Its degree is m-1 unless a lower one is asked for.
 """
 
-import re
 from dataclasses import dataclass
 from functools import cache
 
@@ -25,7 +27,12 @@ from models.errors import ProblemError
 from models.names import nearest
 
 MAX_DEGREE = 9
-NAMES = ("hermite-simpson", *(f"radau-{d}" for d in range(1, MAX_DEGREE + 1)))
+LOBATTO = {"trapezoid": (0.0, 1.0), "hermite-simpson": (0.0, 0.5, 1.0)}
+NAMES = (
+    *(f"{name}{form}" for name in LOBATTO for form in ("", "-consistent")),
+    *(f"{family}-{degree}" for family in ("radau", "gauss") for degree in range(1, MAX_DEGREE + 1)),
+)
+EFFORTS = {"constant": 0, "linear": 1, "polynomial": MAX_DEGREE}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -33,10 +40,9 @@ class Scheme:
     """A transcription's constants on the unit interval, for m nodes.
 
     `nodes` (m,); `velocity` (m, m) and `position` (m, m) integrate nodal accelerations once and twice up to each node;
-    `velocity_end` and `position_end` (m,) up to 1; `weights` (m,) are the quadrature's. `effort_at` (m, m) takes Bernstein
-    coefficients to values at the nodes; `acceleration_coefficients` (m, m), `velocity_coefficients` (m + 1, m) and
-    `position_coefficients` (m + 2, m) take nodal accelerations to Bernstein coefficients of a, v - v_0 and
-    s - s_0 - h tau v_0.
+    `velocity_end` and `position_end` (m,) up to 1; `weights` (m,) are the quadrature's. `effort_at` (m, n_effort) takes
+    Bernstein coefficients to values at the nodes; `velocity_coefficients` (m + 1, m) and `position_coefficients` (m + 2, m;
+    m + 1 in first-order form) take nodal accelerations to Bernstein coefficients of v - v_0 and s - s_0 - h tau v_0.
     """
 
     name: str
@@ -47,7 +53,6 @@ class Scheme:
     position_end: np.ndarray
     weights: np.ndarray
     effort_at: np.ndarray
-    acceleration_coefficients: np.ndarray
     velocity_coefficients: np.ndarray
     position_coefficients: np.ndarray
 
@@ -58,9 +63,9 @@ class Scheme:
         checks = (
             np.all(np.diff(self.nodes) > 0) and self.nodes[0] >= 0 and self.nodes[-1] <= 1,
             np.allclose(self.velocity @ ones, self.nodes, atol=tolerance),
-            np.allclose(self.position @ ones, self.nodes**2 / 2, atol=tolerance),
+            m == 1 or np.allclose(self.position @ ones, self.nodes**2 / 2, atol=tolerance),
             abs(self.weights.sum() - 1) < tolerance,
-            abs(self.position_end.sum() - 0.5) < tolerance,
+            m == 1 or abs(self.position_end.sum() - 0.5) < tolerance,
             np.allclose(self.effort_at.sum(axis=1), 1, atol=tolerance),
         )
         if not all(checks):
@@ -77,39 +82,44 @@ class Scheme:
 
 
 @cache
-def scheme(name: str) -> Scheme:
-    """Return the transcription called `name`: "hermite-simpson", or "radau-1" to "radau-9".
+def scheme(name: str, effort: str = "polynomial") -> Scheme:
+    """Return the transcription called `name`, with efforts "constant", "linear" or "polynomial" over an interval.
 
     Raises:
         ProblemError: for any other name.
     """
-    if name == "hermite-simpson":
-        return _build(name, np.array([0.0, 0.5, 1.0]))
-    match = re.fullmatch(r"radau-(\d+)", str(name))
-    if match and 1 <= int(match[1]) <= MAX_DEGREE:
-        return _build(name, np.array(ca.collocation_points(int(match[1]), "radau")))
-    raise ProblemError(
-        f"unknown mesh.scheme '{name}'{nearest(str(name), NAMES)};"
-        f" schemes are hermite-simpson and radau-1 to radau-{MAX_DEGREE}"
-    )
+    if name not in NAMES:
+        raise ProblemError(
+            f"unknown mesh.scheme '{name}'{nearest(str(name), NAMES)}; schemes are {', '.join(NAMES[:4])},"
+            f" radau-1 to radau-{MAX_DEGREE} and gauss-1 to gauss-{MAX_DEGREE}"
+        )
+    if effort not in EFFORTS:
+        raise ProblemError(
+            f"unknown mesh.effort '{effort}'{nearest(str(effort), EFFORTS)}; efforts are {', '.join(EFFORTS)}"
+        )
+    family = name.removesuffix("-consistent")
+    if family in LOBATTO:
+        return _build(name, np.array(LOBATTO[family]), effort, consistent=name != family)
+    family, degree = name.split("-")
+    points = ca.collocation_points(int(degree), {"radau": "radau", "gauss": "legendre"}[family])
+    return _build(name, np.array(points), effort, consistent=True)
 
 
-def _build(name: str, nodes: np.ndarray) -> Scheme:
+def _build(name: str, nodes: np.ndarray, effort: str, *, consistent: bool) -> Scheme:
     m = len(nodes)
-    basis = bernstein_matrix(m - 1, nodes)
-    to_acceleration = np.linalg.inv(basis)
-    to_velocity = bernstein_integral(m - 1) @ to_acceleration
-    to_position = bernstein_integral(m) @ to_velocity
+    to_velocity = bernstein_integral(m - 1) @ np.linalg.inv(bernstein_matrix(m - 1, nodes))
+    velocity = bernstein_matrix(m, nodes) @ to_velocity
+    # In first-order form the position integrates the polynomial through the nodal velocities.
+    to_position = bernstein_integral(m) @ to_velocity if consistent else to_velocity @ velocity
     return Scheme(
         name=name,
         nodes=nodes,
-        velocity=bernstein_matrix(m, nodes) @ to_velocity,
-        position=bernstein_matrix(m + 1, nodes) @ to_position,
+        velocity=velocity,
+        position=bernstein_matrix(len(to_position) - 1, nodes) @ to_position,
         velocity_end=to_velocity[-1].copy(),
         position_end=to_position[-1].copy(),
         weights=to_velocity[-1].copy(),
-        effort_at=basis,
-        acceleration_coefficients=to_acceleration,
+        effort_at=bernstein_matrix(min(EFFORTS[effort], m - 1), nodes),
         velocity_coefficients=to_velocity,
         position_coefficients=to_position,
     )

@@ -26,7 +26,7 @@ class Solution:
     solve_s: float
 
 
-def solve(transcribed: Transcribed, *, warm: bool = False) -> Solution:
+def solve(transcribed: Transcribed, *, warm: bool = False, max_time_s: float = 600.0) -> Solution:
     """Return the solver's answer; never raises for a problem that has none."""
     begin = time.perf_counter()
     functions = transcribed.program.functions
@@ -37,12 +37,16 @@ def solve(transcribed: Transcribed, *, warm: bool = False) -> Solution:
         "ipopt.tol": TOLERANCE,
         "ipopt.constr_viol_tol": TOLERANCE,
         "ipopt.max_iter": MAX_ITERATIONS,
+        "ipopt.max_wall_time": max_time_s,
         # Limits are promises: IPOPT may not relax them by its customary 1e-8.
         "ipopt.bound_relax_factor": 0.0,
         "ipopt.honor_original_bounds": "yes",
         "grad_f": functions["grad_f"],
         "jac_g": functions["jac_g"],
         "hess_lag": functions["hess_lag"],
+        # Derivatives are all given; CasADi is not to look for more of them through compiled functions.
+        "no_nlp_grad": True,
+        "calc_lam_p": False,
     }
     if warm:
         options |= {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}

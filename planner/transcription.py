@@ -8,10 +8,13 @@ import scipy.sparse as sp
 
 from models.along import needed_effort
 from models.mechanism import Mechanism
+from planner.compiled import cached, compiled, key_of
 from planner.guess import Guess, poses_along
+from planner.interval import SMOOTHING, IntervalFunctions, IntervalRows, Layout, build_interval
+from planner.mechanics import Scales, mechanism_system
 from planner.mesh import Mesh
 from planner.problem import PlanningProblem
-from planner.program import Layout, LocalProblem, Program, Scales, build_local, build_program
+from planner.program import Program, build_program
 from planner.schemes import Scheme, scheme
 from planner.trajectory import Trajectory
 
@@ -21,6 +24,8 @@ _SHORTEST_SEGMENT = 0.02
 _CUT_ROOM = 2.0
 # Efforts stay this share inside their limits, so that no rounding in evaluating the polynomial carries them outside.
 _ROUNDING = 4e-15
+# From this many intervals on, compiling (about a second) costs less than a dozen interpreted iterations.
+_WORTH_COMPILING = 400
 # Share of a limit that a guessed effort may use: interior-point methods want room.
 _GUESS_ROOM = 0.95
 
@@ -98,16 +103,25 @@ def transcribe(
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
     """
     begin = time.perf_counter()
-    mechanism, chosen = problem.mechanism, scheme(problem.mesh.scheme)
+    mechanism, chosen = problem.mechanism, scheme(problem.mesh.scheme, problem.mesh.effort)
     scales = scales or choose_scales(problem, guess)
     objective = "none" if least_limit or problem.objective == "time" else problem.objective
-    speed_joints = tuple(int(i) for i in range(mechanism.n_q) if np.any(np.isfinite(problem.limits.speed[i])))
-    local = build_local(mechanism, chosen, objective, speed_joints, position_rows)
+    speed_limited = [i for i in range(mechanism.n_q) if np.any(np.isfinite(problem.limits.speed[i]))]
+    speed_columns = tuple(k for k, i in enumerate(mechanism.independent) if i in speed_limited)
+    speed_joints = tuple(i for i in speed_limited if i not in mechanism.independent)
+    rows = IntervalRows(
+        effort_weight=tuple((scales.effort / scales.effort.max()) ** 2) if objective == "effort" else (),
+        rate_weight=SMOOTHING if objective == "tracking" else 0.0,
+        speed_columns=speed_columns,
+        position_rows=position_rows,
+    )
+    interval = _interval(problem, chosen, rows, objective == "tracking", speed_joints, mesh.n_intervals)
     layout = Layout(
         n_s=mechanism.dof,
         n_z=mechanism.n_q - mechanism.dof,
         n_u=mechanism.n_u,
         n_nodes=chosen.n_nodes,
+        n_effort=chosen.effort_at.shape[1],
         n_intervals=mesh.n_intervals,
         n_segments=mesh.n_segments,
         n_extra=int(least_limit),
@@ -118,13 +132,13 @@ def transcribe(
     cost[layout.extra()] = 1.0
     if problem.objective == "time" and not least_limit:
         cost[layout.durations()] = 1.0
-    program = build_program(layout, mesh, local, linear, cost)
+    program = build_program(layout, mesh, interval, linear, cost)
     lower, upper = _bounds(problem, layout, durations, scales, limit)
     if pinned is not None:
-        held = np.repeat((pinned / scales.effort)[mesh.segment][:, None, :], chosen.n_nodes, axis=1)
+        held = np.repeat((pinned / scales.effort)[mesh.segment][:, None, :], layout.effort_coefficients, axis=1)
         place = layout.effort()[~np.isnan(held)]
         lower[place] = upper[place] = held[~np.isnan(held)]
-    row_lower, row_upper = _row_bounds(problem, local, layout, speed_joints, scales)
+    row_lower, row_upper = _row_bounds(problem, interval, layout, speed_columns, speed_joints, scales)
     breaks = mesh.breaks(durations)
     return Transcribed(
         program=program,
@@ -141,6 +155,21 @@ def transcribe(
         periodic=problem.motion.kind == "periodic",
         build_s=time.perf_counter() - begin,
     )
+
+
+def _interval(problem, chosen: Scheme, rows: IntervalRows, tracking: bool, speed_joints, n_intervals) -> IntervalFunctions:
+    """Return the functions of one interval: compiled ones where they are wanted or at hand."""
+    mechanism, mode = problem.mechanism, problem.solver.compile
+
+    def build() -> IntervalFunctions:
+        return build_interval(mechanism_system(mechanism, tracking, speed_joints), chosen, rows)
+
+    if mode == "never":
+        return build()
+    key = key_of(mechanism.fingerprint(), chosen.name, chosen.effort_at, repr(rows), tracking, speed_joints)
+    if mode == "always" or n_intervals >= _WORTH_COMPILING:
+        return compiled(key, build)
+    return cached(key) or build()
 
 
 def _objective_scale(problem: PlanningProblem, scales: Scales) -> float:
@@ -163,7 +192,7 @@ def _linear_rows(problem: PlanningProblem, layout: Layout, durations: np.ndarray
         ends = np.stack([layout.state(layout.n_intervals), layout.state(0)], axis=1)
         blocks.append((ends, np.hstack([ones, -ones]), 0.0, 0.0))
     effort = layout.effort()
-    if problem.objective == "tracking" and layout.n_nodes > 1:
+    if problem.objective == "tracking" and layout.effort_coefficients > 1:
         following = effort[(np.arange(layout.n_intervals) + 1) % layout.n_intervals, 0]
         pairs = np.stack([effort[:, -1], following], axis=-1)[: None if periodic else -1].reshape(-1, 2)
         blocks.append((pairs, np.tile([1.0, -1.0], (len(pairs), 1)), 0.0, 0.0))
@@ -232,19 +261,22 @@ def _bounds(problem: PlanningProblem, layout: Layout, durations: np.ndarray, sca
     return lower, upper
 
 
-def _row_bounds(problem, local: LocalProblem, layout: Layout, speed_joints, scales: Scales):
-    m = layout.n_nodes
-    lower, upper = np.zeros(local.n_constraints), np.zeros(local.n_constraints)
-    row = local.row_kinds.index("speed") if "speed" in local.row_kinds else None
-    for joint in speed_joints:
-        count = m + 1 if joint in problem.mechanism.independent else m
-        lower[row : row + count], upper[row : row + count] = problem.limits.speed[joint]
-        row += count
-    if "position" in local.row_kinds:
-        row = local.row_kinds.index("position")
-        for column, joint in enumerate(problem.mechanism.independent):
-            place = slice(row + column * (m + 2), row + (column + 1) * (m + 2))
-            lower[place], upper[place] = problem.limits.position[joint] / scales.position[column]
+def _row_bounds(problem, interval: IntervalFunctions, layout: Layout, speed_columns, speed_joints, scales: Scales):
+    """Return the bounds of an interval's rows, repeated over the intervals: its own, then each node's."""
+    lower, upper = np.zeros(interval.n_own), np.zeros(interval.n_own)
+    speed, position = problem.limits.speed, problem.limits.position
+    independent = problem.mechanism.independent
+    own = {kind: np.flatnonzero([k == kind for k in interval.own_kinds]) for kind in ("speed", "position")}
+    for place, column in zip(np.array_split(own["speed"], max(1, len(speed_columns))), speed_columns, strict=False):
+        lower[place], upper[place] = speed[independent[column]] * scales.time_s / scales.position[column]
+    for place, column in zip(np.array_split(own["position"], layout.n_s), range(layout.n_s), strict=True):
+        if len(place):
+            lower[place], upper[place] = position[independent[column]] / scales.position[column]
+    of_path = speed[list(speed_joints)].reshape(-1, 2)
+    node_lower = np.concatenate([np.zeros(interval.n_equations), of_path[:, 0]])
+    node_upper = np.concatenate([np.zeros(interval.n_equations), of_path[:, 1]])
+    lower = np.concatenate([lower, np.tile(node_lower, interval.n_nodes)])
+    upper = np.concatenate([upper, np.tile(node_upper, interval.n_nodes)])
     return np.tile(lower, layout.n_intervals), np.tile(upper, layout.n_intervals)
 
 
@@ -256,8 +288,8 @@ def _parameters(problem, chosen: Scheme, mesh: Mesh, breaks: np.ndarray, scales:
         reference = problem.reference.derivative(times.ravel()).reshape(n, m, -1) / scales.position
     else:
         reference = np.zeros((n, m, problem.mechanism.dof))
-    rows = [mesh.fraction[:, None], reference.reshape(n, -1), np.tile(scales.vector(), (n, 1))]
-    return np.hstack(rows).ravel()
+    theta = np.concatenate([reference, np.broadcast_to(scales.vector(), (n, m, len(scales.vector())))], axis=2)
+    return np.hstack([mesh.fraction[:, None], theta.reshape(n, -1)]).ravel()
 
 
 def _start(mechanism: Mechanism, guess: Guess, chosen, layout: Layout, breaks, durations, scales, limit) -> np.ndarray:
@@ -280,7 +312,7 @@ def _start(mechanism: Mechanism, guess: Guess, chosen, layout: Layout, breaks, d
         if guess.effort is not None
         else needed_effort(mechanism, poses, guess.velocity(times), acceleration)[0]
     )
-    coefficients = np.einsum("ij,kju->kiu", np.linalg.inv(chosen.effort_at), effort.reshape(n, m, -1))
+    coefficients = np.einsum("ij,kju->kiu", np.linalg.pinv(chosen.effort_at), effort.reshape(n, m, -1))
     x[layout.durations()] = np.asarray(durations) / scales.time_s
     if layout.n_extra:
         x[layout.effort()] = coefficients / scales.effort
@@ -304,8 +336,8 @@ def trajectory_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) ->
     s = states[:-1, : layout.n_s] * scales.position
     v = states[:-1, layout.n_s :] * scales.position / scales.time_s
     a = x[layout.acceleration()] * scales.position / scales.time_s**2
-    m = chosen.n_nodes
-    tau = (np.arange(m + 2) / (m + 1))[:, None, None]
+    degree = len(chosen.position_coefficients) - 1
+    tau = (np.arange(degree + 1) / degree)[:, None, None]
     velocity = v + h * np.einsum("pj,kjs->pks", chosen.velocity_coefficients, a)
     position = s + tau * h * v + h**2 * np.einsum("pj,kjs->pks", chosen.position_coefficients, a)
     inside = _ROUNDING * np.abs(limit)

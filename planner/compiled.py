@@ -1,0 +1,134 @@
+"""Compiled interval functions: C made by CasADi, built by the machine's compiler, kept by the hash of what went in.
+
+CasADi's interpreter takes about ten times as long on these functions as compiled code. The functions are small (one node,
+one interval) and serve a mesh of any size, so that one compilation of a second or so serves every later solve of the same
+mechanism, transcription and objective. A cached result is found before anything is built: the key hashes the model, the
+choices, the sources that write the functions, CasADi and the compiler. Files are moved into place whole, so that processes
+in parallel at worst compile the same thing twice. Where there is no compiler, the interpreter serves.
+"""
+
+import contextlib
+import functools
+import hashlib
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import tempfile
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+
+from models import mechanism
+from models.errors import one_line
+from planner import interval as interval_module
+from planner.interval import NAMES, IntervalFunctions
+
+_FLAGS = ("-O2", "-fPIC", "-shared")
+# A compiler that hangs must not hang the planner; these functions take seconds.
+_TIMEOUT_S = 120
+# The packages whose sources write the functions.
+_SOURCES = (Path(mechanism.__file__).parent, Path(interval_module.__file__).parent)
+
+
+def cache_folder() -> Path:
+    """Return the folder of compiled functions: $LINKPLAN_CACHE, or linkplan in the user's cache folder."""
+    own = os.environ.get("LINKPLAN_CACHE")
+    if own:
+        return Path(own)
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "linkplan"
+
+
+@functools.cache
+def compiler() -> tuple[str, ...] | None:
+    """Return the command of the C compiler ($CC, cc, gcc or clang), or None where there is none."""
+    wanted = os.environ.get("CC")
+    for candidate in [wanted] if wanted else ["cc", "gcc", "clang"]:
+        words = shlex.split(candidate)
+        if words and shutil.which(words[0]):
+            return tuple(words)
+    return None
+
+
+@functools.cache
+def _common_key() -> bytes:
+    """Return the hash of what every compiled function depends on: sources, CasADi, the compiler and its flags."""
+    digest = hashlib.sha256()
+    for folder in _SOURCES:
+        for path in sorted(folder.glob("*.py")):
+            digest.update(path.read_bytes())
+    command = compiler() or ()
+    version = b""
+    if command:
+        with contextlib.suppress(OSError, subprocess.SubprocessError):
+            version = subprocess.run([*command, "--version"], capture_output=True, timeout=10, check=False).stdout
+    digest.update(repr((ca.__version__, command, _FLAGS, os.uname().machine if hasattr(os, "uname") else "")).encode())
+    digest.update(version)
+    return digest.digest()
+
+
+def key_of(*contents: object) -> str:
+    """Return the cache key of functions made from `contents`: bytes, arrays, or values with a faithful repr."""
+    digest = hashlib.sha256(_common_key())
+    for content in contents:
+        data = content if isinstance(content, bytes) else content.tobytes() if isinstance(content, np.ndarray) else None
+        digest.update(data if data is not None else repr(content).encode())
+        digest.update(b"\0")
+    return f"k{digest.hexdigest()[:32]}"  # a letter first: CasADi makes an identifier of it
+
+
+def cached(key: str) -> IntervalFunctions | None:
+    """Return the compiled functions kept under a key, or None where there are none that can be loaded."""
+    folder = cache_folder()
+    try:
+        said = json.loads((folder / f"{key}.json").read_text(encoding="utf-8"))
+        functions = {name: ca.external(name, str(folder / f"{key}.so")) for name in NAMES}
+        patterns = {name: tuple(np.array(part, dtype=int) for part in said.pop(name)) for name in _PATTERNS}
+        return IntervalFunctions(
+            **functions, **patterns, weights=np.array(said.pop("weights")), own_kinds=tuple(said.pop("own_kinds")), **said
+        )
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError):
+        return None
+
+
+_PATTERNS = ("jacobian_pattern", "hessian_pattern")
+
+
+def compiled(key: str, build: Callable[[], IntervalFunctions]) -> IntervalFunctions:
+    """Return functions from the cache, or built and compiled now, or built and interpreted where that cannot be done."""
+    found = cached(key)
+    if found is not None:
+        return found
+    functions = build()
+    if compiler() is None:
+        return functions
+    folder = cache_folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder) as work:
+            _compile(functions, Path(work), key)
+            os.replace(Path(work) / f"{key}.so", folder / f"{key}.so")
+            os.replace(Path(work) / f"{key}.json", folder / f"{key}.json")
+        return replace(functions, **{name: ca.external(name, str(folder / f"{key}.so")) for name in NAMES})
+    except (OSError, subprocess.SubprocessError, RuntimeError) as error:
+        # A full disk or a broken compiler costs speed and nothing else, but it is said.
+        warnings.warn(f"functions are interpreted, compiling them failed: {one_line(error)}", RuntimeWarning, stacklevel=2)
+        return functions
+
+
+def _compile(functions: IntervalFunctions, work: Path, key: str) -> None:
+    generator = ca.CodeGenerator(f"{key}.c")
+    for name in NAMES:
+        generator.add(getattr(functions, name))
+    generator.generate(f"{work}{os.sep}")
+    command = [*(compiler() or ()), *_FLAGS, f"{key}.c", "-o", f"{key}.so", "-lm"]
+    subprocess.run(command, cwd=work, capture_output=True, timeout=_TIMEOUT_S, check=True)
+    said = {name: [part.tolist() for part in getattr(functions, name)] for name in _PATTERNS}
+    said |= {name: getattr(functions, name) for name in ("n_own", "n_equations", "n_path", "n_nodes")}
+    said |= {"weights": functions.weights.tolist(), "own_kinds": list(functions.own_kinds)}
+    (work / f"{key}.json").write_text(json.dumps(said), encoding="utf-8")

@@ -1,0 +1,67 @@
+"""What is to hold at one instant: the continuous problem as functions of a node's unknowns.
+
+A node is (s, v, a, x, r, z, u): positions, velocities and accelerations of second-order coordinates, states x of first-order
+equations with their rates r, algebraic unknowns z, efforts u. A system says which equations and which bounded quantities
+belong to it and what it costs; it knows nothing of meshes. Mechanisms make one kind of system, a user's own differential
+equation another, and the transcription serves both.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class System:
+    """Equations, bounded quantities and running cost at a node, all scaled to order one.
+
+    `node` maps (xi, theta) to a column [equations (n_equations,); path quantities (n_path,); running cost], where xi
+    (n_xi,) stacks a node's scaled unknowns and theta (n_theta,) its parameters.
+    """
+
+    n_s: int
+    n_x: int
+    n_z: int
+    n_u: int
+    node: ca.Function
+    n_equations: int
+    n_path: int
+
+    @property
+    def n_xi(self) -> int:
+        """The number of a node's unknowns."""
+        return 3 * self.n_s + 2 * self.n_x + self.n_z + self.n_u
+
+    @property
+    def n_theta(self) -> int:
+        """The number of a node's parameters."""
+        return int(self.node.size1_in(1))
+
+    @property
+    def n_state(self) -> int:
+        """The number of states that an interval hands to the next: s, v and x."""
+        return 2 * self.n_s + self.n_x
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class NodeSymbols:
+    """A node's unknowns as symbols, and the column that stacks them."""
+
+    s: ca.SX
+    v: ca.SX
+    a: ca.SX
+    x: ca.SX
+    r: ca.SX
+    z: ca.SX
+    u: ca.SX
+
+    @property
+    def stacked(self) -> ca.SX:
+        """The unknowns in the order of xi."""
+        return ca.vertcat(self.s, self.v, self.a, self.x, self.r, self.z, self.u)
+
+
+def node_symbols(n_s: int, n_x: int, n_z: int, n_u: int) -> NodeSymbols:
+    """Return fresh symbols for a node's unknowns."""
+    sizes = {"s": n_s, "v": n_s, "a": n_s, "x": n_x, "r": n_x, "z": n_z, "u": n_u}
+    return NodeSymbols(**{name: ca.SX.sym(name, size) for name, size in sizes.items()})
