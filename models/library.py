@@ -43,12 +43,16 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     if text.lstrip().startswith("<"):
         spec = _parse("MJCF text", text)
         return spec.modelname or "MJCF text", spec
-    path = Path(text)
-    if path.is_dir():
+    path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."
+    try:
+        is_folder, is_file = path.is_dir(), path.is_file()
+    except (OSError, ValueError):  # a name that no file can have
+        is_folder = is_file = False
+    if is_folder:
         raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
-    if not path.is_file():
+    if not is_file:
         raise ModelError(
-            f"unknown model '{text}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
+            f"unknown model '{shown}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
         )
     try:
         content = path.read_bytes()
