@@ -20,6 +20,22 @@ def built_in_text(name: str) -> str:
     return resources.files("models").joinpath("mjcf").joinpath(f"{name}.xml").read_text(encoding="utf-8")
 
 
+def is_file(path: Path) -> bool:
+    """Return whether a path is a file; False for a name that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether a path is a folder; False for a name that no folder can have."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[str, mujoco.MjModel]:
     """Return a model's name and its compiled form, the payload welded on.
 
@@ -44,13 +60,9 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
         spec = _parse("MJCF text", text)
         return spec.modelname or "MJCF text", spec
     path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."
-    try:
-        is_folder, is_file = path.is_dir(), path.is_file()
-    except (OSError, ValueError):  # a name that no file can have
-        is_folder = is_file = False
-    if is_folder:
+    if is_folder(path):
         raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
-    if not is_file:
+    if not is_file(path):
         raise ModelError(
             f"unknown model '{shown}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
         )

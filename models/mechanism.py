@@ -1,5 +1,6 @@
 """A closed-chain mechanism: a MuJoCo model, its joints, closures and actuators, and its reduced dynamics."""
 
+import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ from models.tree import HINGE, SLIDE, build_tree
 HOME_TOLERANCE = np.radians(5.0)
 # No joint is asked to stand further out than this [rad or m].
 _FARTHEST = 1e3
-# A step [rad or m] from the home pose to look whether it is an ordinary one.
+# A step from the home pose to look whether it is an ordinary one [rad; on a slide, of the model's extent].
 _HOME_STEP = 0.02
 
 
@@ -152,7 +153,7 @@ def load_mechanism(
     actuated = list(dict.fromkeys(actuator.joint for actuator in actuators))
     dependent = dependent_columns(jacobian[rows], rank, last=actuated)
     independent = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
-    _refuse_singular_home(name, joints, loop, pose, rank, independent)
+    _refuse_singular_home(name, joints, loop, pose, rank, independent, float(model.stat.extent))
     dynamics = reduce_tree(tree, phi, _effort_matrix(len(joints), actuators), rows, independent, dependent)
 
     mechanism = Mechanism(
@@ -215,7 +216,7 @@ def _asked_home(name: str, joints: tuple[Joint, ...], home: Mapping[str, float] 
             raise ModelError(
                 f"joint '{joint}' is not in mechanism '{name}'{nearest(joint, names)}; joints are {', '.join(names)}"
             )
-        number = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
+        number = isinstance(value, numbers.Real) and not isinstance(value, bool)
         if not number or not abs(value) < _FARTHEST:
             raise ModelError(f"home of joint '{joint}' is a finite position within {_FARTHEST:g} rad or m, got {value!r}")
         asked[names.index(joint)] = float(value)
@@ -279,7 +280,7 @@ def _turned(joints, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
     return turned
 
 
-def _refuse_singular_home(name, joints, loop: ca.Function, pose: np.ndarray, rank: int, independent) -> None:
+def _refuse_singular_home(name, joints, loop: ca.Function, pose, rank: int, independent, extent: float) -> None:
     """Refuse a home pose where the rank is not that of its neighbours, or from which nothing can move.
 
     A parallelogram drawn flat, or a truss of three bars in a line, shows fewer independent rows there than it has.
@@ -291,9 +292,10 @@ def _refuse_singular_home(name, joints, loop: ca.Function, pose: np.ndarray, ran
 
     for index in independent:
         moved = False
-        for step in (_HOME_STEP, -_HOME_STEP):
+        step = _HOME_STEP * (1.0 if joints[index].kind == "hinge" else extent)
+        for change in (step, -step):
             trial = np.array(pose)
-            trial[index] += step
+            trial[index] += change
             held = [int(i) for i in independent]
             neighbour, gap = newton.close(residual, trial, [i for i in range(len(joints)) if i not in held])
             if gap > newton.CLOSED_M:

@@ -1,5 +1,6 @@
 """A rigid payload welded to a body of a model: mass, centre of mass, inertia."""
 
+import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -40,7 +41,7 @@ class Payload:
                 raise ModelError(f"payload.{name} is three finite numbers, got {getattr(self, name)!r}")
             value.flags.writeable = False
             object.__setattr__(self, name, value)
-        number = isinstance(self.mass_kg, int | float | np.floating) and not isinstance(self.mass_kg, bool)
+        number = isinstance(self.mass_kg, numbers.Real) and not isinstance(self.mass_kg, bool)
         if not number or not 0 < self.mass_kg < _LARGEST:
             raise ModelError(f"payload.mass_kg is a positive number, got {self.mass_kg!r}")
         if np.abs([*self.com_m, *self.inertia_kgm2]).max() > _LARGEST:

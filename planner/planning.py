@@ -119,6 +119,17 @@ def _plain_contradiction(problem: PlanningProblem) -> str | None:
                     f"infeasible: motion.{name} of joint {joint.name} is {joint.shown(value[column]):.4g} {joint.unit}/s,"
                     f" beyond its speed limit of {joint.shown(high if value[column] > 0 else low):.4g} {joint.unit}/s"
                 )
+    for name in ("start", "goal"):
+        if getattr(motion, name) is None:
+            continue
+        pose = close_at(mechanism, getattr(motion, name))
+        for joint, x, (low, high) in zip(mechanism.joints, pose, limits.position, strict=True):
+            if not low <= x <= high:
+                return (
+                    f"infeasible: joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at the {name},"
+                    f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
+                    f" {joint.shown(min(max(x, low), high)):.4g}"
+                )
     if motion.kind == "reach" and motion.duration_s is not None:
         for column, joint in enumerate(mechanism.independent_joints):
             mean = (motion.goal[column] - motion.start[column]) / motion.duration_s
@@ -296,17 +307,10 @@ def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: 
     say("no motion found; looking for the limit that forbids one")
     least = least_limit(problem, guess, mesh, durations)
     if least is not None and least.factor <= 1.0:
-        found = _solve(
-            problem,
-            motion_of(least.trajectory),
-            mesh,
-            np.array([least.trajectory.duration_s]),
-            "start from the motion of least peak effort",
-            history,
-            say,
-        )
+        start, what = motion_of(least.trajectory), "start from the motion of least peak effort"
+        found = _solve(problem, start, least.mesh, least.durations, what, history, say)
         if found is not None:
-            return _certified(problem, found, mesh, history, say)
+            return _certified(problem, found, least.mesh, history, say)
     if least is not None and least.factor > 1.0:
         sentence, details = effort_sentence(problem, least)
         return Plan(
@@ -320,9 +324,7 @@ def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: 
         relaxed = replace(problem, limits=without(problem.limits, what))
         found = _solve(relaxed, guess, mesh, durations, f"without limits on {what}", history, say)
         if found is not None:
-            trajectory = found[0]
-            poses = follow(problem.mechanism, trajectory.position_at(trajectory.dense_times(8)), trajectory.start_pose)
-            sentence = overrun_sentence(problem, trajectory, poses, what)
+            sentence = _overrun(problem, found[0], what)
             if sentence is not None:
                 return Plan(problem=problem, status="infeasible", message=f"infeasible: {sentence}", history=tuple(history))
     status = history[-1].solver_status if history else "nothing tried"
@@ -332,6 +334,15 @@ def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: 
         message=f"failed: the solver found neither a motion nor a limit that forbids one ({status})",
         history=tuple(history),
     )
+
+
+def _overrun(problem: PlanningProblem, trajectory: Trajectory, what: str) -> str | None:
+    """Return the sentence on what a motion without limits on "speed" or "position" overruns, or None."""
+    try:
+        poses = follow(problem.mechanism, trajectory.position_at(trajectory.dense_times(8)), trajectory.start_pose)
+    except AssemblyError:
+        return None
+    return overrun_sentence(problem, trajectory, poses, what)
 
 
 def _shortest(problem: PlanningProblem, details: dict[str, float], say: Say) -> str:

@@ -121,6 +121,8 @@ class PlanningProblem:
             )
         if motion.kind == "reach" and (motion.start is None or motion.goal is None):
             raise ProblemError("motion.kind 'reach' needs motion.start_deg and motion.goal_deg")
+        if self.objective == "time" and not np.all(np.isfinite(self.limits.effort)):
+            raise ProblemError("objective.minimize 'time' needs finite limits.effort: without them no time is the least")
         if self.objective == "tracking" and self.reference is None:
             raise ProblemError("objective.minimize 'tracking' needs a [reference]")
         if motion.kind == "track" and self.reference is None:

@@ -62,6 +62,16 @@ class Scheme:
             abs(self.weights.sum() - 1) < tolerance,
             abs(self.position_end.sum() - 0.5) < tolerance,
             np.allclose(self.effort_at.sum(axis=1), 1, atol=tolerance),
+            np.allclose(bernstein_matrix(m, self.nodes) @ self.velocity_coefficients, self.velocity, atol=tolerance),
+            np.allclose(self.velocity_coefficients[-1], self.velocity_end, atol=tolerance),
+            np.allclose(self.velocity_coefficients[-1], self.weights, atol=tolerance),
+            np.allclose(
+                bernstein_matrix(len(self.position_coefficients) - 1, self.nodes) @ self.position_coefficients,
+                self.position,
+                atol=tolerance,
+            ),
+            np.allclose(self.position_coefficients[-1], self.position_end, atol=tolerance),
+            np.allclose(np.diff(self.velocity_coefficients, axis=0) * m, self.acceleration_coefficients, atol=1e-6),
         )
         if not all(checks):
             raise ValueError(f"scheme '{self.name}' is inconsistent: {checks}")
@@ -76,13 +86,19 @@ class Scheme:
         return len(self.nodes)
 
 
-@cache
 def scheme(name: str) -> Scheme:
     """Return the transcription called `name`: "hermite-simpson", or "radau-1" to "radau-9".
 
     Raises:
         ProblemError: for any other name.
     """
+    if not isinstance(name, str):
+        raise ProblemError(f"mesh.scheme is hermite-simpson or radau-1 to radau-{MAX_DEGREE}, got {name!r}")
+    return _scheme(name)
+
+
+@cache
+def _scheme(name: str) -> Scheme:
     if name == "hermite-simpson":
         return _build(name, np.array([0.0, 0.5, 1.0]))
     match = re.fullmatch(r"radau-(\d+)", str(name))

@@ -1,5 +1,7 @@
 """Where a least-time motion switches: cuts for a mesh whose segments then settle on them."""
 
+import itertools
+
 import numpy as np
 
 from planner.trajectory import Trajectory
@@ -53,7 +55,7 @@ def pinned_efforts(trajectory: Trajectory, limit: np.ndarray, cuts: np.ndarray) 
     """
     ends = np.concatenate([trajectory.breaks_s[:1], cuts, trajectory.breaks_s[-1:]])
     pinned = np.full((len(ends) - 1, trajectory.n_u), np.nan)
-    for k, (begin, end) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
+    for k, (begin, end) in enumerate(itertools.pairwise(ends)):
         effort = trajectory.effort_at(begin + np.linspace(0.15, 0.85, 50) * (end - begin))
         for j, (low, high) in enumerate(limit):
             slack = _AT_LIMIT * (high - low) if np.isfinite(high - low) else 0.0

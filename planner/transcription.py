@@ -113,17 +113,18 @@ def transcribe(
         n_extra=int(least_limit),
     )
     limit = problem.limits.effort if effort_limit is None else effort_limit
-    linear, linear_lower, linear_upper = _linear_rows(problem, layout, durations, scales, limit)
+    # (n_intervals, n_coefficients, n_u) of what is held where, NaN where nothing is
+    held = None if pinned is None else np.repeat(pinned[mesh.segment][:, None, :], chosen.n_nodes, axis=1)
+    linear, linear_lower, linear_upper = _linear_rows(problem, layout, durations, scales, limit, held)
     cost = np.zeros(layout.size)
     cost[layout.extra()] = 1.0
     if problem.objective == "time" and not least_limit:
         cost[layout.durations()] = 1.0
     program = build_program(layout, mesh, local, linear, cost)
     lower, upper = _bounds(problem, layout, durations, scales, limit)
-    if pinned is not None:
-        held = np.repeat((pinned / scales.effort)[mesh.segment][:, None, :], chosen.n_nodes, axis=1)
+    if held is not None and not least_limit:
         place = layout.effort()[~np.isnan(held)]
-        lower[place] = upper[place] = held[~np.isnan(held)]
+        lower[place] = upper[place] = (held / scales.effort)[~np.isnan(held)]
     row_lower, row_upper = _row_bounds(problem, local, layout, speed_joints, scales)
     breaks = mesh.breaks(durations)
     return Transcribed(
@@ -150,7 +151,7 @@ def _objective_scale(problem: PlanningProblem, scales: Scales) -> float:
     return scales.time_s * float(unit) ** 2
 
 
-def _linear_rows(problem: PlanningProblem, layout: Layout, durations: np.ndarray, scales: Scales, limit: np.ndarray):
+def _linear_rows(problem: PlanningProblem, layout: Layout, durations, scales: Scales, limit: np.ndarray, pinned):
     """Return rows (n, size) with their lower and upper values.
 
     A periodic motion's return, an effort without jumps where a reference is tracked, the total duration where cuts move,
@@ -170,6 +171,9 @@ def _linear_rows(problem: PlanningProblem, layout: Layout, durations: np.ndarray
     if layout.n_segments > 1 and problem.motion.duration_s is not None:
         total = float(np.sum(durations)) / scales.time_s
         blocks.append((layout.durations()[None, :], np.ones((1, layout.n_segments)), total, total))
+    elif layout.n_segments > 1 and problem.motion.max_duration_s is not None:
+        longest = problem.motion.max_duration_s / scales.time_s
+        blocks.append((layout.durations()[None, :], np.ones((1, layout.n_segments)), -np.inf, longest))
     if layout.n_extra:
         for j in range(layout.n_u):
             place = effort[:, :, j].reshape(-1, 1)
@@ -177,7 +181,9 @@ def _linear_rows(problem: PlanningProblem, layout: Layout, durations: np.ndarray
             for bound, low, high in ((limit[j, 0], 0.0, np.inf), (limit[j, 1], -np.inf, 0.0)):
                 if np.isfinite(bound):
                     rows = np.tile([1.0, -bound / scales.effort[j]], (len(place), 1))
-                    blocks.append((columns, rows, low, high))
+                    at = np.zeros(len(place), dtype=bool) if pinned is None else pinned[:, :, j].ravel() == bound
+                    blocks.append((columns[~at], rows[~at], low, high))
+                    blocks.append((columns[at], rows[at], 0.0, 0.0))  # held at the limit, whatever its factor
     if not blocks:
         return sp.csr_matrix((0, layout.size)), np.zeros(0), np.zeros(0)
     matrices = []
