@@ -1,9 +1,11 @@
 """Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text."""
 
+import warnings
 from importlib import resources
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from models.errors import ModelError, one_line
 from models.names import nearest
@@ -43,13 +45,22 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
         ModelError: when the source is neither a built-in name, nor a readable file, nor MJCF text; when MuJoCo refuses
             it (with MuJoCo's reason); when the payload's body is not in it.
     """
-    name, spec = _read_spec(source)
+    said: list[str] = []
+    mujoco.set_mju_user_warning(said.append)  # MuJoCo would write them to a log file in the working folder
     try:
+        name, spec = _read_spec(source)
         if payload is not None:
             attach(spec, payload)
-        return name, spec.compile()
+        model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(f"model '{name}' does not compile: {one_line(error)}") from error
+        raise ModelError(f"model '{source}' does not compile: {one_line(error)}") from error
+    finally:
+        mujoco.set_mju_user_warning(None)
+    if any("nan" in text.lower() for text in said) or not np.all(np.isfinite(model.opt.gravity)):
+        raise ModelError(f"model '{name}' holds a number that is none (nan or inf): {one_line(' '.join(said)) or 'gravity'}")
+    for text in said:
+        warnings.warn(f"model '{name}': {one_line(text)}", RuntimeWarning, stacklevel=2)
+    return name, model
 
 
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:

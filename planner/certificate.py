@@ -123,7 +123,9 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     if closure_gap > CLOSURE_M:
         failures.append(f"a loop opens by {closure_gap:.3g} m at t = {worst['closure_gap_m']:.4g} s")
     if not in_deg <= INTEGRATION_DEG or not in_m <= INTEGRATION_M:
-        failures.append(f"the integrated model ends {in_deg:.3g} deg, {in_m:.3g} m from the plan")
+        apart = f"{in_m:.3g} m (allowed: {INTEGRATION_M:g} m)" if in_m > INTEGRATION_M else ""
+        apart = f"{in_deg:.3g} deg (allowed: {INTEGRATION_DEG:g} deg)" if not in_deg <= INTEGRATION_DEG else apart
+        failures.append(f"the integrated model ends {apart} from the plan")
     for what, margin in (("range", position_margin), ("speed limit", speed_margin)):
         for joint, value in zip(mechanism.joints, margin, strict=True):
             if value < -RANGE_SLACK:

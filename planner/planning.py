@@ -21,6 +21,8 @@ from planner.transcription import trajectory_of, transcribe
 
 # Rounds of refinement after the first solve, and the share of the worst interval's error that marks one for halving.
 _ROUNDS = 8
+# A mesh that has grown by this factor without passing will not pass by growing on.
+_MOST = 20
 _MARK = 0.1
 # A solve with cuts at its switches replaces the one before when it is no slower than the error of a mesh without cuts.
 _NO_WORSE = 1e-4
@@ -202,7 +204,7 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
     certificate = _try_certify(problem, trajectory)
     position_rows, kept = False, problem
     for _ in range(_ROUNDS):
-        if certificate is not None and certificate.passed:
+        if (certificate is not None and certificate.passed) or mesh.n_intervals > _MOST * problem.mesh.intervals:
             break
         position_rows = position_rows or certificate is None or bool(np.any(certificate.position_margin < 0))
         error = np.ones(mesh.n_intervals) if certificate is None else certificate.interval_error

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from models.assembly import close_at
+from models.audit import audit
 from models.errors import AssemblyError, ProblemError
 from models.library import is_file
 from models.mechanism import Mechanism, load_mechanism
@@ -78,6 +79,11 @@ def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -
     section = {key: tables.get(key, {}) for key in KEYS}
     mechanism = _mechanism(section["mechanism"], folder)
     tables.setdefault("mechanism", {})["model"] = section["mechanism"]["model"]
+    if mechanism.n_u == 0:
+        raise ProblemError(
+            f"mechanism '{mechanism.name}' has no usable actuator (a motor on a hinge or slide); a plan needs one"
+            + "".join(f"; {item.text}" for item in audit(mechanism.model))
+        )
     kind = _word(section["motion"], "motion.kind", KINDS)
     default = "tracking" if kind == "track" or (kind == "periodic" and section["reference"]) else "effort"
     objective = _word(section["objective"], "objective.minimize", OBJECTIVES, default)

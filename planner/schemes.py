@@ -93,7 +93,7 @@ def scheme(name: str) -> Scheme:
         ProblemError: for any other name.
     """
     if not isinstance(name, str):
-        raise ProblemError(f"mesh.scheme is hermite-simpson or radau-1 to radau-{MAX_DEGREE}, got {name!r}")
+        raise ProblemError(f"mesh.scheme is hermite-simpson or radau-1 to radau-{MAX_DEGREE}, got '{name}'")
     return _scheme(name)
 
 

@@ -25,6 +25,8 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
     text = str(source)
     if text in BUILT_IN:
         return text, tomllib.loads(built_in_text(text)), None
+    if not text.strip():
+        raise ProblemError(f"a problem's name is empty; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
     path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."
     if is_folder(path):
         raise ProblemError(f"problem '{text}' is a folder; a problem is a TOML file or one of {', '.join(BUILT_IN)}")

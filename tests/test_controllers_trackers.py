@@ -60,8 +60,10 @@ def test_a_reference_is_the_trajectory_at_the_control_instants(name):
     reference, trajectory = reference_of(name, PERIOD, 0.4), optimal(name).trajectory
     assert reference.n == 400
     np.testing.assert_allclose(reference.time_s, PERIOD * np.arange(400), rtol=ROUNDING)
-    np.testing.assert_array_equal(reference.position, trajectory.position_at(reference.time_s))
-    np.testing.assert_array_equal(reference.velocity, trajectory.velocity_at(reference.time_s))
+    # What repeats is sampled once; the second cycle's times differ from the first's by the rounding of a long sum.
+    position, velocity = trajectory.position_at(reference.time_s), trajectory.velocity_at(reference.time_s)
+    np.testing.assert_allclose(reference.position, position, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(reference.velocity, velocity, rtol=ROUNDING, atol=ROUNDING * np.abs(velocity).max())
 
 
 def test_a_reference_s_effort_is_the_inverse_dynamics_in_the_middle_of_each_hold():

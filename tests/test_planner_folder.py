@@ -367,9 +367,12 @@ def test_a_folder_of_other_things_is_not_overwritten(tmp_path):
 
 
 @pytest.mark.parametrize("name", RECORDS)
-def test_a_folder_with_any_of_linkplan_s_records_may_be_replaced(name, tmp_path):
+def test_a_result_is_replaced_by_its_own_kind_only(name, tmp_path):
     (tmp_path / name).write_text("{}")
-    check_target(tmp_path)
+    check_target(tmp_path, name)
+    other = next(record for record in RECORDS if record != name)
+    with pytest.raises(PlanFileError, match=rf"another result \({name}\)"):
+        check_target(tmp_path, other)
 
 
 def test_a_file_in_the_way_is_not_overwritten(tmp_path):

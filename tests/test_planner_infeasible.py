@@ -30,7 +30,7 @@ INFEASIBLE = {
     ),
     "an exact reference's speed": (
         ("knee-sine", "limits.speed_deg_s.O=1000"),
-        ["joint O", "1324", "deg/s", "limit of 1000"],
+        ["joint O", "1323.7", "deg/s", "limit of 1000"],
     ),
     "an average speed": (
         ("knee-reach", "limits.speed_deg_s.O=500"),
