@@ -206,8 +206,8 @@ def _integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float) -> tu
     """
     n_q, independent = mechanism.n_q, mechanism.independent
     flow, breaks = mechanism.dynamics.flow, trajectory.breaks_s
-    state = np.concatenate([trajectory.start_pose, trajectory.velocity[0, 0]])
-    state[independent] = trajectory.position[0, 0]
+    start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
+    state = np.concatenate([start, trajectory.velocity[0, 0]])
     n = len(breaks) - 1
     errors, velocity_error = np.zeros((n, mechanism.dof)), 0.0
     for k in range(n):

@@ -192,7 +192,10 @@ def _solve(
     )
     if not solution.converged:
         return None
-    return trajectory_of(transcribed, solution.x, problem.limits.effort), solution
+    try:
+        return trajectory_of(transcribed, solution.x, problem.limits.effort), solution
+    except AssemblyError:  # a start that the solver took to another branch
+        return None
 
 
 def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history: list[Step], say: Say) -> Plan:

@@ -7,6 +7,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.along import needed_effort
+from models.assembly import close_at
 from models.mechanism import Mechanism
 from planner.guess import Guess, poses_along
 from planner.mesh import Mesh
@@ -39,7 +40,8 @@ class Transcribed:
     row_upper: np.ndarray
     start: np.ndarray
     objective_scale: float  # objective = scale * the program's value
-    start_pose: np.ndarray
+    mechanism: Mechanism
+    start_pose: np.ndarray  # closed, near the start
     periodic: bool
     build_s: float  # time that building took [s]
 
@@ -138,6 +140,7 @@ def transcribe(
         row_upper=np.concatenate([row_upper, linear_upper]),
         start=_start(mechanism, guess, chosen, layout, breaks, durations, scales, limit),
         objective_scale=1.0 if least_limit else _objective_scale(problem, scales),
+        mechanism=mechanism,
         start_pose=np.array(guess.start_pose),
         periodic=problem.motion.kind == "periodic",
         build_s=time.perf_counter() - begin,
@@ -321,6 +324,6 @@ def trajectory_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) ->
         position=position,
         velocity=velocity,
         effort=effort.transpose(1, 0, 2),
-        start_pose=transcribed.start_pose,
+        start_pose=close_at(transcribed.mechanism, position[0, 0], transcribed.start_pose),
         periodic=transcribed.periodic,
     )
