@@ -117,7 +117,9 @@ def _advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[n
     share = 1.0
     longest = np.max(np.abs(target - q[independent]) / step_size[independent], initial=0.0)
     if not longest < _MOST_STEPS:
-        raise AssemblyError(f"{_where(mechanism, target)} is further away than any motion of '{mechanism.name}' goes")
+        raise AssemblyError(
+            f"mechanism '{mechanism.name}' does not close at {_where(mechanism, target)}: further away than any motion goes"
+        )
     while True:
         left = target - q[independent]
         longest = np.max(np.abs(left) / step_size[independent], initial=0.0)
