@@ -45,20 +45,22 @@ def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, durati
     A periodic trajectory goes on; any other holds its last position at rest.
     """
     n = max(1, round(duration_s / period_s))
-    time = period_s * np.arange(n)
+    ratio = trajectory.duration_s / period_s
+    cycle = round(ratio) if trajectory.periodic and abs(ratio - round(ratio)) < 1e-6 else None
+    # What repeats is worked out once.
+    once = np.arange(n if cycle is None else min(n, cycle))
+    time, middle = period_s * once, period_s * (once + 0.5)
     position = trajectory.position_at(time)
     pose = follow(mechanism, position, trajectory.start_pose)
-    middle = time + 0.5 * period_s
     pose_middle = follow(mechanism, trajectory.position_at(middle), trajectory.start_pose)
     effort, _ = needed_effort(mechanism, pose_middle, trajectory.velocity_at(middle), trajectory.acceleration_at(middle))
-    ratio = trajectory.duration_s / period_s
-    whole = trajectory.periodic and abs(ratio - round(ratio)) < 1e-6
+    again = np.arange(n) % len(once)
     return SampledReference(
         period_s=period_s,
-        time_s=time,
-        pose=pose,
-        position=position,
-        velocity=trajectory.velocity_at(time),
-        effort=effort,
-        cycle=round(ratio) if whole else None,
+        time_s=period_s * np.arange(n),
+        pose=pose[again],
+        position=position[again],
+        velocity=trajectory.velocity_at(time)[again],
+        effort=effort[again],
+        cycle=cycle,
     )

@@ -119,7 +119,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
     n = reference.n
     poses, velocities = np.empty((n, mechanism.n_q)), np.empty((n, mechanism.dof))
     commanded, applied = np.empty((n, len(actuators))), np.empty((n, len(actuators)))
-    contacts, done = 0, n
+    contacts, done, finite = 0, n, True
     mujoco.set_mju_user_warning(_ignore)  # a blow-up is this function's answer, not a line in a log file
     try:
         for k in range(n):
@@ -127,11 +127,14 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
             commanded[k] = tracker.effort(k, poses[k][independent], velocities[k])
             # Before the first command arrives, the first one acts: the loop is taken to have been at work already.
             applied[k] = np.clip(commanded[max(0, k - loop.delay_periods)], limit[:, 0], limit[:, 1])
+            if not np.all(np.isfinite(applied[k])):  # MuJoCo would take it for zero and go on
+                done, finite = k + 1, False
+                break
             data.ctrl[channels] = applied[k] / gains
             mujoco.mj_step(model, data, substeps)
             contacts = max(contacts, data.ncon)
             if _blew_up(data):
-                done = k + 1
+                done, finite = k + 1, False
                 break
     finally:
         mujoco.set_mju_user_warning(None)
@@ -148,7 +151,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
         applied=applied[kept],
         gap_m=np.linalg.norm(phi, axis=2).max(axis=1, initial=0.0),
         contacts=contacts,
-        finite=done == n,
+        finite=finite,
         effort_limit=np.array(limit),
         conditions=conditions(mechanism, model, reference, loop),
     )

@@ -29,9 +29,17 @@ class Actuator:
 
 
 def is_motor(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether actuator `index` is a pure effort on a hinge or slide: fixed gain, no bias, no dynamics."""
+    """Return whether actuator `index` is a pure effort on a hinge or slide: fixed gain, no bias, no dynamics, no delay.
+
+    One that the model switches off, by itself or by its group, is none.
+    """
+    switched_off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION) or (
+        0 <= int(model.actuator_group[index]) < 31 and model.opt.disableactuator >> int(model.actuator_group[index]) & 1
+    )
     return (
-        int(model.actuator_trntype[index]) in JOINT_TRANSMISSIONS
+        not switched_off
+        and float(model.actuator_delay[index]) == 0.0
+        and int(model.actuator_trntype[index]) in JOINT_TRANSMISSIONS
         and int(model.actuator_gaintype[index]) == int(mujoco.mjtGain.mjGAIN_FIXED)
         and int(model.actuator_biastype[index]) == int(mujoco.mjtBias.mjBIAS_NONE)
         and int(model.actuator_dyntype[index]) == int(mujoco.mjtDyn.mjDYN_NONE)

@@ -17,6 +17,10 @@ from models.newton import CLOSED_M
 _STEP = 0.035  # two degrees [rad]; on a slide, this share of the model's extent
 _MIN_SHARE = 1e-5  # of a step: shorter than this, the path has met a singular pose
 _NEWTON_STEPS = 12
+# A pose further away than this many steps (some 500 turns) is a slip of the pen and not a place to go.
+_MOST_STEPS = 1e5
+# Paths of more samples than this are solved together.
+_FEWEST_AT_ONCE = 20
 
 
 def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
@@ -31,8 +35,13 @@ def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = No
         AssemblyError: naming the joint's position at which the loop opens.
     """
     q = np.array(mechanism.home if start is None else start, dtype=float)
+    path = np.asarray(path, dtype=float)
+    if len(path) > _FEWEST_AT_ONCE:
+        poses = _follow_at_once(mechanism, path, q)
+        if poses is not None:
+            return poses
     poses = np.empty((len(path), mechanism.n_q))
-    for k, s in enumerate(np.asarray(path, dtype=float)):
+    for k, s in enumerate(path):
         q, arrived = _advance(mechanism, q, s)
         if not arrived:
             raise AssemblyError(
@@ -41,6 +50,47 @@ def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = No
             )
         poses[k] = q
     return poses
+
+
+def _follow_at_once(mechanism: Mechanism, path: np.ndarray, q: np.ndarray) -> np.ndarray | None:
+    """Return the poses along a path by Newton on all samples together, or None where that is not beyond doubt.
+
+    Knots are followed one by one; the samples between two knots start from the straight line between them, which at half a
+    step is well within Newton's reach of the same branch.
+    """
+    independent, dependent = mechanism.independent, mechanism.dependent
+    step_size = _step_sizes(mechanism)
+    travelled = np.max(np.abs(np.diff(path, axis=0)) / step_size[independent], axis=1, initial=0.0)
+    at = np.concatenate([[0.0], np.cumsum(travelled)])
+    if not np.isfinite(at[-1]):
+        return None
+    knots = np.unique(np.concatenate([np.searchsorted(at, np.arange(0.0, at[-1], 0.5)), [len(path) - 1]]))
+    if len(knots) > len(path) // 2:
+        return None
+    at_knots = np.empty((len(knots), mechanism.n_q))
+    for row, k in enumerate(knots):
+        q, arrived = _advance(mechanism, q, path[k])
+        if not arrived:
+            return None
+        at_knots[row] = q
+    poses = np.empty((len(path), mechanism.n_q))
+    poses[:, independent] = path
+    for joint in dependent:
+        poses[:, joint] = np.interp(at, at[knots], at_knots[:, joint])
+    predicted = poses[:, dependent].copy()
+    many = mechanism.dynamics.closure_step.map(len(path))
+    for _ in range(_NEWTON_STEPS):
+        phi, steps, _, determinant = (np.array(x) for x in many(poses.T))
+        if not np.all(np.isfinite(steps)):
+            return None
+        poses[:, dependent] += steps.T
+        if np.abs(phi).max(initial=0.0) <= CLOSED_M and np.abs(steps).max(initial=0.0) < 1e-12:
+            break
+    else:
+        return None
+    moved = np.max(np.abs(poses[:, dependent] - predicted) / step_size[dependent], initial=0.0)
+    one_sign = np.all(determinant > 0) or np.all(determinant < 0)
+    return poses if moved < 0.25 and one_sign else None
 
 
 def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
@@ -65,6 +115,11 @@ def _advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[n
     q = np.array(q, dtype=float)
     _, _, gamma, determinant = (np.array(x) for x in mechanism.dynamics.closure_step(q))
     share = 1.0
+    longest = np.max(np.abs(target - q[independent]) / step_size[independent], initial=0.0)
+    if not longest < _MOST_STEPS:
+        raise AssemblyError(
+            f"mechanism '{mechanism.name}' does not close at {_where(mechanism, target)}: further away than any motion goes"
+        )
     while True:
         left = target - q[independent]
         longest = np.max(np.abs(left) / step_size[independent], initial=0.0)

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from models.actuators import is_motor
+from models.tree import JOINT_TRANSMISSIONS
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -54,11 +55,13 @@ def audit(model: mujoco.MjModel) -> tuple[Unhonoured, ...]:
         if is_motor(model, index):
             continue
         name = model.actuator(index).name or f"actuator {index}"
-        idle = int(model.actuator_biastype[index]) == int(mujoco.mjtBias.mjBIAS_NONE)
+        passive = [model.actuator_damping[index], *model.actuator_dampingpoly[index], model.actuator_armature[index]]
+        on_joint = int(model.actuator_trntype[index]) in JOINT_TRANSMISSIONS  # whose passive part the tree carries
+        idle = int(model.actuator_biastype[index]) == int(mujoco.mjtBias.mjBIAS_NONE) and (on_joint or not np.any(passive))
         transmission = mujoco.mjtTrn(int(model.actuator_trntype[index])).name.removeprefix("mjTRN_").lower()
         gain = mujoco.mjtGain(int(model.actuator_gaintype[index])).name.removeprefix("mjGAIN_").lower()
         add(
-            f"actuator {name} ({transmission} transmission, {gain} gain) is not a motor on a joint: plans leave it"
+            f"actuator {name} ({transmission} transmission, {gain} gain) is not a motor at work on a joint: plans leave it"
             f" {'idle at zero control' if idle else 'out, though it acts at zero control too'}",
             falsifies=not idle,
         )

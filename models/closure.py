@@ -36,7 +36,8 @@ def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
         ModelError: for an active equality constraint of another kind than `connect`.
     """
     closures = []
-    disabled = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EQUALITY)
+    off = mujoco.mjtDisableBit.mjDSBL_EQUALITY.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
+    disabled = model.opt.disableflags & off
     for index in range(model.neq):
         if not model.eq_active0[index] or disabled:
             continue
@@ -55,12 +56,14 @@ def equality_name(model: mujoco.MjModel, index: int) -> str:
     name = model.equality(index).name
     if name:
         return name
-    first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-    element = model.site if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE) else model.body
-    try:
-        return f"{element(first).name or first}-{element(second).name or second}"
-    except (KeyError, IndexError):
+    kind = mujoco.mjtEq(int(model.eq_type[index]))
+    elements = {mujoco.mjtEq.mjEQ_JOINT: model.joint, mujoco.mjtEq.mjEQ_TENDON: model.tendon}
+    at_sites = int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE)
+    element = elements.get(kind, model.site if at_sites else model.body)
+    if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD, *elements):
         return f"equality {index}"
+    tied = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
+    return "-".join(element(i).name or str(i) for i in tied)
 
 
 def _connect(model: mujoco.MjModel, tree: Tree, index: int) -> Closure:
@@ -85,8 +88,8 @@ def independent_rows(jacobian: np.ndarray, rank: int) -> np.ndarray:
     """Return the indices (rank,) of rows that span the row space, in file order."""
     if rank == 0:
         return np.zeros(0, dtype=int)
-    _, _, pivots = scipy.linalg.qr(jacobian.T, mode="economic", pivoting=True)
-    return np.sort(pivots[:rank])
+    pivots = scipy.linalg.qr(jacobian.T, mode="economic", pivoting=True)[-1]
+    return np.sort(np.asarray(pivots)[:rank])
 
 
 def dependent_columns(jacobian: np.ndarray, rank: int, last: list[int]) -> np.ndarray:

@@ -4,8 +4,16 @@ A message is one line that says what was asked, what is legal and what was got.
 """
 
 
+def one_line(text: object) -> str:
+    """Return `text` as one line, white space folded."""
+    return " ".join(str(text).split())
+
+
 class LinkplanError(Exception):
-    """Anything that linkplan refuses; its text is one line meant for the user."""
+    """Anything that linkplan refuses; its text is one line meant for the user, whatever was asked."""
+
+    def __init__(self, message: str) -> None:
+        Exception.__init__(self, one_line(message))
 
 
 class ModelError(LinkplanError):
@@ -28,10 +36,5 @@ class InfeasibleError(LinkplanError):
     """Raised by `Plan.require()` on a plan that is not optimal; carries the plan."""
 
     def __init__(self, message: str, plan: object) -> None:
-        Exception.__init__(self, message)
+        LinkplanError.__init__(self, message)
         self.plan = plan
-
-
-def one_line(text: object) -> str:
-    """Return `text` as one line, white space folded."""
-    return " ".join(str(text).split())

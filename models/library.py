@@ -1,9 +1,11 @@
 """Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text."""
 
+import warnings
 from importlib import resources
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from models.errors import ModelError, one_line
 from models.names import nearest
@@ -20,6 +22,22 @@ def built_in_text(name: str) -> str:
     return resources.files("models").joinpath("mjcf").joinpath(f"{name}.xml").read_text(encoding="utf-8")
 
 
+def is_file(path: Path) -> bool:
+    """Return whether a path is a file; False for a name that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether a path is a folder; False for a name that no folder can have."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[str, mujoco.MjModel]:
     """Return a model's name and its compiled form, the payload welded on.
 
@@ -27,13 +45,22 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
         ModelError: when the source is neither a built-in name, nor a readable file, nor MJCF text; when MuJoCo refuses
             it (with MuJoCo's reason); when the payload's body is not in it.
     """
-    name, spec = _read_spec(source)
+    said: list[str] = []
+    mujoco.set_mju_user_warning(said.append)  # MuJoCo would write them to a log file in the working folder
     try:
+        name, spec = _read_spec(source)
         if payload is not None:
             attach(spec, payload)
-        return name, spec.compile()
+        model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(f"model '{name}' does not compile: {one_line(error)}") from error
+        raise ModelError(f"model '{source}' does not compile: {one_line(error)}") from error
+    finally:
+        mujoco.set_mju_user_warning(None)
+    if any("nan" in text.lower() for text in said) or not np.all(np.isfinite(model.opt.gravity)):
+        raise ModelError(f"model '{name}' holds a number that is none (nan or inf): {one_line(' '.join(said)) or 'gravity'}")
+    for text in said:
+        warnings.warn(f"model '{name}': {one_line(text)}", RuntimeWarning, stacklevel=2)
+    return name, model
 
 
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
@@ -43,12 +70,12 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     if text.lstrip().startswith("<"):
         spec = _parse("MJCF text", text)
         return spec.modelname or "MJCF text", spec
-    path = Path(text)
-    if path.is_dir():
+    path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."
+    if is_folder(path):
         raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
-    if not path.is_file():
+    if not is_file(path):
         raise ModelError(
-            f"unknown model '{text}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
+            f"unknown model '{shown}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
         )
     try:
         content = path.read_bytes()

@@ -1,6 +1,7 @@
 """A closed-chain mechanism: a MuJoCo model, its joints, closures and actuators, and its reduced dynamics."""
 
 import hashlib
+import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,10 @@ from models.tree import HINGE, SLIDE, build_tree
 
 # Joint angles named in `home` beside the independent ones choose a branch; the loop may settle this far from them.
 HOME_TOLERANCE = np.radians(5.0)
+# No joint is asked to stand further out than this [rad or m].
+_FARTHEST = 1e3
+# A step from the home pose to look whether it is an ordinary one [rad; on a slide, of the model's extent].
+_HOME_STEP = 0.02
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -158,6 +163,7 @@ def load_mechanism(
     actuated = list(dict.fromkeys(actuator.joint for actuator in actuators))
     dependent = dependent_columns(jacobian[rows], rank, last=actuated)
     independent = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
+    _refuse_singular_home(name, joints, loop, pose, rank, independent, float(model.stat.extent))
     dynamics = reduce_tree(tree, phi, _effort_matrix(len(joints), actuators), rows, independent, dependent)
 
     mechanism = Mechanism(
@@ -220,6 +226,9 @@ def _asked_home(name: str, joints: tuple[Joint, ...], home: Mapping[str, float] 
             raise ModelError(
                 f"joint '{joint}' is not in mechanism '{name}'{nearest(joint, names)}; joints are {', '.join(names)}"
             )
+        number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if not number or not abs(value) < _FARTHEST:
+            raise ModelError(f"home of joint '{joint}' is a finite position within {_FARTHEST:g} rad or m, got {value!r}")
         asked[names.index(joint)] = float(value)
     return asked
 
@@ -236,27 +245,80 @@ def _assemble_home(name, joints, loop: ca.Function, reference: np.ndarray, asked
         return np.array(phi).ravel(), np.array(jacobian).reshape(-1, len(joints))
 
     everything = list(range(len(joints)))
-    reference, gap = newton.close(residual, reference, everything)
+    near, gap = newton.close(residual, reference, everything)
     if not asked:
         if gap > newton.CLOSED_M:
+            gap = min(gap, newton.least_gap(residual, near, everything))
             raise AssemblyError(
                 f"mechanism '{name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm;"
                 " name a pose near a closed one with mechanism.home_deg"
             )
-        return reference
-    start = np.array([asked.get(i, reference[i]) for i in everything])
-    gaps = []
-    # Hold every asked joint; where the loop does not leave them all free, the later ones only choose the branch.
+        return near
+    base = near if gap <= newton.CLOSED_M else reference
+    start = np.array([asked.get(i, base[i]) for i in everything])
+    unnamed = [i for i in everything if i not in asked]
+    poses = []
+    if gap <= newton.CLOSED_M:
+        poses.append(newton.follow(residual, near, asked))
+    # Where more joints are named than the loop leaves free, the first are held and the others choose the branch. Unnamed
+    # joints may start on another branch than the reference's: each is tried all round as well.
+    starts = [start, *(_turned(joints, start, unnamed) if len(asked) > 1 else [])]
     for n_held in range(len(asked), 0, -1):
-        held = dict(list(asked.items())[:n_held])
+        held = list(asked)[:n_held]
         free = [i for i in everything if i not in held]
-        poses = [newton.close(residual, start, free)]
-        if gap <= newton.CLOSED_M and n_held == len(asked):
-            poses.insert(0, newton.follow(residual, reference, held))
-        for pose, open_by in poses:
-            away = max(abs(pose[i] - value) for i, value in asked.items())
-            if open_by <= newton.CLOSED_M and away <= HOME_TOLERANCE:
-                return pose
-            gaps.append(open_by)
+        for trial in starts:
+            guess = newton.close(residual, trial, unnamed)[0] if n_held < len(asked) and unnamed else trial
+            poses.append(newton.close(residual, guess, free))
+            for pose, open_by in poses:
+                away = max(abs(pose[i] - value) for i, value in asked.items())
+                if open_by <= newton.CLOSED_M and away <= HOME_TOLERANCE:
+                    return pose
+            poses.clear()
+    gap = min(newton.least_gap(residual, trial, unnamed) for trial in starts)
     where = ", ".join(f"{joints[i].name} = {joints[i].shown(v):.6g} {joints[i].unit}" for i, v in asked.items())
-    raise AssemblyError(f"mechanism '{name}' does not close at {where}: the loop stays open by {1e3 * gaps[0]:.3g} mm")
+    raise AssemblyError(f"mechanism '{name}' does not close at {where}: the loop stays open by {1e3 * gap:.3g} mm")
+
+
+def _turned(joints, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
+    """Return `start` with its unnamed hinges turned by quarters, together: places to look for another branch from."""
+    hinges = [i for i in unnamed if joints[i].kind == "hinge"]
+    turned = []
+    for quarter in (1, 2, 3) if hinges else ():
+        trial = np.array(start)
+        trial[hinges] += quarter * np.pi / 2
+        turned.append(trial)
+    return turned
+
+
+def _refuse_singular_home(name, joints, loop: ca.Function, pose, rank: int, independent, extent: float) -> None:
+    """Refuse a home pose where the rank is not that of its neighbours, or from which nothing can move.
+
+    A parallelogram drawn flat, or a truss of three bars in a line, shows fewer independent rows there than it has.
+    """
+
+    def residual(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        phi, jacobian = loop(q)
+        return np.array(phi).ravel(), np.array(jacobian).reshape(-1, len(joints))
+
+    for index in independent:
+        moved = False
+        step = _HOME_STEP * (1.0 if joints[index].kind == "hinge" else extent)
+        for change in (step, -step):
+            trial = np.array(pose)
+            trial[index] += change
+            held = [int(i) for i in independent]
+            neighbour, gap = newton.close(residual, trial, [i for i in range(len(joints)) if i not in held])
+            if gap > newton.CLOSED_M:
+                continue
+            moved = True
+            there = numerical_rank(residual(neighbour)[1])
+            if there != rank:
+                raise AssemblyError(
+                    f"mechanism '{name}' is assembled in a singular pose: its closure has rank {rank} there and {there} next"
+                    " to it; name another pose with mechanism.home_deg"
+                )
+        if not moved and rank:
+            raise AssemblyError(
+                f"mechanism '{name}' cannot move joint {joints[index].name} from its home pose: the loop is singular or"
+                " locked there; name another pose with mechanism.home_deg"
+            )

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+import scipy.optimize
 
 # A loop counts as closed below this gap: a hundredth of the 1e-9 m that certificates promise, a hundred thousand times
 # the rounding of coordinates of order one metre.
@@ -26,7 +27,7 @@ def close(
     q = np.array(start, dtype=float)
     phi, jacobian = residual(q)
     if phi.size == 0 or not free:
-        return q, float(np.abs(phi).max(initial=0.0))
+        return q, largest_gap(phi)
     for _ in range(_MAX_STEPS):
         step = np.zeros_like(q)
         step[free] = np.linalg.lstsq(jacobian[:, free], -phi, rcond=1e-10)[0]
@@ -44,7 +45,29 @@ def close(
         else:
             break
         q, phi, jacobian = trial, phi_trial, jacobian_trial
-    return q, float(np.abs(phi).max())
+    return q, largest_gap(phi)
+
+
+def largest_gap(phi: np.ndarray) -> float:
+    """Return the largest distance [m] between two tied points, from residuals of three rows each."""
+    return float(np.linalg.norm(np.reshape(phi, (-1, 3)), axis=1).max(initial=0.0))
+
+
+def least_gap(residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], start: np.ndarray, free: list[int]) -> float:
+    """Return the smallest gap [m] found near `start` where a loop does not close: what stays open at the best."""
+
+    def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        q = np.array(start, dtype=float)
+        q[free] = x
+        phi, jacobian = residual(q)
+        return phi, jacobian[:, free]
+
+    if not free:
+        return largest_gap(residual(start)[0])
+    found = scipy.optimize.least_squares(
+        lambda x: at(x)[0], start[free], lambda x: at(x)[1], xtol=1e-12, ftol=1e-12, gtol=1e-14, max_nfev=2000
+    )
+    return largest_gap(found.fun)
 
 
 def follow(

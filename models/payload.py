@@ -1,5 +1,6 @@
 """A rigid payload welded to a body of a model: mass, centre of mass, inertia."""
 
+import numbers
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -13,6 +14,8 @@ BODY_NAME = "linkplan_payload"
 
 # The triangle inequality of principal moments is MuJoCo's own test; this much rounding in a typed-in inertia is let pass.
 _INERTIA_ROUNDING = 1e-9
+# Masses, lengths and moments beyond this are no mechanism's, and their products overflow.
+_LARGEST = 1e12
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -30,13 +33,19 @@ class Payload:
 
     def __post_init__(self) -> None:
         for name in ("com_m", "inertia_kgm2"):
-            value = np.array(getattr(self, name), dtype=float)
+            try:
+                value = np.array(getattr(self, name), dtype=float)
+            except (TypeError, ValueError, OverflowError):
+                value = np.zeros(0)
             if value.shape != (3,) or not np.all(np.isfinite(value)):
                 raise ModelError(f"payload.{name} is three finite numbers, got {getattr(self, name)!r}")
             value.flags.writeable = False
             object.__setattr__(self, name, value)
-        if not (np.isfinite(self.mass_kg) and self.mass_kg > 0):
+        number = isinstance(self.mass_kg, numbers.Real) and not isinstance(self.mass_kg, bool)
+        if not number or not 0 < self.mass_kg < _LARGEST:
             raise ModelError(f"payload.mass_kg is a positive number, got {self.mass_kg!r}")
+        if np.abs([*self.com_m, *self.inertia_kgm2]).max() > _LARGEST:
+            raise ModelError("payload.com_m and payload.inertia_kgm2 are beyond all mechanisms")
         moments = np.sort(self.inertia_kgm2)
         if moments[0] < 0:
             raise ModelError(f"payload.inertia_kgm2 has no negative moments, got {self.inertia_kgm2.tolist()}")
@@ -83,16 +92,12 @@ def payload_from(value: object) -> Payload | None:
         raise ModelError(f"payload needs {', '.join(_KEYS[:3])}; missing {', '.join(missing)}")
     if not isinstance(value["body"], str):
         raise ModelError(f"payload.body is a body's name, got {value['body']!r}")
-    if isinstance(value["mass_kg"], bool) or not isinstance(value["mass_kg"], int | float):
-        raise ModelError(f"payload.mass_kg is a positive number, got {value['mass_kg']!r}")
-    inertia = value.get("inertia_kgm2", [0.0, 0.0, 0.0])
-    try:
-        com, moments = np.array(value["com_m"], dtype=float), np.array(inertia, dtype=float)
-    except (TypeError, ValueError):
-        raise ModelError(
-            f"payload.com_m and payload.inertia_kgm2 are three numbers each, got {value['com_m']!r} and {inertia!r}"
-        ) from None
-    return Payload(body=value["body"], mass_kg=float(value["mass_kg"]), com_m=com, inertia_kgm2=moments)
+    return Payload(
+        body=value["body"],
+        mass_kg=value["mass_kg"],
+        com_m=value["com_m"],
+        inertia_kgm2=value.get("inertia_kgm2", [0.0, 0.0, 0.0]),
+    )
 
 
 def attach(spec: mujoco.MjSpec, payload: Payload) -> None:

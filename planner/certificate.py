@@ -23,9 +23,15 @@ CLOSURE_M = 1e-9
 INTEGRATION_DEG = 0.01
 INTEGRATION_M = 1e-5
 DYNAMICS_SHARE = 0.02
+# The planned velocity against the planned position's slope and the integrated model's: first-order schemes differ by
+# their own order, a plan that is put together wrongly by more. Boundary states are bounds of the program: rounding.
+VELOCITY_SHARE = 0.02
+BOUNDARY_SHARE = 1e-6
 RANGE_SLACK = 1e-9
 
 SAMPLES_PER_INTERVAL = 12
+# A plan that carries no effort at all may miss this much [N.m or N], against rounding.
+_NO_EFFORT = 1e-12
 # The integration's own error: two digits below the 1e-10 that the certificate speaks of.
 _RTOL, _ATOL = 1e-12, 1e-13
 
@@ -41,6 +47,8 @@ class Certificate:
     effort_excess: float
     inverse_dynamics_excess: float
     dynamics_residual: float
+    velocity_residual: float  # largest |s' - v|, of the motion's largest speed
+    boundary_error: float  # of the states asked at the ends, of the motion's span and largest speed
     closure_gap_m: float
     integration_error_deg: float
     integration_error_m: float
@@ -89,7 +97,10 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     closure_gap = peak("closure_gap_m", gap)
     position_margin, speed_margin = _margins(mechanism, limits, q, v, time, worst)
     ratio = _singularity_ratio(mechanism, q)
-    integration, growth = _integrate(mechanism, trajectory)
+    speed = max(float(np.abs(v).max()), np.finfo(float).tiny)
+    velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
+    boundary_error = _boundary_error(problem, trajectory, speed)
+    integration, velocity_error, growth = _integrate(mechanism, trajectory, speed)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     in_deg = float(np.degrees(integration[hinge].max(initial=0.0)))
     in_m = float(integration[~hinge].max(initial=0.0))
@@ -97,16 +108,25 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     failures = []
     if effort_excess > 0:
         failures.append(f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s")
-    allowed = DYNAMICS_SHARE * _generalised_peak(mechanism, q, u)
+    allowed = max(DYNAMICS_SHARE * _generalised_peak(mechanism, q, u), _NO_EFFORT)
     if dynamics_residual > allowed:
         failures.append(
             f"between nodes the motion needs {dynamics_residual:.3g} more effort than the plan carries"
             f" at t = {worst['dynamics_residual']:.4g} s (allowed: {allowed:.3g})"
         )
+    if velocity_residual > VELOCITY_SHARE or not velocity_error <= VELOCITY_SHARE:
+        failures.append(
+            f"the planned velocity is not that of the planned position: {100 * max(velocity_residual, velocity_error):.3g} %"
+            " of the largest speed apart"
+        )
+    if boundary_error > BOUNDARY_SHARE:
+        failures.append(f"the motion misses the states asked at its ends by {boundary_error:.3g} of its span or speed")
     if closure_gap > CLOSURE_M:
         failures.append(f"a loop opens by {closure_gap:.3g} m at t = {worst['closure_gap_m']:.4g} s")
     if not in_deg <= INTEGRATION_DEG or not in_m <= INTEGRATION_M:
-        failures.append(f"the integrated model ends {in_deg:.3g} deg, {in_m:.3g} m from the plan")
+        apart = f"{in_m:.3g} m (allowed: {INTEGRATION_M:g} m)" if in_m > INTEGRATION_M else ""
+        apart = f"{in_deg:.3g} deg (allowed: {INTEGRATION_DEG:g} deg)" if not in_deg <= INTEGRATION_DEG else apart
+        failures.append(f"the integrated model ends {apart} from the plan")
     for what, margin in (("range", position_margin), ("speed limit", speed_margin)):
         for joint, value in zip(mechanism.joints, margin, strict=True):
             if value < -RANGE_SLACK:
@@ -118,6 +138,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         effort_excess=effort_excess,
         inverse_dynamics_excess=inverse_excess,
         dynamics_residual=dynamics_residual,
+        velocity_residual=velocity_residual,
+        boundary_error=boundary_error,
         closure_gap_m=closure_gap,
         integration_error_deg=in_deg,
         integration_error_m=in_m,
@@ -160,20 +182,37 @@ def _singularity_ratio(mechanism: Mechanism, q: np.ndarray) -> float:
     return min(smallest(pose) for pose in q[::4]) / smallest(mechanism.home)
 
 
-def _integrate(mechanism: Mechanism, trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest error (n_s,) of the integrated independent positions, and its growth over each interval.
+def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: float) -> float:
+    """Return how far the motion's ends are from the states asked, positions by its span and speeds by its largest."""
+    motion = problem.motion
+    ends = np.stack([trajectory.position[0, 0], trajectory.position[-1, -1]])
+    speeds = np.stack([trajectory.velocity[0, 0], trajectory.velocity[-1, -1]])
+    span = max(float(np.ptp(trajectory.position)), np.finfo(float).tiny)
+    if motion.kind == "reach":
+        rest = np.zeros(trajectory.n_s)
+        asked = np.stack([motion.start, motion.goal])
+        wanted = np.stack([rest if x is None else x for x in (motion.start_speed, motion.goal_speed)])
+    elif trajectory.periodic:
+        asked, wanted = ends[::-1], speeds[::-1]
+    else:
+        return 0.0
+    return max(float(np.abs(ends - asked).max()) / span, float(np.abs(speeds - wanted).max()) / speed)
 
-    The growth (n_intervals,) is in shares of what a certificate allows.
 
-    All joints are integrated, q' = Gamma v, v' = M_r^-1 (...): closure is then an outcome and not an assumption.
+def _integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float) -> tuple[np.ndarray, float, np.ndarray]:
+    """Return the integrated model's errors against the plan: position (n_s,), velocity as a share, growth by interval.
+
+    The growth (n_intervals,) of the position's error is in shares of what a certificate allows. All joints are integrated,
+    q' = Gamma v, v' = M_r^-1 (...): closure is then an outcome and not an assumption. Looked at in the middle of every
+    interval and on both sides of every break.
     """
     n_q, independent = mechanism.n_q, mechanism.independent
     flow, breaks = mechanism.dynamics.flow, trajectory.breaks_s
-    planned = np.concatenate([trajectory.position[0], trajectory.position[-1, -1:]])
-    state = np.concatenate([trajectory.start_pose, trajectory.velocity[0, 0]])
-    state[independent] = planned[0]
-    errors = np.zeros((len(breaks), mechanism.dof))
-    for k in range(len(breaks) - 1):
+    start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
+    state = np.concatenate([start, trajectory.velocity[0, 0]])
+    n = len(breaks) - 1
+    errors, velocity_error = np.zeros((n, mechanism.dof)), 0.0
+    for k in range(n):
         width = breaks[k + 1] - breaks[k]
         coefficients = trajectory.effort[:, k]
 
@@ -181,18 +220,21 @@ def _integrate(mechanism: Mechanism, trajectory: Trajectory) -> tuple[np.ndarray
             q_rate, v_rate = flow(x[:n_q], x[n_q:], _bezier(coefficients, t / width))
             return np.concatenate([q_rate.full().ravel(), v_rate.full().ravel()])
 
-        result = solve_ivp(
-            rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=_ATOL * np.maximum(1.0, np.abs(state))
-        )
-        if not result.success:
-            errors[k + 1 :] = np.inf
+        atol = _ATOL * np.maximum(1.0, np.abs(state))
+        looks = np.array([0.0, 0.5, 1.0])
+        result = solve_ivp(rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=looks * width)
+        if not result.success or result.y.shape[1] != len(looks):
+            errors[k:], velocity_error = np.inf, np.inf
             break
+        planned = np.array([_bezier(trajectory.position[:, k], tau) for tau in looks])
+        planned_velocity = np.array([_bezier(trajectory.velocity[:, k], tau) for tau in looks])
+        errors[k] = np.abs(result.y[independent].T - planned).max(axis=0)
+        velocity_error = max(velocity_error, float(np.abs(result.y[n_q:].T - planned_velocity).max()) / speed)
         state = result.y[:, -1]
-        errors[k + 1] = np.abs(state[independent] - planned[k + 1])
     tolerance = [np.radians(INTEGRATION_DEG) if j.kind == "hinge" else INTEGRATION_M for j in mechanism.independent_joints]
     with np.errstate(invalid="ignore"):  # beyond a failed integration, infinity less infinity
-        growth = np.abs(np.diff(errors, axis=0) / tolerance).max(axis=1)
-    return errors.max(axis=0), np.nan_to_num(growth, nan=np.inf)
+        growth = np.abs(np.diff(np.vstack([np.zeros(mechanism.dof), errors]), axis=0) / tolerance).max(axis=1)
+    return errors.max(axis=0), velocity_error, np.nan_to_num(growth, nan=np.inf)
 
 
 def _bezier(coefficients: np.ndarray, tau: float) -> np.ndarray:

@@ -90,7 +90,12 @@ def cached(key: str) -> IntervalFunctions | None:
         functions = {name: ca.external(name, str(folder / f"{key}.so")) for name in NAMES}
         patterns = {name: tuple(np.array(part, dtype=int) for part in said.pop(name)) for name in _PATTERNS}
         return IntervalFunctions(
-            **functions, **patterns, weights=np.array(said.pop("weights")), own_kinds=tuple(said.pop("own_kinds")), **said
+            **functions,
+            **patterns,
+            weights=np.array(said.pop("weights")),
+            own_kinds=tuple(said.pop("own_kinds")),
+            node_kinds=tuple(said.pop("node_kinds")),
+            **said,
         )
     except (OSError, ValueError, KeyError, TypeError, RuntimeError):
         return None
@@ -130,5 +135,9 @@ def _compile(functions: IntervalFunctions, work: Path, key: str) -> None:
     subprocess.run(command, cwd=work, capture_output=True, timeout=_TIMEOUT_S, check=True)
     said = {name: [part.tolist() for part in getattr(functions, name)] for name in _PATTERNS}
     said |= {name: getattr(functions, name) for name in ("n_own", "n_equations", "n_path", "n_nodes")}
-    said |= {"weights": functions.weights.tolist(), "own_kinds": list(functions.own_kinds)}
+    said |= {
+        "weights": functions.weights.tolist(),
+        "own_kinds": list(functions.own_kinds),
+        "node_kinds": list(functions.node_kinds),
+    }
     (work / f"{key}.json").write_text(json.dumps(said), encoding="utf-8")

@@ -15,8 +15,10 @@ from models.errors import PlanFileError
 RECORDS = ("plan.json", "track.json", "compare.json", "bode.json", "check.json", "demo.json")
 
 
-def check_target(target: Path) -> None:
+def check_target(target: Path, record: str = "plan.json") -> None:
     """Refuse a target that could not be written later: before long work begins, not after it.
+
+    A folder may be replaced that holds an older result of the same kind, known by its `record`.
 
     Raises:
         PlanFileError: when the target is a file, or a folder with things in it that are not ours, or its parent cannot
@@ -24,8 +26,10 @@ def check_target(target: Path) -> None:
     """
     if target.exists() and not target.is_dir():
         raise PlanFileError(f"-o takes a folder; '{target}' is a file")
-    if target.is_dir() and any(target.iterdir()) and not any((target / name).is_file() for name in RECORDS):
-        raise PlanFileError(f"-o '{target}' holds files that are not linkplan's; name a new or an empty folder")
+    if target.is_dir() and any(target.iterdir()) and not (target / record).is_file():
+        other = [name for name in RECORDS if (target / name).is_file()]
+        held = f"another result ({', '.join(other)})" if other else "files that are not linkplan's"
+        raise PlanFileError(f"-o '{target}' holds {held}; name a new or an empty folder")
     parent = target.absolute().parent
     while not parent.exists():
         parent = parent.parent
@@ -33,13 +37,13 @@ def check_target(target: Path) -> None:
         raise PlanFileError(f"-o '{target}' lies below '{parent}', which is a file")
 
 
-def write_whole(target: Path, write: Callable[[Path], None]) -> None:
+def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan.json") -> None:
     """Write a folder by `write(folder)` beside its place, then move it there; on any failure nothing is left.
 
     Raises:
         PlanFileError: when the disk refuses.
     """
-    check_target(target)
+    check_target(target, record)
     target = target.absolute()
     work = None
     try:

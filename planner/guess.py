@@ -59,7 +59,7 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
         )
     duration = problem.motion.duration_s
     if duration is None:
-        duration = _shortest_duration(problem, start_pose)
+        duration = min(_shortest_duration(problem, start_pose), problem.motion.max_duration_s or np.inf)
     path = _smooth_path(problem, duration)
     return Guess(
         position=path,

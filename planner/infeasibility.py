@@ -10,17 +10,22 @@ from planner.guess import Guess, motion_of
 from planner.mesh import Mesh, segmented
 from planner.problem import Limits, PlanningProblem
 from planner.solve import solve
-from planner.switches import find_cuts
+from planner.switches import find_cuts, pinned_efforts
 from planner.trajectory import Trajectory
 from planner.transcription import trajectory_of, transcribe
+
+# A solve with cuts replaces the one without when it is no worse than the error of a mesh without cuts.
+_NO_WORSE = 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class LeastLimit:
-    """The smallest common factor on the effort limits with which a problem has a motion, and that motion."""
+    """The smallest common factor on the effort limits with which a problem has a motion, that motion, and its mesh."""
 
     factor: float
     trajectory: Trajectory
+    mesh: Mesh
+    durations: np.ndarray  # (n_segments,) [s]
 
 
 def least_limit(problem: PlanningProblem, guess: Guess, mesh: Mesh, durations: np.ndarray) -> LeastLimit | None:
@@ -31,20 +36,28 @@ def least_limit(problem: PlanningProblem, guess: Guess, mesh: Mesh, durations: n
     limit = problem.limits.effort
     if not np.all(np.isfinite(limit)):
         return None
-    best = None
+    best, pinned = None, None
     for _ in range(2):
-        transcribed = transcribe(problem, guess, mesh, durations, least_limit=True)
+        transcribed = transcribe(problem, guess, mesh, durations, least_limit=True, pinned=pinned)
         solution = solve(transcribed)
         if not solution.converged:
             break
         factor = float(solution.x[transcribed.program.layout.extra()][0])
-        if best is not None and factor > best.factor * (1 + 1e-6):
+        if best is not None and factor > best.factor * (1 + _NO_WORSE):
             break
-        best = LeastLimit(factor=factor, trajectory=trajectory_of(transcribed, solution.x, factor * limit))
+        best = LeastLimit(
+            factor=factor,
+            trajectory=trajectory_of(transcribed, solution.x, factor * limit),
+            mesh=mesh,
+            durations=solution.x[transcribed.program.layout.durations()] * transcribed.scales.time_s,
+        )
         cuts = find_cuts(best.trajectory, factor * limit)
         if len(cuts) == 0:
             break
         durations = np.diff(np.concatenate([[0.0], cuts, [best.trajectory.duration_s]]))
+        pinned = pinned_efforts(best.trajectory, factor * limit, cuts) / factor
+        for bound in limit.T:  # as the limits' own numbers, free of rounding
+            pinned = np.where(np.isclose(pinned, bound, rtol=1e-9), bound, pinned)
         mesh, guess = segmented(durations, mesh.n_intervals), motion_of(best.trajectory)
     return best
 

@@ -135,11 +135,17 @@ class IntervalFunctions:
     n_nodes: int
     weights: np.ndarray
     own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position"
+    node_kinds: tuple[str, ...]  # per row of a node: "closure", "dynamics", "speed", or what the system calls it
 
     @property
     def n_rows(self) -> int:
         """The number of an interval's rows: its own, then each node's equations and path quantities."""
         return self.n_own + self.n_nodes * (self.n_equations + self.n_path)
+
+    @property
+    def row_kinds(self) -> tuple[str, ...]:
+        """What each of an interval's rows is."""
+        return self.own_kinds + self.n_nodes * self.node_kinds
 
 
 NAMES = (
@@ -215,9 +221,9 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
         node_hessian=node["hessian"],
         nodes=function("nodes", [w, share], [ca.densify(xi)]),
         own=function("own", [w, share], [ca.densify(own), ca.densify(cost)]),
-        chain_jacobian=function("chain_jacobian", [w, share, J_nz], [jacobian.nz[:]]),
+        chain_jacobian=function("chain_jacobian", [w, share, J_nz], [_nonzeros(jacobian)]),
         chain_gradient=function("chain_gradient", [w, share, values, value_gradients], [ca.densify(gradient)]),
-        chain_hessian=function("chain_hessian", [w, share, lam, sigma, g, H_nz, value_gradients], [hessian.nz[:]]),
+        chain_hessian=function("chain_hessian", [w, share, lam, sigma, g, H_nz, value_gradients], [_nonzeros(hessian)]),
         jacobian_pattern=_triplets(jacobian),
         hessian_pattern=_triplets(hessian),
         n_own=own.numel(),
@@ -226,6 +232,7 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
         n_nodes=m,
         weights=np.array(weights),
         own_kinds=tuple(kinds),
+        node_kinds=system.kinds,
     )
 
 
@@ -240,8 +247,8 @@ def _node_functions(system: System) -> dict:
     hessian = ca.triu(hessian)
     return {
         "value": ca.Function("node_value", [xi, theta], [F], {"cse": True}),
-        "jacobian": ca.Function("node_jacobian", [xi, theta], [jacobian.nz[:], running], {"cse": True}),
-        "hessian": ca.Function("node_hessian", [xi, theta, lam], [ca.densify(gradient), hessian.nz[:]], {"cse": True}),
+        "jacobian": ca.Function("node_jacobian", [xi, theta], [_nonzeros(jacobian), running], {"cse": True}),
+        "hessian": ca.Function("node_hessian", [xi, theta, lam], [ca.densify(gradient), _nonzeros(hessian)], {"cse": True}),
         "jacobian_sparsity": jacobian.sparsity(),
         "hessian_sparsity": hessian.sparsity(),
     }
@@ -309,6 +316,11 @@ def _own_cost(parts: _Parts, scheme: Scheme, rows: IntervalRows) -> ca.SX:
         gram, slope = ca.DM(bernstein_gram(degree - 1)), degree * (parts.u[1:, :] - parts.u[:-1, :])
         cost += rows.rate_weight / parts.h * ca.trace(slope.T @ gram @ slope)
     return cost
+
+
+def _nonzeros(matrix: ca.SX) -> ca.SX:
+    """Return a matrix's nonzeros as a column (CasADi gives a row for a row)."""
+    return ca.vec(matrix.nz[:])
 
 
 def _triplets(matrix: ca.SX) -> tuple[np.ndarray, np.ndarray]:

@@ -70,4 +70,5 @@ def mechanism_system(mechanism: Mechanism, tracking: bool, speed_joints: tuple[i
         node=ca.Function("node", [node.stacked, theta], [column]),
         n_equations=equations.numel(),
         n_path=path.numel(),
+        kinds=("closure",) * n_z + ("dynamics",) * n_s + ("speed",) * path.numel(),
     )

@@ -3,6 +3,7 @@
 import csv
 import json
 import zipfile
+import zlib
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 
 from models.along import joint_rates
 from models.assembly import follow
-from models.errors import LinkplanError, PlanFileError
+from models.errors import AssemblyError, LinkplanError, PlanFileError
 from planner.certificate import Certificate, certify
 from planner.folders import plain_record, write_json
 from planner.plan import Plan
@@ -21,6 +22,7 @@ from planner.tables import apply_override
 from planner.trajectory import Trajectory
 
 FORMAT = 1
+STATUSES = ("optimal", "infeasible", "failed")
 _ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 _CSV_PER_INTERVAL = 10
 
@@ -75,6 +77,8 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
         "effort_excess": certificate.effort_excess,
         "inverse_dynamics_excess": certificate.inverse_dynamics_excess,
         "dynamics_residual": certificate.dynamics_residual,
+        "velocity_residual": certificate.velocity_residual,
+        "boundary_error": certificate.boundary_error,
         "closure_gap_m": certificate.closure_gap_m,
         "integration_error_deg": certificate.integration_error_deg,
         "integration_error_m": certificate.integration_error_m,
@@ -145,6 +149,12 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:
     missing = [key for key in ("format", "name", "status", "message", "problem") if key not in said]
     if missing:
         raise PlanFileError(f"'{folder / 'plan.json'}' is not a plan: it lacks {', '.join(missing)}")
+    if said["status"] not in STATUSES:
+        raise PlanFileError(
+            f"'{folder / 'plan.json'}' has status {said['status']!r}; a plan's is one of {', '.join(STATUSES)}"
+        )
+    if not isinstance(said.get("details") or {}, dict):
+        raise PlanFileError(f"'{folder / 'plan.json'}' has details that are no table")
     if said["format"] != FORMAT:
         raise PlanFileError(f"'{folder / 'plan.json'}' has format {said['format']!r}; this linkplan reads {FORMAT}")
     trajectory = _read_trajectory(folder / "trajectory.npz")
@@ -155,20 +165,32 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:
     except LinkplanError as error:
         raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built again: {error}") from error
     mechanism = problem.mechanism
-    if (trajectory.n_s, trajectory.n_u, len(trajectory.start_pose)) != (mechanism.dof, mechanism.n_u, mechanism.n_q):
+    sizes = (trajectory.n_s, trajectory.velocity.shape[2], trajectory.n_u, len(trajectory.start_pose))
+    if sizes != (mechanism.dof, mechanism.dof, mechanism.n_u, mechanism.n_q):
         raise PlanFileError(
             f"'{folder / 'trajectory.npz'}' is of another mechanism: it has {trajectory.n_s} independent joints and"
             f" {trajectory.n_u} actuators, '{mechanism.name}' has {mechanism.dof} and {mechanism.n_u}"
         )
-    certificate = certify(problem, trajectory)
+    try:
+        certificate = certify(problem, trajectory)
+    except AssemblyError as error:
+        raise PlanFileError(
+            f"'{folder / 'trajectory.npz'}' holds a motion that the mechanism cannot make: {error}"
+        ) from error
+    status, message = str(said["status"]), str(said["message"])
+    if status == "optimal" and not certificate.passed:
+        status, message = (
+            "failed",
+            f"failed: the motion on disk does not pass its certificate: {'; '.join(certificate.failures)}",
+        )
     return Plan(
         problem=problem,
-        status=str(said["status"]),
-        message=str(said["message"]),
+        status=status,
+        message=message,
         objective=said.get("objective"),
         trajectory=trajectory,
         certificate=certificate,
-        details=dict(said.get("details") or {}),
+        details=said.get("details") or {},
     )
 
 
@@ -177,7 +199,7 @@ def _read_json(path: Path) -> dict:
         said = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise PlanFileError(f"'{path}' cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+    except (ValueError, RecursionError) as error:
         raise PlanFileError(f"'{path}' is truncated or not JSON: {error}") from error
     if not isinstance(said, dict) or not isinstance(said.get("problem", {}), dict):
         raise PlanFileError(f"'{path}' is not a plan")
@@ -186,12 +208,15 @@ def _read_json(path: Path) -> dict:
 
 def _read_trajectory(path: Path) -> Trajectory:
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        stored = np.load(path, allow_pickle=False)
+        if not isinstance(stored, np.lib.npyio.NpzFile):
+            raise ValueError("it holds a single array")
+        with stored:
             arrays = {name: stored[name] for name in _ARRAYS}
             return Trajectory(**arrays, periodic=bool(stored["periodic"]))
     except OSError as error:
         raise PlanFileError(f"'{path}' cannot be read: {error.strerror or 'it is not an npz file'}") from error
     except KeyError as error:
         raise PlanFileError(f"'{path}' lacks an array: {error.args[0]}") from error
-    except (zipfile.BadZipFile, ValueError, EOFError, IndexError) as error:
+    except (zipfile.BadZipFile, zlib.error, ValueError, TypeError, EOFError, IndexError, RuntimeError) as error:
         raise PlanFileError(f"'{path}' is truncated or not a trajectory: {error}") from error

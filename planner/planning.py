@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from models.assembly import close_at, follow, reach
+from models.assembly import Reach, close_at, follow, reach
 from models.errors import AssemblyError, ProblemError
-from planner.certificate import Certificate, certify
+from planner.certificate import RANGE_SLACK, Certificate, certify
 from planner.guess import Guess, first_guess, motion_of
 from planner.infeasibility import effort_sentence, least_limit, overrun_sentence, tightened, without
 from planner.mesh import Mesh, halved, segmented, uniform
@@ -21,9 +21,14 @@ from planner.transcription import trajectory_of, transcribe
 
 # Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
 _ROUNDS = 8
+# A mesh that has grown by this factor without passing will not pass by growing on.
+_MOST = 20
 _MARK = 0.5
 # A solve with cuts at its switches replaces the one before when it is no slower than the error of a mesh without cuts.
 _NO_WORSE = 1e-4
+# Cuts next to arcs within the limits settle in a few solves: until the objective gains less than this share, relative.
+_SETTLINGS = 4
+_SETTLED = 1e-9
 
 Say = Callable[[str], None]
 
@@ -67,25 +72,26 @@ def _start_pose(problem: PlanningProblem) -> np.ndarray:
     """Return the closed pose at the start.
 
     Raises:
-        ProblemError: when start or goal lie outside what the mechanism reaches, with the interval.
+        ProblemError: when start, goal or reference lie outside what the mechanism reaches, with the interval.
     """
     mechanism, motion = problem.mechanism, problem.motion
+    can = reach(mechanism) if mechanism.dof == 1 else None
     for name in ("start", "goal"):
         value = getattr(motion, name)
         if value is not None:
-            _check_reach(problem, f"motion.{name}_deg", value)
+            _check_reach(problem, f"motion.{name}_deg", value, can)
     if motion.start is not None:
         return close_at(mechanism, motion.start)
     first = problem.reference.derivative(np.zeros(1))[0]
     period = np.linspace(0.0, problem.reference.period_s, 181)
+    values = problem.reference.derivative(period)
     for extreme in (np.argmin, np.argmax):
-        values = problem.reference.derivative(period)
         for column in range(mechanism.dof):
-            _check_reach(problem, "reference", values[int(extreme(values[:, column]))], ranges=False)
+            _check_reach(problem, "reference", values[int(extreme(values[:, column]))], can, ranges=False)
     return close_at(mechanism, first)
 
 
-def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, ranges: bool = True) -> None:
+def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, can: Reach | None, ranges: bool = True) -> None:
     mechanism = problem.mechanism
     for column, joint in enumerate(mechanism.independent_joints):
         index = int(mechanism.independent[column])
@@ -93,7 +99,6 @@ def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, ranges: boo
         interval, reason = (low, high), f"range of {joint.name}"
         inside = low <= s[column] <= high
         if inside or not ranges:
-            can = reach(mechanism, column) if mechanism.dof == 1 else None
             if can is None or can.turns_fully:
                 continue
             interval = (can.lower.position, can.upper.position)
@@ -118,6 +123,17 @@ def _plain_contradiction(problem: PlanningProblem) -> str | None:
                 return (
                     f"infeasible: motion.{name} of joint {joint.name} is {joint.shown(value[column]):.4g} {joint.unit}/s,"
                     f" beyond its speed limit of {joint.shown(high if value[column] > 0 else low):.4g} {joint.unit}/s"
+                )
+    for name in ("start", "goal"):
+        if getattr(motion, name) is None:
+            continue
+        pose = close_at(mechanism, getattr(motion, name))
+        for joint, x, (low, high) in zip(mechanism.joints, pose, limits.position, strict=True):
+            if not low <= x <= high:
+                return (
+                    f"infeasible: joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at the {name},"
+                    f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
+                    f" {joint.shown(min(max(x, low), high)):.4g}"
                 )
     if motion.kind == "reach" and motion.duration_s is not None:
         for column, joint in enumerate(mechanism.independent_joints):
@@ -160,10 +176,11 @@ def _solve(
     say: Say,
     position_rows: bool = False,
     pinned: np.ndarray | None = None,
+    warm: bool = False,
 ) -> tuple[Trajectory, Solution] | None:
     say(f"{what}: {problem.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
     transcribed = transcribe(problem, guess, mesh, durations, position_rows=position_rows, pinned=pinned)
-    solution = solve(transcribed, max_time_s=problem.solver.max_time_s)
+    solution = solve(transcribed, warm=warm, max_time_s=problem.solver.max_time_s)
     history.append(
         Step(
             what=what,
@@ -179,7 +196,10 @@ def _solve(
     )
     if not solution.converged:
         return None
-    return trajectory_of(transcribed, solution.x, problem.limits.effort), solution
+    try:
+        return trajectory_of(transcribed, solution.x, problem.limits.effort), solution
+    except AssemblyError:  # a start that the solver took to another branch
+        return None
 
 
 def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history: list[Step], say: Say) -> Plan:
@@ -191,13 +211,15 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
     certificate = _try_certify(problem, trajectory)
     position_rows, kept = False, problem
     for _ in range(_ROUNDS):
-        if certificate is not None and certificate.passed:
+        if (certificate is not None and certificate.passed) or mesh.n_intervals > _MOST * problem.mesh.intervals:
             break
         position_rows = position_rows or certificate is None or bool(np.any(certificate.position_margin < 0))
         marked = _marked(mesh, certificate)
-        if not marked.any():
+        if not marked.any() and _overruns(certificate):
             # Only a range or speed is left, between the nodes: ask the solver for a little less than the limit.
             kept = replace(problem, limits=tightened(kept.limits, certificate))
+        elif not marked.any():
+            marked[:] = True
         if _turns_at_the_middle(problem):
             marked[:] = marked.any()  # keep the middle of the motion on a node
         mesh = halved(mesh, marked)
@@ -228,6 +250,11 @@ def _marked(mesh: Mesh, certificate: Certificate | None) -> np.ndarray:
     return marked if certificate.growth.sum() > 1.0 or certificate.residual_share.max() > 1.0 else np.zeros_like(marked)
 
 
+def _overruns(certificate: Certificate) -> bool:
+    """Return whether a joint leaves its range or speed limit."""
+    return bool(min(certificate.position_margin.min(), certificate.speed_margin.min()) < -RANGE_SLACK)
+
+
 def _turns_at_the_middle(problem: PlanningProblem) -> bool:
     """Return whether a periodic motion has to be at its goal after half of its duration."""
     return problem.motion.kind == "periodic" and problem.motion.start is not None
@@ -252,18 +279,27 @@ def _settle_switches(problem, trajectory, solution, mesh, history, say):
     First with efforts held at the limits that the arcs showed, which leaves the cuts alone to be found; where that is
     slower than the solution without cuts, the arcs were read wrongly and the efforts are set free again.
     """
-    cuts = find_cuts(trajectory, problem.limits.effort)
-    if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6 or _turns_at_the_middle(problem):
-        return trajectory, solution, mesh, None
-    durations = np.diff(np.concatenate([[0.0], cuts, [trajectory.duration_s]]))
-    finer = segmented(durations, problem.mesh.intervals)
-    guess = motion_of(trajectory)
-    held = pinned_efforts(trajectory, problem.limits.effort, cuts)
-    for pinned, what in ((held, "cuts at the switches"), (None, "cuts at the switches, efforts free")):
-        found = _solve(problem, guess, finer, durations, what, history, say, pinned=pinned)
-        if found is not None and found[1].objective <= solution.objective * (1 + _NO_WORSE):
-            return *found, finer, pinned
-    return trajectory, solution, mesh, None
+    pinned = None
+    for _ in range(_SETTLINGS):
+        cuts = find_cuts(trajectory, problem.limits.effort)
+        if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6 or _turns_at_the_middle(problem):
+            break
+        durations = np.diff(np.concatenate([[0.0], cuts, [trajectory.duration_s]]))
+        finer, guess = segmented(durations, problem.mesh.intervals), motion_of(trajectory)
+        held = pinned_efforts(trajectory, problem.limits.effort, cuts)
+        better = None
+        for efforts, what in ((held, "cuts at the switches"), (None, "cuts at the switches, efforts free")):
+            found = _solve(problem, guess, finer, durations, what, history, say, pinned=efforts, warm=True)
+            if found is not None and found[1].objective <= solution.objective * (1 + _NO_WORSE):
+                better = found
+                break
+        if better is None:
+            break
+        settled = better[1].objective > solution.objective * (1 - _SETTLED)
+        (trajectory, solution), mesh, pinned = better, finer, efforts
+        if settled or not np.any(np.isnan(held)):
+            break
+    return trajectory, solution, mesh, pinned
 
 
 def _finished(problem, trajectory, certificate, objective, history, message: str | None) -> Plan:
@@ -303,17 +339,10 @@ def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: 
     say("no motion found; looking for the limit that forbids one")
     least = least_limit(problem, guess, mesh, durations)
     if least is not None and least.factor <= 1.0:
-        found = _solve(
-            problem,
-            motion_of(least.trajectory),
-            mesh,
-            np.array([least.trajectory.duration_s]),
-            "start from the motion of least peak effort",
-            history,
-            say,
-        )
+        start, what = motion_of(least.trajectory), "start from the motion of least peak effort"
+        found = _solve(problem, start, least.mesh, least.durations, what, history, say)
         if found is not None:
-            return _certified(problem, found, mesh, history, say)
+            return _certified(problem, found, least.mesh, history, say)
     if least is not None and least.factor > 1.0:
         sentence, details = effort_sentence(problem, least)
         return Plan(
@@ -327,9 +356,7 @@ def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: 
         relaxed = replace(problem, limits=without(problem.limits, what))
         found = _solve(relaxed, guess, mesh, durations, f"without limits on {what}", history, say)
         if found is not None:
-            trajectory = found[0]
-            poses = follow(problem.mechanism, trajectory.position_at(trajectory.dense_times(8)), trajectory.start_pose)
-            sentence = overrun_sentence(problem, trajectory, poses, what)
+            sentence = _overrun(problem, found[0], what)
             if sentence is not None:
                 return Plan(problem=problem, status="infeasible", message=f"infeasible: {sentence}", history=tuple(history))
     status = history[-1].solver_status if history else "nothing tried"
@@ -339,6 +366,15 @@ def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: 
         message=f"failed: the solver found neither a motion nor a limit that forbids one ({status})",
         history=tuple(history),
     )
+
+
+def _overrun(problem: PlanningProblem, trajectory: Trajectory, what: str) -> str | None:
+    """Return the sentence on what a motion without limits on "speed" or "position" overruns, or None."""
+    try:
+        poses = follow(problem.mechanism, trajectory.position_at(trajectory.dense_times(8)), trajectory.start_pose)
+    except AssemblyError:
+        return None
+    return overrun_sentence(problem, trajectory, poses, what)
 
 
 def _shortest(problem: PlanningProblem, details: dict[str, float], say: Say) -> str:

@@ -29,15 +29,21 @@ class Demand:
 
     def sentence(self, subject: str) -> str:
         """Return the demand in words, `subject` being what makes it."""
+        needed = _figure(self.needed)
         if self.what == "effort":
-            where = f"{self.name} to give {self.needed:#.4g} {self.unit}"
+            where = f"{self.name} to give {needed} {self.unit}"
         else:
             verb = "reach" if self.what == "range" else "move at"
-            where = f"joint {self.name} to {verb} {self.needed:#.4g} {self.unit}"
+            where = f"joint {self.name} to {verb} {needed} {self.unit}"
         return (
-            f"{subject} needs {where} at t = {self.time_s:.4g} s, {abs(self.needed - self.limit):#.3g} {self.unit}"
-            f" beyond its limit of {self.limit:#.4g}"
+            f"{subject} needs {where} at t = {self.time_s:.4g} s, {_figure(abs(self.needed - self.limit))} {self.unit}"
+            f" beyond its limit of {_figure(self.limit)}"
         )
+
+
+def _figure(value: float) -> str:
+    """Return a number with four digits, large ones with one decimal: 120.0, 5.3, 0.145."""
+    return f"{value:.1f}" if abs(value) >= 99.95 else f"{value:.4g}"
 
 
 def prescribe(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory:

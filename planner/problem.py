@@ -137,6 +137,8 @@ class PlanningProblem:
             )
         if motion.kind == "reach" and (motion.start is None or motion.goal is None):
             raise ProblemError("motion.kind 'reach' needs motion.start_deg and motion.goal_deg")
+        if self.objective == "time" and not np.all(np.isfinite(self.limits.effort)):
+            raise ProblemError("objective.minimize 'time' needs finite limits.effort: without them no time is the least")
         if self.objective == "tracking" and self.reference is None:
             raise ProblemError("objective.minimize 'tracking' needs a [reference]")
         if motion.kind == "track" and self.reference is None:
@@ -145,6 +147,14 @@ class PlanningProblem:
             raise ProblemError(f"motion.kind 'track' prescribes the motion: minimize is 'tracking', got '{self.objective}'")
         if motion.kind == "periodic" and self.reference is None and (motion.start is None or motion.goal is None):
             raise ProblemError("motion.kind 'periodic' needs a [reference], or motion.start_deg and motion.goal_deg")
+        if motion.kind == "periodic" and self.objective != "tracking" and (motion.start is None or motion.goal is None):
+            raise ProblemError(
+                f"motion.kind 'periodic' with minimize '{self.objective}' needs motion.start_deg and motion.goal_deg to move"
+                " between: without them, standing still is best"
+            )
+        same = motion.start is not None and motion.goal is not None and np.array_equal(motion.start, motion.goal)
+        if self.objective == "time" and motion.kind == "reach" and same:
+            raise ProblemError("motion.start_deg is motion.goal_deg: a motion of least time between them takes no time")
         if self.objective == "time" and motion.duration_s is not None:
             raise ProblemError(f"objective.minimize 'time' needs motion.duration_s = \"free\", got {motion.duration_s:g}")
         if self.objective == "tracking" and motion.duration_s is None:

@@ -11,7 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from models.assembly import close_at
+from models.audit import audit
 from models.errors import AssemblyError, ProblemError
+from models.library import is_file
 from models.mechanism import Mechanism, load_mechanism
 from models.names import choose, nearest
 from planner.prescribed import is_whole
@@ -60,6 +62,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
         "lqr_velocity_deg_s",
     ),
 }
+# No quantity of a mechanism is larger in SI units or degrees.
+_LARGEST = 1e15
 # Meshes beyond this take minutes; a typing slip of a zero should not.
 MAX_INTERVALS = 20_000
 # A dependent joint named in start_deg or goal_deg must stand this near to where the closed loop has it.
@@ -86,6 +90,11 @@ def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -
     section = {key: tables.get(key, {}) for key in KEYS}
     mechanism = _mechanism(section["mechanism"], folder)
     tables.setdefault("mechanism", {})["model"] = section["mechanism"]["model"]
+    if mechanism.n_u == 0:
+        raise ProblemError(
+            f"mechanism '{mechanism.name}' has no usable actuator (a motor on a hinge or slide); a plan needs one"
+            + "".join(f"; {item.text}" for item in audit(mechanism.model))
+        )
     kind = _word(section["motion"], "motion.kind", KINDS)
     default = "tracking" if kind == "track" or (kind == "periodic" and section["reference"]) else "effort"
     objective = _word(section["objective"], "objective.minimize", OBJECTIVES, default)
@@ -138,9 +147,9 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
     model = section.get("model")
     if not isinstance(model, str) or not model:
         raise ProblemError(f"mechanism.model is a built-in name or a path to an MJCF file, got {model!r}")
-    if folder is not None and not Path(model).is_file() and (folder / model).is_file():
+    if folder is not None and not is_file(Path(model)) and is_file(folder / model):
         model = str(folder / model)
-    if Path(model).is_file():
+    if is_file(Path(model)):
         model = str(Path(model).resolve())
     section["model"] = model
     mechanism = load_mechanism(model, payload=section.get("payload"), home=_home(section))
@@ -176,6 +185,8 @@ def _number(value: object, key: str, *, positive: bool = False, infinite: bool =
     """
     wanted = "a positive number" if positive else "a number" if least is None else f"a number of at least {least:g}"
     legal = isinstance(value, int | float) and not isinstance(value, bool)
+    if isinstance(value, int) and abs(value) > _LARGEST:
+        raise ProblemError(f"{key} is {wanted} below {_LARGEST:g}, got one of {len(str(value))} digits")
     if not legal or np.isnan(value) or (np.isinf(value) and not infinite):
         raise ProblemError(f"{key} is {wanted}, got {value!r}")
     if (positive and value <= 0) or (least is not None and value < least):

@@ -67,6 +67,15 @@ class Scheme:
             abs(self.weights.sum() - 1) < tolerance,
             m == 1 or abs(self.position_end.sum() - 0.5) < tolerance,
             np.allclose(self.effort_at.sum(axis=1), 1, atol=tolerance),
+            np.allclose(bernstein_matrix(m, self.nodes) @ self.velocity_coefficients, self.velocity, atol=tolerance),
+            np.allclose(self.velocity_coefficients[-1], self.velocity_end, atol=tolerance),
+            np.allclose(self.velocity_coefficients[-1], self.weights, atol=tolerance),
+            np.allclose(
+                bernstein_matrix(len(self.position_coefficients) - 1, self.nodes) @ self.position_coefficients,
+                self.position,
+                atol=tolerance,
+            ),
+            np.allclose(self.position_coefficients[-1], self.position_end, atol=tolerance),
         )
         if not all(checks):
             raise ValueError(f"scheme '{self.name}' is inconsistent: {checks}")
@@ -81,22 +90,26 @@ class Scheme:
         return len(self.nodes)
 
 
-@cache
 def scheme(name: str, effort: str = "polynomial") -> Scheme:
     """Return the transcription called `name`, with efforts "constant", "linear" or "polynomial" over an interval.
 
     Raises:
         ProblemError: for any other name.
     """
-    if name not in NAMES:
+    if not isinstance(name, str) or name not in NAMES:
         raise ProblemError(
             f"unknown mesh.scheme '{name}'{nearest(str(name), NAMES)}; schemes are {', '.join(NAMES[:4])},"
             f" radau-1 to radau-{MAX_DEGREE} and gauss-1 to gauss-{MAX_DEGREE}"
         )
-    if effort not in EFFORTS:
+    if not isinstance(effort, str) or effort not in EFFORTS:
         raise ProblemError(
             f"unknown mesh.effort '{effort}'{nearest(str(effort), EFFORTS)}; efforts are {', '.join(EFFORTS)}"
         )
+    return _scheme(name, effort)
+
+
+@cache
+def _scheme(name: str, effort: str) -> Scheme:
     family = name.removesuffix("-consistent")
     if family in LOBATTO:
         return _build(name, np.array(LOBATTO[family]), effort, consistent=name != family)

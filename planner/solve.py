@@ -1,6 +1,11 @@
 """Solving a program with IPOPT."""
 
+import contextlib
+import io
+import signal
+import threading
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import casadi as ca
@@ -52,14 +57,15 @@ def solve(transcribed: Transcribed, *, warm: bool = False, max_time_s: float = 6
         options |= {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
     solver = ca.nlpsol("solver", "ipopt", functions["nlp"], options)
     built = time.perf_counter()
-    result = solver(
-        x0=transcribed.start,
-        p=transcribed.parameters,
-        lbx=transcribed.lower,
-        ubx=transcribed.upper,
-        lbg=transcribed.row_lower,
-        ubg=transcribed.row_upper,
-    )
+    with _interruptible(), contextlib.redirect_stderr(io.StringIO()):  # what CasADi says there, the status says too
+        result = solver(
+            x0=transcribed.start,
+            p=transcribed.parameters,
+            lbx=transcribed.lower,
+            ubx=transcribed.upper,
+            lbg=transcribed.row_lower,
+            ubg=transcribed.row_upper,
+        )
     stats = solver.stats()
     return Solution(
         x=np.array(result["x"]).ravel(),
@@ -70,3 +76,25 @@ def solve(transcribed: Transcribed, *, warm: bool = False, max_time_s: float = 6
         build_s=built - begin,
         solve_s=time.perf_counter() - built,
     )
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[None]:
+    """Raise KeyboardInterrupt at the end of a solve that Ctrl-C cut short: CasADi only stops the solver for it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    interrupted: list[int] = []
+
+    def remember(number: int, frame: object) -> None:
+        del frame
+        interrupted.append(number)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, remember)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if interrupted:
+        raise KeyboardInterrupt

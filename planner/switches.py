@@ -39,13 +39,25 @@ def find_cuts(trajectory: Trajectory, limit: np.ndarray) -> np.ndarray:
                 if before != 0:
                     cuts.append(float(breaks[a]))
             elif b - a > _SMEARED:
-                cuts += [float(breaks[k]) for k, neighbour in ((a, before), (b, after)) if neighbour != 0]
+                # An arc of its own: its first and last interval may hold the rest of the arcs at limits beside it.
+                for k, inner, neighbour in ((a, a + 1, before), (b - 1, b - 2, after)):
+                    if neighbour != 0:
+                        at_limit, within = (high if neighbour > 0 else low), coefficients[:, inner].mean()
+                        u_before, u_after = (at_limit, within) if k == a else (within, at_limit)
+                        cuts.append(_cut_in(breaks[k : k + 2], coefficients[:, k : k + 1], u_before, u_after))
             elif before * after < 0:
-                impulse = float(np.sum(coefficients[:, a:b].mean(axis=0) * np.diff(breaks[a : b + 1])))
                 u_before, u_after = (high, low) if before > 0 else (low, high)
-                t = (impulse + u_before * breaks[a] - u_after * breaks[b]) / (u_before - u_after)
-                cuts.append(float(np.clip(t, breaks[a], breaks[b])))
+                cuts.append(_cut_in(breaks[a : b + 1], coefficients[:, a:b], u_before, u_after))
     return _spread(cuts, breaks)
+
+
+def _cut_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:
+    """Return the time in smeared intervals at which a jump between two efforts gives the impulse that they hold."""
+    impulse = float(np.sum(coefficients.mean(axis=0) * np.diff(breaks)))
+    jump = u_before - u_after
+    if jump == 0:
+        return float(breaks[0])
+    return float(np.clip((impulse + u_before * breaks[0] - u_after * breaks[-1]) / jump, breaks[0], breaks[-1]))
 
 
 def pinned_efforts(trajectory: Trajectory, limit: np.ndarray, cuts: np.ndarray) -> np.ndarray:

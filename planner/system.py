@@ -26,6 +26,11 @@ class System:
     node: ca.Function
     n_equations: int
     n_path: int
+    kinds: tuple[str, ...]  # what each equation and path quantity is, for messages and tests
+
+    def __post_init__(self) -> None:
+        if len(self.kinds) != self.n_equations + self.n_path:
+            raise ValueError(f"system has {self.n_equations} + {self.n_path} rows, {len(self.kinds)} kinds")
 
     @property
     def n_xi(self) -> int:

@@ -6,6 +6,7 @@ from importlib import resources
 from pathlib import Path
 
 from models.errors import ProblemError, one_line
+from models.library import is_file, is_folder
 from models.names import nearest
 from models.payload import BUILT_IN as PAYLOADS
 
@@ -24,12 +25,14 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
     text = str(source)
     if text in BUILT_IN:
         return text, tomllib.loads(built_in_text(text)), None
-    path = Path(text)
-    if path.is_dir():
+    if not text.strip():
+        raise ProblemError(f"a problem's name is empty; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
+    path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."
+    if is_folder(path):
         raise ProblemError(f"problem '{text}' is a folder; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
-    if not path.is_file():
+    if not is_file(path):
         raise ProblemError(
-            f"unknown problem '{text}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
+            f"unknown problem '{shown}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
         )
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))

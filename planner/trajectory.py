@@ -30,6 +30,11 @@ class Trajectory:
                 raise ValueError(f"trajectory.{name} has values that are not finite")
             value.flags.writeable = False
             object.__setattr__(self, name, value)
+        dimensions = [getattr(self, name).ndim for name in ("breaks_s", "position", "velocity", "effort", "start_pose")]
+        if dimensions != [1, 3, 3, 3, 1]:
+            raise ValueError(f"trajectory has arrays of {dimensions} dimensions in place of [1, 3, 3, 3, 1]")
+        if len(self.position) < 2 or not len(self.velocity) or not len(self.effort):
+            raise ValueError("trajectory polynomials lack coefficients")
         n = len(self.breaks_s) - 1
         shapes = [self.position.shape[1], self.velocity.shape[1], self.effort.shape[1]]
         if n < 1 or np.any(np.diff(self.breaks_s) <= 0) or shapes != [n, n, n]:
@@ -64,6 +69,10 @@ class Trajectory:
         """Return v (n, n_s) [rad/s or m/s] at times (n,); zero outside a motion that is not periodic."""
         velocity = BPoly(self.velocity, self.breaks_s)(self._times(time_s))
         return np.where(self._inside(time_s)[:, None], velocity, 0.0)
+
+    def slope_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return s' (n, n_s), the planned position's own slope, within the motion: v but for a first-order scheme."""
+        return BPoly(self.position, self.breaks_s).derivative()(self._times(time_s))
 
     def acceleration_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return v' (n, n_s) [rad/s2 or m/s2] at times (n,); zero outside a motion that is not periodic."""

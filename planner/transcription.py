@@ -7,6 +7,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from models.along import needed_effort
+from models.assembly import close_at
 from models.mechanism import Mechanism
 from planner.compiled import cached, compiled, key_of
 from planner.guess import Guess, poses_along
@@ -20,8 +21,8 @@ from planner.trajectory import Trajectory
 
 # Free segments may shrink to this share of their guessed duration and no further, so that no interval collapses.
 _SHORTEST_SEGMENT = 0.02
-# A segment between cuts may shrink or stretch by this factor.
-_CUT_ROOM = 2.0
+# A segment between cuts may shrink or stretch by this factor, and by half a mean interval beyond it.
+_CUT_ROOM = 1.1
 # Efforts stay this share inside their limits, so that no rounding in evaluating the polynomial carries them outside.
 _ROUNDING = 4e-15
 # From this many intervals on, compiling (about a second) costs less than a dozen interpreted iterations.
@@ -44,7 +45,8 @@ class Transcribed:
     row_upper: np.ndarray
     start: np.ndarray
     objective_scale: float  # objective = scale * the program's value
-    start_pose: np.ndarray
+    mechanism: Mechanism
+    start_pose: np.ndarray  # closed, near the start
     periodic: bool
     build_s: float  # time that building took [s]
 
@@ -127,17 +129,18 @@ def transcribe(
         n_extra=int(least_limit),
     )
     limit = problem.limits.effort if effort_limit is None else effort_limit
-    linear, linear_lower, linear_upper = _linear_rows(problem, layout, durations, scales, limit)
+    # (n_intervals, n_coefficients, n_u) of what is held where, NaN where nothing is
+    held = None if pinned is None else np.repeat(pinned[mesh.segment][:, None, :], layout.effort_coefficients, axis=1)
+    linear, linear_lower, linear_upper = _linear_rows(problem, layout, durations, scales, limit, held)
     cost = np.zeros(layout.size)
     cost[layout.extra()] = 1.0
     if problem.objective == "time" and not least_limit:
         cost[layout.durations()] = 1.0
     program = build_program(layout, mesh, interval, linear, cost)
     lower, upper = _bounds(problem, layout, durations, scales, limit)
-    if pinned is not None:
-        held = np.repeat((pinned / scales.effort)[mesh.segment][:, None, :], layout.effort_coefficients, axis=1)
+    if held is not None and not least_limit:
         place = layout.effort()[~np.isnan(held)]
-        lower[place] = upper[place] = held[~np.isnan(held)]
+        lower[place] = upper[place] = (held / scales.effort)[~np.isnan(held)]
     row_lower, row_upper = _row_bounds(problem, interval, layout, speed_columns, speed_joints, scales)
     breaks = mesh.breaks(durations)
     return Transcribed(
@@ -151,6 +154,7 @@ def transcribe(
         row_upper=np.concatenate([row_upper, linear_upper]),
         start=_start(mechanism, guess, chosen, layout, breaks, durations, scales, limit),
         objective_scale=1.0 if least_limit else _objective_scale(problem, scales),
+        mechanism=mechanism,
         start_pose=np.array(guess.start_pose),
         periodic=problem.motion.kind == "periodic",
         build_s=time.perf_counter() - begin,
@@ -179,7 +183,7 @@ def _objective_scale(problem: PlanningProblem, scales: Scales) -> float:
     return scales.time_s * float(unit) ** 2
 
 
-def _linear_rows(problem: PlanningProblem, layout: Layout, durations: np.ndarray, scales: Scales, limit: np.ndarray):
+def _linear_rows(problem: PlanningProblem, layout: Layout, durations, scales: Scales, limit: np.ndarray, pinned):
     """Return rows (n, size) with their lower and upper values.
 
     A periodic motion's return, an effort without jumps where a reference is tracked, the total duration where cuts move,
@@ -199,6 +203,9 @@ def _linear_rows(problem: PlanningProblem, layout: Layout, durations: np.ndarray
     if layout.n_segments > 1 and problem.motion.duration_s is not None:
         total = float(np.sum(durations)) / scales.time_s
         blocks.append((layout.durations()[None, :], np.ones((1, layout.n_segments)), total, total))
+    elif layout.n_segments > 1 and problem.motion.max_duration_s is not None:
+        longest = problem.motion.max_duration_s / scales.time_s
+        blocks.append((layout.durations()[None, :], np.ones((1, layout.n_segments)), -np.inf, longest))
     if layout.n_extra:
         for j in range(layout.n_u):
             place = effort[:, :, j].reshape(-1, 1)
@@ -206,7 +213,9 @@ def _linear_rows(problem: PlanningProblem, layout: Layout, durations: np.ndarray
             for bound, low, high in ((limit[j, 0], 0.0, np.inf), (limit[j, 1], -np.inf, 0.0)):
                 if np.isfinite(bound):
                     rows = np.tile([1.0, -bound / scales.effort[j]], (len(place), 1))
-                    blocks.append((columns, rows, low, high))
+                    at = np.zeros(len(place), dtype=bool) if pinned is None else pinned[:, :, j].ravel() == bound
+                    blocks.append((columns[~at], rows[~at], low, high))
+                    blocks.append((columns[at], rows[at], 0.0, 0.0))  # held at the limit, whatever its factor
     if not blocks:
         return sp.csr_matrix((0, layout.size)), np.zeros(0), np.zeros(0)
     matrices = []
@@ -257,7 +266,8 @@ def _bounds(problem: PlanningProblem, layout: Layout, durations: np.ndarray, sca
         upper[place] = longest / scales.time_s
         if layout.n_segments > 1:
             # Cuts begin next to their switches: kept from wandering off, they settle there.
-            lower[place], upper[place] = scaled / _CUT_ROOM, np.minimum(_CUT_ROOM * scaled, upper[place])
+            room = _CUT_ROOM + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
+            lower[place], upper[place] = scaled / room, np.minimum(room * scaled, upper[place])
     return lower, upper
 
 
@@ -347,6 +357,6 @@ def trajectory_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) ->
         position=position,
         velocity=velocity,
         effort=effort.transpose(1, 0, 2),
-        start_pose=transcribed.start_pose,
+        start_pose=close_at(transcribed.mechanism, position[0, 0], transcribed.start_pose),
         periodic=transcribed.periodic,
     )

@@ -87,6 +87,7 @@ def build_parser() -> argparse.ArgumentParser:
 
 
 def _at(parser: argparse.ArgumentParser, text: str) -> None:
+    text += "; degrees, metres for a slide"
     parser.add_argument("--at-deg", action="append", default=[], metavar="JOINT=ANGLE", help=text)
 
 
@@ -138,7 +139,10 @@ def _run(arguments: argparse.Namespace) -> int:
         # The reader of our output left; leave without a word, and keep Python from flushing into the closed pipe.
         sys.stdout = None
         return DONE
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemError) as error:
+        # CasADi wraps an interrupt that comes while it converts a number.
+        if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
         print(f"linkplan {arguments.command}: interrupted; nothing was written", file=sys.stderr)
         return INTERRUPTED
 

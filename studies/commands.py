@@ -46,7 +46,7 @@ def _output(arguments: argparse.Namespace) -> Path | None:
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")
     target = Path(arguments.output)
-    check_target(target)
+    check_target(target, f"{arguments.command}.json")
     return target
 
 
@@ -146,7 +146,7 @@ def run_check(arguments: argparse.Namespace) -> int:
             write_json(place / "check.json", said)
             inspection_figure(found, place / "mechanism.png")
 
-        write_whole(target, write)
+        write_whole(target, write, "check.json")
     _show(arguments, said, inspection_text(found))
     return NO if found.problems else DONE
 
@@ -191,7 +191,7 @@ def run_track(arguments: argparse.Namespace) -> int:
     comparison = _single(plan, arguments, mismatch_given)
     said = comparison_record(comparison) | {"tracker": arguments.tracker}
     if target is not None:
-        write_whole(target, lambda place: _save_tracking(comparison, said, place, "track"))
+        write_whole(target, lambda place: _save_tracking(comparison, said, place, "track"), "track.json")
     _show(arguments, said, comparison_text(comparison))
     return DONE if next(iter(comparison.nominal.values())).stable else NO
 
@@ -240,7 +240,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
         document = mended_runs(plan, say)
         said["document"] = document_record(document)
     if target is not None:
-        write_whole(target, lambda place: _save_tracking(comparison, said, place, "compare", document))
+        write_whole(target, lambda place: _save_tracking(comparison, said, place, "compare", document), "compare.json")
     _show(arguments, said, comparison_text(comparison))
     return DONE if any(rollout.stable for rollout in comparison.nominal.values()) else NO
 
@@ -288,7 +288,7 @@ def run_bode(arguments: argparse.Namespace) -> int:
             write_json(place / "bode.json", said)
             bode_figure(study, place / "bode.png")
 
-        write_whole(target, write)
+        write_whole(target, write, "bode.json")
     _show(arguments, said, bode_text(study))
     return DONE if study.stable else NO
 

@@ -124,7 +124,7 @@ def rollout_record(plan: Plan, rollout: Rollout) -> dict:
     names = [actuator.name for actuator in mechanism.actuators]
     record = {}
     for unit, which, factor in (("deg", hinge, 180 / np.pi), ("m", ~hinge, 1.0)):
-        if not np.any(which) and unit == "m":
+        if not np.any(which):
             continue
         error = factor * np.linalg.norm(rollout.error[:, which], axis=1)
         record |= {

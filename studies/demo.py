@@ -39,7 +39,7 @@ def demo(target: Path, say: Say) -> tuple[dict, str]:
     def write(place: Path) -> None:
         outcome.update(_write(place, say))
 
-    write_whole(target, write)
+    write_whole(target, write, "demo.json")
     minutes = (time.monotonic() - begin) / 60
     text = "\n".join(
         [

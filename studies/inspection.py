@@ -16,11 +16,12 @@ OPEN_M = 1e-6
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class PoseReport:
-    """The mechanism at one pose: inertia (n_s, n_s), gravity's effort (n_s,), the actuators' map (n_s, n_u), pin forces."""
+    """The mechanism at one pose: inertia (n_s, n_s), the effort of gravity and of all that rests (n_s,), actuators' map."""
 
     pose: np.ndarray
     reduced_inertia: np.ndarray
     gravity_effort: np.ndarray
+    holding_effort: np.ndarray
     effort_map: np.ndarray
 
 
@@ -74,11 +75,12 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
         pose = close_at(mechanism, s)
     except AssemblyError as error:
         raise ProblemError(f"--at-deg is beyond reach: {error}") from error
-    dynamics = mechanism.dynamics
+    dynamics, still = mechanism.dynamics, np.zeros(mechanism.dof)
     return PoseReport(
         pose=pose,
         reduced_inertia=np.array(dynamics.reduced_inertia(pose)),
         gravity_effort=np.array(dynamics.gravity_effort(pose)).ravel(),
+        holding_effort=np.array(dynamics.inverse_dynamics(pose, still, still)).ravel(),
         effort_map=np.array(dynamics.effort_map(pose)),
     )
 
@@ -113,7 +115,7 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
                 )
         for position in can.singular:
             notes.append(
-                f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: the loop can go no further"
+                f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: there the loop ends or branches"
             )
         for other, position in can.toggles:
             notes.append(
@@ -184,6 +186,7 @@ def _point_record(mechanism: Mechanism, point: PoseReport) -> dict:
         "q_m": {joint.name: float(x) for joint, x in joints if joint.kind == "slide"},
         "reduced_inertia_kgm2": point.reduced_inertia,
         "gravity_effort": dict(zip(names, point.gravity_effort, strict=True)),
+        "holding_effort": dict(zip(names, point.holding_effort, strict=True)),
         "effort_map": {
             actuator.name: dict(zip(names, point.effort_map[:, column], strict=True))
             for column, actuator in enumerate(mechanism.actuators)

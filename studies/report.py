@@ -43,12 +43,14 @@ def _points_table(found: Inspection) -> str:
     head = [f"{j.name} [{j.unit}]" for j in mechanism.joints]
     head += [f"M_{a.name}{b.name}" for i, a in enumerate(independent) for b in independent[i:]]
     head += [f"gravity {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
+    head += [f"hold {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
     head += [f"{a.name}->{j.name}" for a in mechanism.actuators for j in independent]
     rows = []
     for point in found.points:
         upper = point.reduced_inertia[np.triu_indices(mechanism.dof)]
         positions = [j.shown(x) for j, x in zip(mechanism.joints, point.pose, strict=True)]
-        rows.append([float(x) for x in [*positions, *upper, *point.gravity_effort, *point.effort_map.T.ravel()]])
+        efforts = [*point.gravity_effort, *point.holding_effort, *point.effort_map.T.ravel()]
+        rows.append([float(x) for x in [*positions, *upper, *efforts]])
     return table(head, rows)
 
 
@@ -70,8 +72,12 @@ def plan_text(plan: Plan) -> str:
         ["effort beyond its limit, any instant", certificate.effort_excess, "unit of effort"],
         ["inverse dynamics less carried effort", certificate.dynamics_residual, "unit of effort"],
         ["loop gap", certificate.closure_gap_m, "m"],
-        ["state after integration at 1e-12", certificate.integration_error_deg, "deg"],
     ]
+    kinds = {joint.kind for joint in problem.mechanism.independent_joints}
+    if "hinge" in kinds:
+        rows.append(["state after integration at 1e-12", certificate.integration_error_deg, "deg"])
+    if "slide" in kinds:
+        rows.append(["state after integration at 1e-12", certificate.integration_error_m, "m"])
     for joint, margin in zip(problem.mechanism.joints, certificate.position_margin, strict=True):
         if np.isfinite(margin):
             rows.append([f"margin to the range of {joint.name}", joint.shown(margin), joint.unit])
@@ -88,6 +94,7 @@ def comparison_text(comparison: Comparison) -> str:
     """Return the trackers side by side."""
     plan = comparison.plan
     lines = []
+    unit = "deg" if plan.problem.mechanism.independent_joints[0].kind == "hinge" else "m"
     cases = [(comparison.title, comparison.nominal)]
     if comparison.mismatch is not None:
         cases.append((comparison.mismatch.name, comparison.mismatched))
@@ -104,16 +111,13 @@ def comparison_text(comparison: Comparison) -> str:
             rows.append(
                 [
                     name,
-                    record.get("rms_error_deg", record.get("rms_error_m")),
-                    record.get("max_error_deg", record.get("max_error_m")),
-                    record.get("final_error_deg", record.get("final_error_m")),
+                    *(record[f"{which}_error_{unit}"] for which in ("rms", "max", "final")),
                     max(record["peak_effort"].values()),
                     100 * record["saturated_fraction"],
                     1e6 * record["loop_gap_max_m"],
                     record["stable"],
                 ]
             )
-        unit = "deg" if plan.problem.mechanism.independent_joints[0].kind == "hinge" else "m"
         effort = plan.problem.mechanism.actuators[0].unit
         head = [
             "tracker",

@@ -1,21 +1,30 @@
-"""`make bench`: where the time of a plan goes, and what the closed loop costs beside raw MuJoCo steps.
+"""`make bench`: where the time of a plan goes, beside a program written by hand, and what the closed loop costs.
 
 Only ratios within one run mean anything on a shared machine; the medians beside them say what they are ratios of.
 """
 
+import os
 import statistics
+import tempfile
 import time
 from collections.abc import Callable
 
 import mujoco
+import numpy as np
 
 from controllers.rollout import Loop, run
+from models.assembly import close_at
 from planner.certificate import certify
+from planner.guess import first_guess
+from planner.mesh import uniform
 from planner.planning import plan_motion
 from planner.problem_file import load_problem
+from planner.solve import solve
 from planner.tables import BUILT_IN
+from planner.transcription import transcribe
 from studies.compare import build_tracker, tracking_reference
 from studies.tables import table
+from tests.peer import build_peer
 
 _REPEATS = 5
 
@@ -44,6 +53,69 @@ def bench_plans() -> str:
     return table(["plan", "median [ms]", "build [%]", "solve [%]", "certificate [%]"], rows)
 
 
+def bench_peer() -> str:
+    """Return the time of building and solving beside the same problems in hand-written `casadi.Opti`, and the answers.
+
+    Both at IPOPT tolerance 1e-10; the peer's torque between its nodes is its own quadratic's.
+    """
+    start, goal = np.radians(-49.07), np.radians(56.27)
+    exact = {"knee-sprint": 0.12185126841421788}
+    rows = []
+    with tempfile.TemporaryDirectory() as cache:
+        os.environ["LINKPLAN_CACHE"] = cache
+        for name, duration in (("knee-reach", 0.16), ("knee-sprint", None)):
+            peer = build_peer(40, start, goal, duration)
+            solution = peer.solve(goal)
+            theirs = median_s(lambda duration=duration: build_peer(40, start, goal, duration).solve(goal))
+            again = median_s(lambda peer=peer, solution=solution: peer.solve(goal, solution))
+            torque = np.array(solution.value(peer.effort)).reshape(-1)
+            rows.append(
+                [
+                    f"{name}, Opti",
+                    1e3 * theirs,
+                    1.0,
+                    over(float(solution.value(peer.opti.f)), exact.get(name)),
+                    between_nodes(torque),
+                ]
+            )
+            rows.append([f"{name}, Opti again", 1e3 * again, again / theirs, None, None])
+            for mode in ("never", "always"):
+                problem = load_problem(name, [f"solver.compile={mode}"])
+                plan = plan_motion(problem)
+                ours = median_s(lambda problem=problem: first_solve(problem))
+                answer = over(plan.objective, exact.get(name))
+                label = "interpreted" if mode == "never" else "compiled, cache warm"
+                rows.append([f"{name}, {label}", 1e3 * ours, ours / theirs, answer, float(plan.certificate.peak_effort[0])])
+        del os.environ["LINKPLAN_CACHE"]
+    head = ["build and solve, 40 intervals", "median [ms]", "of Opti's", "over exact", "largest torque [N.m]"]
+    return table(head, rows)
+
+
+def over(value: float, exact: float | None) -> float | None:
+    """Return how far a value is beyond the exact one, relative; None where none is known."""
+    return None if exact is None else value / exact - 1
+
+
+def first_solve(problem) -> None:
+    """Transcribe a problem on its first mesh and solve it once: what the peer does too."""
+    guess = first_guess(problem, problem_start(problem))
+    mesh = uniform(problem.mesh.intervals)
+    solve(transcribe(problem, guess, mesh, np.array([guess.duration_s])))
+
+
+def problem_start(problem) -> np.ndarray:
+    """Return the closed pose at a problem's start."""
+    return close_at(problem.mechanism, problem.motion.start)
+
+
+def between_nodes(torque: np.ndarray) -> float:
+    """Return the largest size of the quadratics through (node, midpoint, node) values in turn."""
+    tau = np.linspace(0, 1, 51)
+    left, middle, right = torque[0:-2:2, None], torque[1::2, None], torque[2::2, None]
+    curve = left * (1 - tau) * (1 - 2 * tau) + 4 * middle * tau * (1 - tau) + right * tau * (2 * tau - 1)
+    return float(np.abs(curve).max())
+
+
 def bench_loop() -> str:
     """Return the time of a tracked run over that of the same number of raw MuJoCo steps."""
     plan = plan_motion(load_problem("knee-sine"))
@@ -61,4 +133,4 @@ def bench_loop() -> str:
 
 
 if __name__ == "__main__":
-    print(bench_plans(), bench_loop(), sep="\n\n")
+    print(bench_plans(), bench_peer(), bench_loop(), sep="\n\n")

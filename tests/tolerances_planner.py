@@ -1,0 +1,96 @@
+"""The tolerances of the planner's and the controllers' tests, one per quantity: what each protects, and what was measured.
+
+Measured with MuJoCo 4.0.0 and CasADi 3.8.2 on x86-64. A tolerance stands a few times above what was measured, for other
+compilers' rounding, and well below what a wrong term, sign or factor would show.
+"""
+
+# Constants on the unit interval: nine Radau nodes lose five digits of sixteen to the inverse of their Bernstein matrix.
+UNIT = 1e-10
+# Polynomials of random coefficients through those constants: the same loss times values up to a thousand.
+UNIT_VALUES = 1e-7
+# Two evaluations of one formula, relative: rounding of a few operations.
+ROUNDING = 1e-12
+# A figure and its closed form, relative (absolute where it is an angle): rounding through a loop closed to 1e-11 m.
+SAME_FIGURE = 1e-9
+# What counts as still [rad/s] or unchanged: anything that is moved at all in these tests moves by 1e-3 and more.
+STILL = 1e-9
+# A speed that a stable loop has forgotten, having begun at 1e-2 [rad/s].
+DIED_OUT = 1e-6
+# Hand-assembled derivatives against CasADi's own, relative to the largest entry: two orders of summation. Measured 3e-16.
+DERIVATIVE = 1e-12
+# The same against central differences with a step of 1e-5: truncation 1e-10 times third derivatives of order one.
+DIFFERENCE = 1e-6
+# Rows of a program at its own solution, scaled: the solver's 1e-10 and the rounding of leaving and entering a motion.
+ROWS = 1e-7
+# Slope of log error over log mesh width: the next order's share of the error on the finest of the meshes. Measured 0.06.
+ORDER = 0.15
+# Minimum time, relative. The solver's complementarity leaves 1e-9; a switch smeared over one interval leaves 1e-5 to 1e-4.
+MINIMUM_TIME = 1e-7
+# Least effort, relative, where the optimum is a polynomial that the scheme holds exactly. Measured 5e-16.
+EXACT_EFFORT = 1e-9
+# Least effort of the knee against Pontryagin's conditions, relative: fortieth-mesh radau-3 and solve_bvp. Measured 2e-11.
+LEAST_EFFORT = 1e-8
+# Figures of the reference table and its own recomputation here: tabulated to sixteen digits. Measured 1e-12.
+REFERENCE = 1e-9
+# Effort beyond a limit [N.m]: none at all, coefficients are cut at the limit.
+EFFORT_EXCESS = 0.0
+# An excess that was put in on purpose, relative: found on a grid that ends a 1e-12 share before each break.
+EXCESS = 1e-6
+# An effort that is at its limit, relative: the solver's complementarity leaves 1e-8.
+AT_LIMIT = 1e-5
+# Efforts [N.m] on both sides of where none may jump, or against a straight line: the solver's 1e-10, scaled back.
+EFFORT_JUMP = 1e-6
+# The least limit with which a duration would do, relative: cuts at its switches make it exact, a smeared switch leaves 1e-4.
+NEEDED_EFFORT = 1e-5
+# The largest effort of a coarse grid against a fine one, relative: a parabola's height between samples.
+PEAK_ON_A_GRID = 1e-3
+# Extremes of twenty thousand samples against the exact ones, relative: the same, squared.
+PEAK_OF_SAMPLES = 1e-6
+# A loop's gap in a plan [m]: what DESIGN promises. Measured 2e-16.
+CLOSURE_M = 1e-9
+# Independent joints after integrating a plan, against the plan [deg]: what DESIGN promises of every plan.
+INTEGRATION_DEG = 0.01
+# The same by scipy with the oracle's own dynamics, on smooth plans or with restarts at the breaks [deg]. Measured 6e-4.
+SECOND_ROUTE_DEG = 0.01
+# Boundary states of a plan [rad, rad/s over the mean speed]: bounds are met exactly, the rest is scaling. Measured 1e-14.
+BOUNDARY = 1e-9
+# A boundary speed [deg/s], in the units of files.
+SPEED_DEG_S = 1e-6
+# Position and velocity at both sides of a break, velocity and the derivative of position; relative to the largest.
+CONTINUITY = 1e-7
+# A range that binds is reached to this [deg]: the motion turns on it between two nodes.
+BINDS_DEG = 0.1
+# A reference that limits allow, under the smoothing term [deg rms]. Measured 2e-4.
+FOLLOWED_DEG = 1e-3
+# A prescribed sinusoid, interpolated by degree eight [rad]. Measured 1e-14.
+SINUSOID = 1e-10
+# Share of home's distance to a singular pose, against the transmission angle's sine, to which it is near but not equal.
+SINGULARITY = 0.3
+# The integration error of a motion from disk against the same before, relative: the same arithmetic, a loaded pose.
+CERTIFIED_AGAIN = 1e-6
+# The certificate's slack on ranges and speeds [rad, rad/s]: rounding of degrees.
+RANGE_SLACK = 1e-9
+# Energy balance of a plan, relative to the work done: trapezia across a switch and the collocation's own error.
+ENERGY = 1e-3
+# A motion where two descriptions of the same program must agree, relative: both are solved to 1e-10.
+SAME_MOTION = 1e-7
+# The instant and size of the sinusoid's peak effort: refined to 1e-12 s, printed to four digits.
+PEAK = 1e-9
+# What CSV keeps, relative: twelve digits.
+CSV = 1e-10
+# Matrix exponential of a double integrator, relative: rounding.
+EXPONENTIAL = 1e-13
+# Riccati gains against scipy's own solution, relative: condition of the Riccati equation. Measured 1e-11.
+GAINS = 1e-8
+# Gains of a repeating motion against a long backward recursion, relative: the cycle's own 1e-9.
+CYCLE_GAINS = 1e-6
+# Linearisation against central differences of the acceleration, relative to the largest entry. Measured 1e-9.
+LINEARISATION = 1e-6
+# A loop's gap while MuJoCo tracks [m]: the constraint is soft by design; micrometres are what the model file promises.
+ROLLOUT_GAP_M = 1e-5
+# The knee's sinusoid under PD 200/1 [deg rms]: measured 0.0236; twice the gains' lag would show 0.05.
+SINE_RMS_DEG = 0.03
+# Feedforward and LQR against PD alone, ratio of rms errors. Measured 0.0012 to 0.006.
+FEEDFORWARD_GAIN = 0.1
+# A planned effort alone, without feedback, in MuJoCo [deg from the goal]: first-order integration at 1e-5 s, soft loop.
+OPEN_LOOP_DEG = 0.1
