@@ -67,13 +67,17 @@ def equality_name(model: mujoco.MjModel, index: int) -> str:
 
 
 def _connect(model: mujoco.MjModel, tree: Tree, index: int) -> Closure:
+    first, second = connect_ends(model, index)
+    residual = tree.point(*first) - tree.point(*second)
+    return Closure(name=equality_name(model, index), index=index, residual=residual)
+
+
+def connect_ends(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray]]:
+    """Return the two points that a connect ties, each as its body and its place (3,) [m] in that body's frame."""
     first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
-        ends = [(int(model.site_bodyid[site]), model.site_pos[site]) for site in (first, second)]
-    else:
-        ends = [(first, model.eq_data[index, 0:3]), (second, model.eq_data[index, 3:6])]
-    residual = tree.point(*ends[0]) - tree.point(*ends[1])
-    return Closure(name=equality_name(model, index), index=index, residual=residual)
+        return [(int(model.site_bodyid[site]), model.site_pos[site]) for site in (first, second)]
+    return [(first, model.eq_data[index, 0:3]), (second, model.eq_data[index, 3:6])]
 
 
 def numerical_rank(jacobian: np.ndarray) -> int:

@@ -6,6 +6,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from models.closure import connect_ends
 from models.mechanism import Mechanism
 from models.tree import SLIDE, build_tree
 
@@ -40,12 +41,7 @@ def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
     for index in range(model.neq):
         if not model.eq_active0[index] or int(model.eq_type[index]) != int(mujoco.mjtEq.mjEQ_CONNECT):
             continue
-        first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-        if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
-            ends = [(int(model.site_bodyid[site]), model.site_pos[site]) for site in (first, second)]
-        else:
-            ends = [(first, model.eq_data[index, 0:3]), (second, model.eq_data[index, 3:6])]
-        for body, point in ends:
+        for body, point in connect_ends(model, index):
             pins.setdefault(_solid(model, body), []).append(tree.point(body, point))
     right, up = _view(model)
     result = []

@@ -14,6 +14,10 @@ from planner.trajectory import Trajectory
 # Degree of the polynomials that stand for a smooth reference on an interval: with forty intervals a period, its
 # interpolation error is at rounding.
 _DEGREE = 8
+# Samples of a period while a frequency is sought: a peak between them is missed by less than a hundred-thousandth of it.
+_COARSE = 721
+# Where a reference this many times slower still breaks a limit, its frequency is not what is wrong with it.
+_SLOWEST = 1000.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -81,6 +85,41 @@ def prescribe(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory:
 def is_whole(number: float) -> bool:
     """Return whether a ratio is a whole number, to rounding of typed-in decimals."""
     return round(number) >= 1 and abs(number - round(number)) < 1e-9 * max(1.0, number)
+
+
+def rounded_down(value: float, digits: int = 4) -> float:
+    """Return a positive number cut to some digits: a bound that is printed must still be kept."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
+    return float(np.floor(value / unit) * unit)
+
+
+def highest_frequency(problem: PlanningProblem, start_pose: np.ndarray) -> float | None:
+    """Return the highest frequency [Hz] at which the reference keeps every limit, its amplitude kept; None where none does.
+
+    Bisection between the asked frequency, which is too high, and a thousandth of it.
+    """
+    mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
+    time = np.linspace(0.0, reference.period_s, _COARSE)
+    poses = follow(mechanism, reference.derivative(time), start_pose)  # the same at every frequency
+    v, a = reference.derivative(time, 1), reference.derivative(time, 2)
+    if not np.all((limits.position[:, 0] <= poses) & (poses <= limits.position[:, 1])):
+        return None
+
+    def keeps(frequency_hz: float) -> bool:
+        faster = frequency_hz / reference.frequency_hz
+        effort, _ = needed_effort(mechanism, poses, faster * v, faster**2 * a)
+        rates = joint_rates(mechanism, poses, faster * v)
+        inside = [(x >= bound[:, 0]) & (x <= bound[:, 1]) for x, bound in ((effort, limits.effort), (rates, limits.speed))]
+        return bool(np.all(inside[0]) and np.all(inside[1]))
+
+    high = problem.reference.frequency_hz
+    low = high / _SLOWEST
+    if not keeps(low):
+        return None
+    while high - low > 1e-7 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if keeps(middle) else (low, middle)
+    return low
 
 
 def reference_demand(problem: PlanningProblem, start_pose: np.ndarray) -> Demand | None:

@@ -7,6 +7,7 @@ problems found), said in a sentence; 2 bad input, one line. Heavy imports wait f
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from typing import NoReturn
 
 from models.errors import LinkplanError, one_line
 
@@ -19,7 +20,7 @@ _EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, probl
 class _Parser(argparse.ArgumentParser):
     """A parser that refuses in one line."""
 
-    def error(self, message: str) -> None:  # type: ignore[override]
+    def error(self, message: str) -> NoReturn:
         """Print the refusal and leave with exit code 2."""
         self.exit(BAD_INPUT, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
 

@@ -4,6 +4,7 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from scipy.optimize import brentq
 
@@ -211,3 +212,23 @@ def test_a_longest_duration_bounds_a_least_effort():
     plan = planned("knee-reach", "motion.duration_s=free", "motion.max_duration_s=0.3")
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(0.3, rel=MINIMUM_TIME)
+
+
+@pytest.mark.parametrize("limit", ["limits.effort.act_O=[-100, 100]", "limits.speed_deg_s.O=1000"])
+def test_the_highest_frequency_is_the_border_between_feasible_and_not(limit):
+    asked = ("knee-sine", "mechanism.payload=shank", limit)
+    frequency = planned(*asked).details["highest_frequency_hz"]
+    assert 1.0 < frequency < 4.0
+    for share, status in ((0.9999, "optimal"), (1.0001, "infeasible")):
+        assert planned(*asked, f"reference.frequency_hz={share * frequency}").status == status
+
+
+def test_a_speed_limit_s_highest_frequency_is_speed_over_two_pi_amplitude():
+    frequency = planned("knee-sine", "limits.speed_deg_s.O=1000").details["highest_frequency_hz"]
+    assert frequency == pytest.approx(1000 / (2 * np.pi * 52.67), rel=1e-4)
+
+
+def test_a_range_that_the_amplitude_itself_leaves_has_no_highest_frequency():
+    plan = planned("knee-sine", "limits.range_deg.A=[20, 150]")
+    assert plan.status == "infeasible"
+    assert "highest_frequency_hz" not in plan.details
