@@ -8,6 +8,7 @@ from models.errors import InfeasibleError
 from planner.certificate import Certificate
 from planner.problem import PlanningProblem
 from planner.trajectory import Trajectory
+from planner.transcription import Transcribed
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -31,7 +32,8 @@ class Plan:
 
     `status` is "optimal" (converged and certified), "infeasible" (no motion keeps the limits) or "failed" (no answer was
     found); `message` says it in a sentence. `objective` is in SI: effort [N2 m2 s or N2 s], time [s], tracking
-    [rad2 s or m2 s]. `details` holds further figures by name, unit in the name.
+    [rad2 s or m2 s]. `details` holds further figures by name, unit in the name. `solved` is
+    the last program with its solution as the starting point, for solving again; None for a motion that was not solved for.
     """
 
     problem: PlanningProblem
@@ -42,6 +44,7 @@ class Plan:
     certificate: Certificate | None = None
     history: tuple[Step, ...] = ()
     details: dict[str, float] = field(default_factory=dict)
+    solved: Transcribed | None = None
 
     def require(self) -> "Plan":
         """Return this plan if it is optimal.

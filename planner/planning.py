@@ -15,7 +15,7 @@ from planner.plan import Plan, Step, tracking_errors
 from planner.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem
-from planner.solve import Solution, solve
+from planner.solve import OUT_OF_TIME, Solution, solve
 from planner.switches import find_cuts, pinned_efforts
 from planner.trajectory import Trajectory
 from planner.transcription import trajectory_of, transcribe
@@ -89,7 +89,7 @@ def _plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray, say: Say)
         )
     trajectory = prescribe(problem, start_pose)
     certificate = certify(problem, trajectory)
-    return _finished(problem, trajectory, certificate, 0.0, [], "the reference keeps every limit and is followed exactly")
+    return finished(problem, trajectory, certificate, 0.0, [], "the reference keeps every limit and is followed exactly")
 
 
 def _solve(
@@ -163,7 +163,8 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
             message="failed: the motion that the solver returned leaves the branch on which the mechanism was assembled",
             history=tuple(history),
         )
-    return _finished(problem, trajectory, certificate, solution.objective, history, None)
+    plan = finished(problem, trajectory, certificate, solution.objective, history, None)
+    return replace(plan, solved=replace(solution.transcribed, start=solution.x))
 
 
 def _marked(mesh: Mesh, certificate: Certificate | None) -> np.ndarray:
@@ -228,7 +229,8 @@ def _settle_switches(problem, trajectory, solution, mesh, history, say):
     return trajectory, solution, mesh, pinned
 
 
-def _finished(problem, trajectory, certificate, objective, history, message: str | None) -> Plan:
+def finished(problem, trajectory, certificate, objective, history, message: str | None) -> Plan:
+    """Return the plan of a certified motion, its status by the certificate and its message in words."""
     plan = Plan(
         problem=problem, status="optimal", message="", objective=objective, trajectory=trajectory, certificate=certificate
     )
@@ -262,6 +264,13 @@ def _finished(problem, trajectory, certificate, objective, history, message: str
 
 def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: list[Step], say: Say) -> Plan:
     """Return the plan of a problem whose first solve failed: another start where a motion exists, else the reason."""
+    if history[-1].solver_status == OUT_OF_TIME:
+        return Plan(
+            problem=problem,
+            status="failed",
+            message=f"failed: the solver ran out of its {problem.solver.max_time_s:g} s (solver.max_time_s)",
+            history=tuple(history),
+        )
     say("no motion found; looking for the limit that forbids one")
     least = least_limit(problem, guess, mesh, durations)
     if least is not None and least.factor <= 1.0:

@@ -11,17 +11,21 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from planner.program import Program
 from planner.transcription import Transcribed
 
 # Feasibility and optimality of the scaled program; the certificate then judges the motion itself.
 TOLERANCE = 1e-10
 MAX_ITERATIONS = 1000
+# IPOPT's word for it.
+OUT_OF_TIME = "Maximum_WallTime_Exceeded"
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Solution:
-    """What a solver answered: unknowns, whether they are a local optimum, its own words, and the time it took [s]."""
+    """What a solver answered to which program: unknowns, whether a local optimum, its words, the time it took [s]."""
 
+    transcribed: Transcribed
     x: np.ndarray
     objective: float
     converged: bool
@@ -31,10 +35,9 @@ class Solution:
     solve_s: float
 
 
-def solve(transcribed: Transcribed, *, warm: bool = False, max_time_s: float = 600.0) -> Solution:
-    """Return the solver's answer; never raises for a problem that has none."""
-    begin = time.perf_counter()
-    functions = transcribed.program.functions
+def build_solver(program: Program, *, warm: bool = False, max_time_s: float = 600.0) -> ca.Function:
+    """Return IPOPT for a program; a warm one begins next to the point and multipliers that it is given."""
+    functions = program.functions
     options = {
         "print_time": False,
         "ipopt.print_level": 0,
@@ -55,8 +58,19 @@ def solve(transcribed: Transcribed, *, warm: bool = False, max_time_s: float = 6
     }
     if warm:
         options |= {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
-    solver = ca.nlpsol("solver", "ipopt", functions["nlp"], options)
-    built = time.perf_counter()
+    return ca.nlpsol("solver", "ipopt", functions["nlp"], options)
+
+
+def solve(transcribed: Transcribed, *, warm: bool = False, max_time_s: float = 600.0) -> Solution:
+    """Return the solver's answer; never raises for a problem that has none."""
+    begin = time.perf_counter()
+    solver = build_solver(transcribed.program, warm=warm, max_time_s=max_time_s)
+    return run_solver(solver, transcribed, build_s=time.perf_counter() - begin)
+
+
+def run_solver(solver: ca.Function, transcribed: Transcribed, *, build_s: float = 0.0) -> Solution:
+    """Return a built solver's answer to a program's numbers, from its starting point."""
+    begin = time.perf_counter()
     with _interruptible(), contextlib.redirect_stderr(io.StringIO()):  # what CasADi says there, the status says too
         result = solver(
             x0=transcribed.start,
@@ -68,13 +82,14 @@ def solve(transcribed: Transcribed, *, warm: bool = False, max_time_s: float = 6
         )
     stats = solver.stats()
     return Solution(
+        transcribed=transcribed,
         x=np.array(result["x"]).ravel(),
         objective=float(result["f"]) * transcribed.objective_scale,
         converged=bool(stats["success"]),
         status=str(stats["return_status"]),
         iterations=int(stats["iter_count"]),
-        build_s=built - begin,
-        solve_s=time.perf_counter() - built,
+        build_s=build_s,
+        solve_s=time.perf_counter() - begin,
     )
 
 

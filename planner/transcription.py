@@ -1,14 +1,14 @@
 """From a planning problem to numbers for a solver, and from a solver's numbers back to a trajectory."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from models.along import needed_effort
 from models.assembly import close_at
 from models.mechanism import Mechanism
+from planner.bounds import bounds, held_efforts, linear_rows, row_bounds, speed_limited
 from planner.compiled import cached, compiled, key_of
 from planner.guess import Guess, poses_along
 from planner.interval import SMOOTHING, IntervalFunctions, IntervalRows, Layout, build_interval
@@ -19,10 +19,6 @@ from planner.program import Program, build_program
 from planner.schemes import Scheme, scheme
 from planner.trajectory import Trajectory
 
-# Free segments may shrink to this share of their guessed duration and no further, so that no interval collapses.
-_SHORTEST_SEGMENT = 0.02
-# A segment between cuts may shrink or stretch by this factor, and by half a mean interval beyond it.
-_CUT_ROOM = 1.1
 # Efforts stay this share inside their limits, so that no rounding in evaluating the polynomial carries them outside.
 _ROUNDING = 4e-15
 # From this many intervals on, compiling (about a second) costs less than a dozen interpreted iterations.
@@ -48,6 +44,7 @@ class Transcribed:
     mechanism: Mechanism
     start_pose: np.ndarray  # closed, near the start
     periodic: bool
+    pinned: np.ndarray | None  # (n_segments, n_u) efforts held over whole segments
     build_s: float  # time that building took [s]
 
 
@@ -86,7 +83,6 @@ def transcribe(
     durations: np.ndarray,
     *,
     scales: Scales | None = None,
-    effort_limit: np.ndarray | None = None,
     position_rows: bool = False,
     least_limit: bool = False,
     pinned: np.ndarray | None = None,
@@ -99,7 +95,6 @@ def transcribe(
         mesh: intervals; its segments have `durations` (n_segments,) [s] in the guess.
         durations: guessed durations of the segments.
         scales: units; chosen from the guess by default.
-        effort_limit: (n_u, 2) in place of the problem's.
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
         pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
@@ -108,9 +103,7 @@ def transcribe(
     mechanism, chosen = problem.mechanism, scheme(problem.mesh.scheme, problem.mesh.effort)
     scales = scales or choose_scales(problem, guess)
     objective = "none" if least_limit or problem.objective == "time" else problem.objective
-    speed_limited = [i for i in range(mechanism.n_q) if np.any(np.isfinite(problem.limits.speed[i]))]
-    speed_columns = tuple(k for k, i in enumerate(mechanism.independent) if i in speed_limited)
-    speed_joints = tuple(i for i in speed_limited if i not in mechanism.independent)
+    speed_columns, speed_joints = speed_limited(problem)
     rows = IntervalRows(
         effort_weight=tuple((scales.effort / scales.effort.max()) ** 2) if objective == "effort" else (),
         rate_weight=SMOOTHING if objective == "tracking" else 0.0,
@@ -128,23 +121,18 @@ def transcribe(
         n_segments=mesh.n_segments,
         n_extra=int(least_limit),
     )
-    limit = problem.limits.effort if effort_limit is None else effort_limit
-    # (n_intervals, n_coefficients, n_u) of what is held where, NaN where nothing is
-    held = None if pinned is None else np.repeat(pinned[mesh.segment][:, None, :], layout.effort_coefficients, axis=1)
-    linear, linear_lower, linear_upper = _linear_rows(problem, layout, durations, scales, limit, held)
+    linear, linear_lower, linear_upper = linear_rows(
+        problem, layout, durations, scales, held_efforts(pinned, mesh, layout) if least_limit else None
+    )
     cost = np.zeros(layout.size)
     cost[layout.extra()] = 1.0
     if problem.objective == "time" and not least_limit:
         cost[layout.durations()] = 1.0
-    program = build_program(layout, mesh, interval, linear, cost)
-    lower, upper = _bounds(problem, layout, durations, scales, limit)
-    if held is not None and not least_limit:
-        place = layout.effort()[~np.isnan(held)]
-        lower[place] = upper[place] = (held / scales.effort)[~np.isnan(held)]
-    row_lower, row_upper = _row_bounds(problem, interval, layout, speed_columns, speed_joints, scales)
+    lower, upper = bounds(problem, layout, mesh, durations, scales, None if least_limit else pinned)
+    row_lower, row_upper = row_bounds(problem, interval, layout, speed_columns, speed_joints, scales)
     breaks = mesh.breaks(durations)
     return Transcribed(
-        program=program,
+        program=build_program(layout, mesh, interval, linear, cost),
         scheme=chosen,
         scales=scales,
         parameters=_parameters(problem, chosen, mesh, breaks, scales),
@@ -152,11 +140,44 @@ def transcribe(
         upper=upper,
         row_lower=np.concatenate([row_lower, linear_lower]),
         row_upper=np.concatenate([row_upper, linear_upper]),
-        start=_start(mechanism, guess, chosen, layout, breaks, durations, scales, limit),
+        start=_start(mechanism, guess, chosen, layout, breaks, durations, scales, problem.limits.effort),
         objective_scale=1.0 if least_limit else _objective_scale(problem, scales),
         mechanism=mechanism,
         start_pose=np.array(guess.start_pose),
         periodic=problem.motion.kind == "periodic",
+        pinned=pinned,
+        build_s=time.perf_counter() - begin,
+    )
+
+
+def renumbered(transcribed: Transcribed, problem: PlanningProblem, x: np.ndarray) -> Transcribed:
+    """Return a program with another problem's numbers in it: boundary states, limits, duration, reference; nothing is built.
+
+    Args:
+        transcribed: of a problem with the same mechanism, kind, objective and mesh, and limits finite in the same places.
+        problem: whose numbers to take.
+        x: unknowns to start from, as a rule the last solution; a fixed duration is the new problem's.
+    """
+    begin = time.perf_counter()
+    program, scales, mesh = transcribed.program, transcribed.scales, transcribed.program.mesh
+    layout, interval = program.layout, program.interval
+    durations = x[layout.durations()] * scales.time_s
+    if problem.motion.duration_s is not None:
+        durations = durations * problem.motion.duration_s / durations.sum()
+    start = np.array(x)
+    start[layout.durations()] = durations / scales.time_s
+    lower, upper = bounds(problem, layout, mesh, durations, scales, transcribed.pinned)
+    _, linear_lower, linear_upper = linear_rows(problem, layout, durations, scales, None)
+    speed_columns, speed_joints = speed_limited(problem)
+    row_lower, row_upper = row_bounds(problem, interval, layout, speed_columns, speed_joints, scales)
+    return replace(
+        transcribed,
+        parameters=_parameters(problem, transcribed.scheme, mesh, mesh.breaks(durations), scales),
+        lower=lower,
+        upper=upper,
+        row_lower=np.concatenate([row_lower, linear_lower]),
+        row_upper=np.concatenate([row_upper, linear_upper]),
+        start=np.clip(start, lower, upper),
         build_s=time.perf_counter() - begin,
     )
 
@@ -181,113 +202,6 @@ def _objective_scale(problem: PlanningProblem, scales: Scales) -> float:
         return scales.time_s
     unit = scales.effort.max() if problem.objective == "effort" else scales.position.max()
     return scales.time_s * float(unit) ** 2
-
-
-def _linear_rows(problem: PlanningProblem, layout: Layout, durations, scales: Scales, limit: np.ndarray, pinned):
-    """Return rows (n, size) with their lower and upper values.
-
-    A periodic motion's return, an effort without jumps where a reference is tracked, the total duration where cuts move,
-    and efforts within a factor of their limits where that factor is sought.
-    """
-    blocks: list[tuple[np.ndarray, np.ndarray, float, float]] = []  # columns, coefficients (n, k); lower, upper
-    ones = np.ones((layout.n_s * 2, 1))
-    periodic = problem.motion.kind == "periodic"
-    if periodic:
-        ends = np.stack([layout.state(layout.n_intervals), layout.state(0)], axis=1)
-        blocks.append((ends, np.hstack([ones, -ones]), 0.0, 0.0))
-    effort = layout.effort()
-    if problem.objective == "tracking" and layout.effort_coefficients > 1:
-        following = effort[(np.arange(layout.n_intervals) + 1) % layout.n_intervals, 0]
-        pairs = np.stack([effort[:, -1], following], axis=-1)[: None if periodic else -1].reshape(-1, 2)
-        blocks.append((pairs, np.tile([1.0, -1.0], (len(pairs), 1)), 0.0, 0.0))
-    if layout.n_segments > 1 and problem.motion.duration_s is not None:
-        total = float(np.sum(durations)) / scales.time_s
-        blocks.append((layout.durations()[None, :], np.ones((1, layout.n_segments)), total, total))
-    elif layout.n_segments > 1 and problem.motion.max_duration_s is not None:
-        longest = problem.motion.max_duration_s / scales.time_s
-        blocks.append((layout.durations()[None, :], np.ones((1, layout.n_segments)), -np.inf, longest))
-    if layout.n_extra:
-        for j in range(layout.n_u):
-            place = effort[:, :, j].reshape(-1, 1)
-            columns = np.hstack([place, np.full_like(place, layout.extra()[0])])
-            for bound, low, high in ((limit[j, 0], 0.0, np.inf), (limit[j, 1], -np.inf, 0.0)):
-                if np.isfinite(bound):
-                    rows = np.tile([1.0, -bound / scales.effort[j]], (len(place), 1))
-                    at = np.zeros(len(place), dtype=bool) if pinned is None else pinned[:, :, j].ravel() == bound
-                    blocks.append((columns[~at], rows[~at], low, high))
-                    blocks.append((columns[at], rows[at], 0.0, 0.0))  # held at the limit, whatever its factor
-    if not blocks:
-        return sp.csr_matrix((0, layout.size)), np.zeros(0), np.zeros(0)
-    matrices = []
-    for columns, values, _, _ in blocks:
-        row = np.repeat(np.arange(len(columns)), columns.shape[1])
-        matrices.append(sp.csr_matrix((values.ravel(), (row, columns.ravel())), shape=(len(columns), layout.size)))
-    lower = np.concatenate([np.full(len(block[0]), block[2]) for block in blocks])
-    upper = np.concatenate([np.full(len(block[0]), block[3]) for block in blocks])
-    return sp.vstack(matrices).tocsr(), lower, upper
-
-
-def _bounds(problem: PlanningProblem, layout: Layout, durations: np.ndarray, scales: Scales, limit: np.ndarray):
-    mechanism, motion = problem.mechanism, problem.motion
-    lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
-    n_s, rate = layout.n_s, scales.position / scales.time_s
-    states = layout.states()
-    position, speed = problem.limits.position, problem.limits.speed
-    lower[states[:, :n_s]] = position[mechanism.independent, 0] / scales.position
-    upper[states[:, :n_s]] = position[mechanism.independent, 1] / scales.position
-    lower[states[:, n_s:]] = speed[mechanism.independent, 0] / rate
-    upper[states[:, n_s:]] = speed[mechanism.independent, 1] / rate
-    lower[layout.dependent()] = position[mechanism.dependent, 0]
-    upper[layout.dependent()] = position[mechanism.dependent, 1]
-    if not layout.n_extra:
-        lower[layout.effort()] = limit[:, 0] / scales.effort
-        upper[layout.effort()] = limit[:, 1] / scales.effort
-    lower[layout.extra()] = 0.0
-
-    def fix(k: int, s: np.ndarray | None, v: np.ndarray | None) -> None:
-        for value, unit, place in ((s, scales.position, states[k, :n_s]), (v, rate, states[k, n_s:])):
-            if value is not None:
-                lower[place] = upper[place] = value / unit
-
-    if motion.kind == "reach":
-        rest = np.zeros(n_s)
-        fix(0, motion.start, rest if motion.start_speed is None else motion.start_speed)
-        fix(layout.n_intervals, motion.goal, rest if motion.goal_speed is None else motion.goal_speed)
-    elif motion.kind == "periodic" and motion.start is not None:
-        fix(0, motion.start, None)
-        fix(layout.n_intervals // 2, motion.goal, None)
-    scaled = np.asarray(durations) / scales.time_s
-    place = layout.durations()
-    if motion.duration_s is not None and layout.n_segments == 1:
-        lower[place] = upper[place] = scaled
-    else:
-        lower[place] = _SHORTEST_SEGMENT * scaled
-        longest = motion.max_duration_s or 100.0 * float(np.sum(durations))
-        upper[place] = longest / scales.time_s
-        if layout.n_segments > 1:
-            # Cuts begin next to their switches: kept from wandering off, they settle there.
-            room = _CUT_ROOM + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
-            lower[place], upper[place] = scaled / room, np.minimum(room * scaled, upper[place])
-    return lower, upper
-
-
-def _row_bounds(problem, interval: IntervalFunctions, layout: Layout, speed_columns, speed_joints, scales: Scales):
-    """Return the bounds of an interval's rows, repeated over the intervals: its own, then each node's."""
-    lower, upper = np.zeros(interval.n_own), np.zeros(interval.n_own)
-    speed, position = problem.limits.speed, problem.limits.position
-    independent = problem.mechanism.independent
-    own = {kind: np.flatnonzero([k == kind for k in interval.own_kinds]) for kind in ("speed", "position")}
-    for place, column in zip(np.array_split(own["speed"], max(1, len(speed_columns))), speed_columns, strict=False):
-        lower[place], upper[place] = speed[independent[column]] * scales.time_s / scales.position[column]
-    for place, column in zip(np.array_split(own["position"], layout.n_s), range(layout.n_s), strict=True):
-        if len(place):
-            lower[place], upper[place] = position[independent[column]] / scales.position[column]
-    of_path = speed[list(speed_joints)].reshape(-1, 2)
-    node_lower = np.concatenate([np.zeros(interval.n_equations), of_path[:, 0]])
-    node_upper = np.concatenate([np.zeros(interval.n_equations), of_path[:, 1]])
-    lower = np.concatenate([lower, np.tile(node_lower, interval.n_nodes)])
-    upper = np.concatenate([upper, np.tile(node_upper, interval.n_nodes)])
-    return np.tile(lower, layout.n_intervals), np.tile(upper, layout.n_intervals)
 
 
 def _parameters(problem, chosen: Scheme, mesh: Mesh, breaks: np.ndarray, scales: Scales) -> np.ndarray:

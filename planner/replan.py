@@ -1,0 +1,115 @@
+"""Planning again and again: a program that is built once and solved with new numbers, from the last solution.
+
+    planner = Planner()
+    for goal in goals:
+        plan = planner.plan(replace(problem, motion=replace(problem.motion, goal=goal)))
+
+Boundary states, limits, durations and references are numbers of a program and cost no building. Where a problem is of
+another structure (mechanism or payload, kind, objective, mesh, which limits are finite), or where the warm solve does not
+lead to a motion that its certificate passes, it is planned from the beginning.
+"""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from models.errors import AssemblyError
+from planner.certificate import certify
+from planner.plan import Plan, Step
+from planner.planning import Say, finished, plan_motion, silent
+from planner.presolve import plain_contradiction, start_pose_of
+from planner.problem import PlanningProblem
+from planner.program import Program
+from planner.solve import Solution, build_solver, run_solver
+from planner.transcription import Transcribed, renumbered, trajectory_of
+
+# A segment within this share of its bounds counts as stopped by them.
+_ROOM = 1e-6
+
+
+class Planner:
+    """A planner that keeps its last program; `plan` answers as `plan_motion` does, sooner where it can."""
+
+    def __init__(self, say: Say = silent) -> None:
+        self._say = say
+        self._key: tuple | None = None
+        self._last: Transcribed | None = None
+        self._solver: ca.Function | None = None
+        self._program: Program | None = None
+
+    def plan(self, problem: PlanningProblem) -> Plan:
+        """Return the plan of a problem.
+
+        Raises:
+            ProblemError: when start, goal or reference contradict the mechanism itself.
+        """
+        again = self.solve_again(problem)
+        if again is not None:
+            plan = self._certified(problem, again)
+            if plan is not None:
+                return plan
+        plan = plan_motion(problem, self._say)
+        self._keep(problem, plan.solved if plan.status == "optimal" else None)
+        return plan
+
+    def solve_again(self, problem: PlanningProblem) -> Solution | None:
+        """Return a warm solve of the kept program with a problem's numbers; None where it does not serve or converge.
+
+        The motion is not certified: `plan` does that.
+        """
+        if self._last is None or self._solver is None or structure(problem) != self._key:
+            return None
+        solution = run_solver(self._solver, renumbered(self._last, problem, self._last.start))
+        return solution if solution.converged and not _at_the_end_of_its_room(solution) else None
+
+    def _certified(self, problem: PlanningProblem, solution: Solution) -> Plan | None:
+        """Return the plan of a warm solution, or None where it is to be planned from the beginning."""
+        start_pose_of(problem)  # refuses what is out of reach
+        if plain_contradiction(problem) is not None:
+            return None
+        try:
+            trajectory = trajectory_of(solution.transcribed, solution.x, problem.limits.effort)
+            certificate = certify(problem, trajectory)
+        except AssemblyError:
+            return None
+        if not certificate.passed:
+            return None
+        step = Step(
+            what="solved again",
+            intervals=solution.transcribed.program.mesh.n_intervals,
+            segments=solution.transcribed.program.mesh.n_segments,
+            converged=True,
+            solver_status=solution.status,
+            objective=solution.objective,
+            integration_error_deg=certificate.integration_error_deg,
+            build_s=solution.transcribed.build_s,
+            solve_s=solution.solve_s,
+        )
+        self._last = replace(solution.transcribed, start=solution.x)
+        return finished(problem, trajectory, certificate, solution.objective, [step], None)
+
+    def _keep(self, problem: PlanningProblem, solved: Transcribed | None) -> None:
+        self._last, self._key = solved, structure(problem) if solved is not None else None
+        if solved is not None and solved.program is not self._program:
+            self._program = solved.program
+            self._solver = build_solver(solved.program, warm=True, max_time_s=problem.solver.max_time_s)
+
+
+def _at_the_end_of_its_room(solution: Solution) -> bool:
+    """Return whether a cut would have moved further than it may: its segments are then not the new motion's."""
+    transcribed = solution.transcribed
+    place = transcribed.program.layout.durations()
+    if len(place) == 1:
+        return False
+    low, high, at = transcribed.lower[place], transcribed.upper[place], solution.x[place]
+    return bool(np.any(np.minimum(at - low, high - at) < _ROOM * at))
+
+
+def structure(problem: PlanningProblem) -> tuple:
+    """Return what a program is built on: problems with equal structures differ in numbers only."""
+    limits, motion = problem.limits, problem.motion
+    finite = tuple(np.isfinite(limit).tobytes() for limit in (limits.effort, limits.position, limits.speed))
+    given = tuple(x is None for x in (motion.start, motion.goal, motion.duration_s, motion.max_duration_s))
+    mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort)
+    return (problem.mechanism.fingerprint(), motion.kind, problem.objective, problem.reference is None, finite, given, mesh)
