@@ -166,8 +166,20 @@ def _margins(mechanism: Mechanism, limits, q, v, time, worst) -> tuple[np.ndarra
         inside = np.minimum(values - bounds[:, 0], bounds[:, 1] - values)
         for joint, column in zip(mechanism.joints, inside.T, strict=True):
             worst[f"{what} of {joint.name}"] = float(time[int(np.argmin(column))])
-        margins.append(inside.min(axis=0))
+        margins.append(np.array([_least(column) for column in inside.T]))
     return margins[0], margins[1]
+
+
+def _least(values: np.ndarray) -> float:
+    """Return the least value of a curve smooth on each interval: sampled, or at a parabola's vertex between samples."""
+    rows = values.reshape(-1, SAMPLES_PER_INTERVAL + 1)
+    if not np.all(np.isfinite(rows)):
+        return float(values.min())
+    before, at, after = rows[:, :-2], rows[:, 1:-1], rows[:, 2:]
+    bend, slope = before - 2 * at + after, 0.5 * (after - before)
+    inside = (bend > 0) & (np.abs(slope) <= bend)
+    vertex = at[inside] - slope[inside] ** 2 / (2 * bend[inside])
+    return float(min(values.min(), vertex.min(initial=np.inf)))
 
 
 def _singularity_ratio(mechanism: Mechanism, q: np.ndarray) -> float:

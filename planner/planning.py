@@ -7,7 +7,7 @@ import numpy as np
 
 from models.assembly import follow
 from models.errors import AssemblyError
-from planner.certificate import RANGE_SLACK, Certificate, certify
+from planner.certificate import INTEGRATION_DEG, INTEGRATION_M, RANGE_SLACK, Certificate, certify
 from planner.guess import Guess, first_guess, motion_of
 from planner.infeasibility import effort_sentence, least_limit, overrun_sentence, tightened, without
 from planner.mesh import Mesh, halved, segmented, uniform
@@ -23,7 +23,12 @@ from planner.transcription import trajectory_of, transcribe
 # Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
 _ROUNDS = 8
 # A mesh that has grown by this factor without passing will not pass by growing on.
-_MOST = 20
+_MOST = 120
+# What the integrated state is refined towards where no tolerance is asked for [deg], as far as a mesh of so many
+# intervals carries it; and how far below the worst interval's error another may be to be halved with it.
+_TARGET_DEG = 1e-6
+_COMFORTABLE = 100
+_WORST = 0.01
 _MARK = 0.5
 # A solve with cuts at its switches replaces the one before when it is no slower than the error of a mesh without cuts.
 _NO_WORSE = 1e-4
@@ -135,19 +140,25 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
     if problem.objective == "time":
         trajectory, solution, mesh, pinned = _settle_switches(problem, trajectory, solution, mesh, history, say)
     certificate = _try_certify(problem, trajectory)
-    position_rows, kept = False, problem
+    position_rows, kept, finest = False, problem, _MOST * problem.mesh.intervals
+    passed = None  # the last that passed, to go back to where a finer one does not
     for _ in range(_ROUNDS):
-        if (certificate is not None and certificate.passed) or mesh.n_intervals > _MOST * problem.mesh.intervals:
-            break
+        if certificate is not None and certificate.passed:
+            passed = trajectory, solution, certificate
+            if _exact_enough(problem, certificate):
+                break
         position_rows = position_rows or certificate is None or bool(np.any(certificate.position_margin < 0))
-        marked = _marked(mesh, certificate)
-        if not marked.any() and _overruns(certificate):
+        marked = _marked(mesh, certificate, _strictness(problem))
+        if not marked.any() and certificate is not None and _overruns(certificate):
             # Only a range or speed is left, between the nodes: ask the solver for a little less than the limit.
             kept = replace(problem, limits=tightened(kept.limits, certificate))
         elif not marked.any():
             marked[:] = True
         if _turns_at_the_middle(problem):
             marked[:] = marked.any()  # keep the middle of the motion on a node
+        n_finer = mesh.n_intervals + int(marked.sum())
+        if n_finer > finest or (passed is not None and problem.mesh.tolerance_deg is None and n_finer > _COMFORTABLE):
+            break
         mesh = halved(mesh, marked)
         durations = np.bincount(mesh.segment, weights=_widths(trajectory, marked))
         what = "finer mesh" if marked.any() else "limits kept between the nodes"
@@ -156,6 +167,8 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
             break
         trajectory, solution = finer
         certificate = _try_certify(problem, trajectory)
+    if passed is not None and (certificate is None or not certificate.passed):
+        trajectory, solution, certificate = passed
     if certificate is None:
         return Plan(
             problem=problem,
@@ -164,17 +177,39 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
             history=tuple(history),
         )
     plan = finished(problem, trajectory, certificate, solution.objective, history, None)
-    return replace(plan, solved=replace(solution.transcribed, start=solution.x))
+    plan = replace(plan, solved=replace(solution.transcribed, start=solution.x))
+    if plan.status == "optimal" and problem.mesh.tolerance_deg is not None and not _exact_enough(problem, certificate):
+        missed = (
+            f"failed: the integrated model ends {certificate.integration_error_deg:.3g} deg from the plan on"
+            f" {plan.intervals} intervals, more than mesh.tolerance_deg = {problem.mesh.tolerance_deg:g}"
+        )
+        return replace(plan, status="failed", message=missed)
+    return plan
 
 
-def _marked(mesh: Mesh, certificate: Certificate | None) -> np.ndarray:
-    """Return which intervals (n,) to halve: those with more than their share of an error that a certificate refuses."""
+def _strictness(problem: PlanningProblem) -> float:
+    """Return how many times more exact than a certificate demands the integrated state is to be."""
+    return INTEGRATION_DEG / (problem.mesh.tolerance_deg or _TARGET_DEG)
+
+
+def _exact_enough(problem: PlanningProblem, certificate: Certificate) -> bool:
+    strict = _strictness(problem)
+    return certificate.integration_error_deg * strict <= INTEGRATION_DEG and (
+        certificate.integration_error_m * strict <= INTEGRATION_M
+    )
+
+
+def _marked(mesh: Mesh, certificate: Certificate | None, strictness: float) -> np.ndarray:
+    """Return which intervals (n,) to halve: those with more than their share of an error that is too large."""
     if certificate is None or not np.all(np.isfinite(certificate.growth)):
         return np.ones(mesh.n_intervals, dtype=bool)
-    marked = certificate.residual_share > _MARK
-    if certificate.growth.sum() > 1.0:
-        marked |= certificate.growth > _MARK / mesh.n_intervals
-    return marked if certificate.growth.sum() > 1.0 or certificate.residual_share.max() > 1.0 else np.zeros_like(marked)
+    growth = certificate.growth * strictness
+    marked = np.zeros(mesh.n_intervals, dtype=bool)
+    if certificate.residual_share.max() > 1.0:
+        marked |= certificate.residual_share > _MARK
+    if growth.sum() > 1.0:
+        marked |= growth > _MARK * max(1.0, _WORST * growth.max() * mesh.n_intervals) / mesh.n_intervals
+    return marked
 
 
 def _overruns(certificate: Certificate) -> bool:

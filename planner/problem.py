@@ -70,6 +70,7 @@ class MeshSettings:
     scheme: str = "radau-3"
     intervals: int = 40
     effort: str = "polynomial"  # "constant", "linear" or "polynomial"
+    tolerance_deg: float | None = None  # on the integrated state; None: refined towards 1e-6 while the mesh stays small
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -16,6 +16,7 @@ from models.errors import AssemblyError, ProblemError
 from models.library import is_file
 from models.mechanism import Mechanism, load_mechanism
 from models.names import choose, nearest
+from planner.certificate import INTEGRATION_DEG
 from planner.prescribed import is_whole
 from planner.problem import (
     COMPILE,
@@ -31,6 +32,7 @@ from planner.problem import (
 from planner.reference import Sine
 from planner.schemes import scheme
 from planner.tables import Tables, apply_override, read_tables
+from planner.values import interval, number, word
 
 KEYS: Mapping[str, tuple[str, ...]] = {
     "mechanism": ("model", "payload", "home_deg", "home_m"),
@@ -50,7 +52,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "reference": ("amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg", "frequency_hz"),
     "objective": ("minimize",),
     "limits": ("effort", "range_deg", "range_m", "speed_deg_s", "speed_m_s"),
-    "mesh": ("scheme", "intervals", "effort"),
+    "mesh": ("scheme", "intervals", "effort", "tolerance_deg"),
     "solver": ("compile", "max_time_s"),
     "tracking": (
         "kp",
@@ -62,8 +64,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
         "lqr_velocity_deg_s",
     ),
 }
-# No quantity of a mechanism is larger in SI units or degrees.
-_LARGEST = 1e15
+# The integration that judges is good to about a tenth of this.
+_TIGHTEST_DEG = 1e-9
 # Meshes beyond this take minutes; a typing slip of a zero should not.
 MAX_INTERVALS = 20_000
 # A dependent joint named in start_deg or goal_deg must stand this near to where the closed loop has it.
@@ -95,9 +97,9 @@ def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -
             f"mechanism '{mechanism.name}' has no usable actuator (a motor on a hinge or slide); a plan needs one"
             + "".join(f"; {item.text}" for item in audit(mechanism.model))
         )
-    kind = _word(section["motion"], "motion.kind", KINDS)
+    kind = word(section["motion"], "motion.kind", KINDS)
     default = "tracking" if kind == "track" or (kind == "periodic" and section["reference"]) else "effort"
-    objective = _word(section["objective"], "objective.minimize", OBJECTIVES, default)
+    objective = word(section["objective"], "objective.minimize", OBJECTIVES, default)
     reference = _reference(section["reference"], mechanism) if section["reference"] else None
     problem = PlanningProblem(
         name=name,
@@ -164,34 +166,8 @@ def _home(section: dict) -> dict[str, float]:
         if not isinstance(table, dict):
             raise ProblemError(f"mechanism.{key} is a table of joint = value, got {table!r}")
         for joint, value in table.items():
-            home[joint] = factor * _number(value, f"mechanism.{key}.{joint}")
+            home[joint] = factor * number(value, f"mechanism.{key}.{joint}")
     return home
-
-
-def _word(section: dict, key: str, legal: Sequence[str], default: str | None = None) -> str:
-    value = section.get(key.split(".")[1], default)
-    if value is None:
-        raise ProblemError(f"{key} is missing; it is one of {', '.join(legal)}")
-    if not isinstance(value, str):
-        raise ProblemError(f"{key} is one of {', '.join(legal)}, got {value!r}")
-    return choose(key, value, legal, ProblemError)
-
-
-def _number(value: object, key: str, *, positive: bool = False, infinite: bool = False, least: float | None = None) -> float:
-    """Return a finite number.
-
-    Raises:
-        ProblemError: naming the key, when it is anything else.
-    """
-    wanted = "a positive number" if positive else "a number" if least is None else f"a number of at least {least:g}"
-    legal = isinstance(value, int | float) and not isinstance(value, bool)
-    if isinstance(value, int) and abs(value) > _LARGEST:
-        raise ProblemError(f"{key} is {wanted} below {_LARGEST:g}, got one of {len(str(value))} digits")
-    if not legal or np.isnan(value) or (np.isinf(value) and not infinite):
-        raise ProblemError(f"{key} is {wanted}, got {value!r}")
-    if (positive and value <= 0) or (least is not None and value < least):
-        raise ProblemError(f"{key} is {wanted}, got {value!r}")
-    return float(value)
 
 
 def _joint_values(section: dict, key: str, table_name: str, mechanism: Mechanism) -> dict[int, object]:
@@ -224,7 +200,7 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None)
         if index not in values and default is None:
             raise ProblemError(f"motion.{key}_{joint.unit} names no value for joint {joint.name}, which moves on its own")
         value = values.get(int(index), default)
-        result.append(joint.read(_number(value, f"motion.{key} of joint {joint.name}")))
+        result.append(joint.read(number(value, f"motion.{key} of joint {joint.name}")))
     if key.endswith("_s"):
         for index in values:
             if index not in mechanism.independent:
@@ -239,7 +215,7 @@ def _motion(section: dict, kind: str, mechanism: Mechanism, reference: Sine | No
     duration = section.get("duration_s", "free" if reference is None else reference.period_s)
     if isinstance(duration, str) and duration != "free":
         raise ProblemError(f'motion.duration_s is a positive number or "free", got {duration!r}')
-    duration = None if duration == "free" else _number(duration, "motion.duration_s", positive=True)
+    duration = None if duration == "free" else number(duration, "motion.duration_s", positive=True)
     longest = section.get("max_duration_s")
     repeats = kind == "periodic" and reference is not None and duration is not None
     if repeats and not is_whole(duration * reference.frequency_hz):
@@ -254,7 +230,7 @@ def _motion(section: dict, kind: str, mechanism: Mechanism, reference: Sine | No
         start_speed=_state(section, "start_speed_s", mechanism, 0.0),
         goal_speed=_state(section, "goal_speed_s", mechanism, 0.0),
         duration_s=duration,
-        max_duration_s=None if longest is None else _number(longest, "motion.max_duration_s", positive=True),
+        max_duration_s=None if longest is None else number(longest, "motion.max_duration_s", positive=True),
     )
 
 
@@ -271,7 +247,7 @@ def _reference(section: dict, mechanism: Mechanism) -> Sine:
         for index, joint in zip(mechanism.independent, mechanism.independent_joints, strict=True):
             if int(index) not in found and default is None:
                 raise ProblemError(f"reference.{key}_{joint.unit} names no value for joint {joint.name}")
-            result.append(joint.read(_number(found.get(int(index), default), f"reference.{key} of joint {joint.name}")))
+            result.append(joint.read(number(found.get(int(index), default), f"reference.{key} of joint {joint.name}")))
         return np.array(result)
 
     phase = section.get("phase_deg", {})
@@ -279,22 +255,13 @@ def _reference(section: dict, mechanism: Mechanism) -> Sine:
         raise ProblemError(f"reference.phase_deg is a table of joint = value, got {phase!r}")
     for joint in phase:
         mechanism.joint_index(joint, ProblemError)
-    phases = [_number(phase.get(j.name, 0.0), f"reference.phase_deg.{j.name}") for j in mechanism.independent_joints]
+    phases = [number(phase.get(j.name, 0.0), f"reference.phase_deg.{j.name}") for j in mechanism.independent_joints]
     return Sine(
         amplitude=values("amplitude", None),
         bias=values("bias", 0.0),
         phase=np.radians(phases),
-        frequency_hz=_number(section.get("frequency_hz"), "reference.frequency_hz", positive=True),
+        frequency_hz=number(section.get("frequency_hz"), "reference.frequency_hz", positive=True),
     )
-
-
-def _interval(value: object, key: str) -> tuple[float, float]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise ProblemError(f"{key} is [low, high], got {value!r}")
-    low, high = (_number(end, key, infinite=True) for end in value)
-    if not low < high:
-        raise ProblemError(f"{key} is [low, high] with low < high, got {value!r}")
-    return low, high
 
 
 def _limits(section: dict, mechanism: Mechanism) -> Limits:
@@ -304,13 +271,13 @@ def _limits(section: dict, mechanism: Mechanism) -> Limits:
         raise ProblemError(f"limits.effort is a table of actuator = [low, high], got {table!r}")
     names = [actuator.name for actuator in mechanism.actuators]
     for name, value in table.items():
-        effort[names.index(choose("actuator in limits.effort", name, names, ProblemError))] = _interval(
+        effort[names.index(choose("actuator in limits.effort", name, names, ProblemError))] = interval(
             value, f"limits.effort.{name}"
         )
     position = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
     for index, value in _joint_values(section, "range", "limits", mechanism).items():
         joint = mechanism.joints[index]
-        low, high = (joint.read(end) for end in _interval(value, f"limits.range_{joint.unit}.{joint.name}"))
+        low, high = (joint.read(end) for end in interval(value, f"limits.range_{joint.unit}.{joint.name}"))
         if low < joint.lower or high > joint.upper:
             raise ProblemError(
                 f"limits.range_{joint.unit}.{joint.name} = {value!r} is wider than the model's own range"
@@ -322,9 +289,9 @@ def _limits(section: dict, mechanism: Mechanism) -> Limits:
         joint = mechanism.joints[index]
         key = f"limits.speed_{joint.unit}_s.{joint.name}"
         if isinstance(value, list):
-            ends = _interval(value, key)
+            ends = interval(value, key)
         else:
-            ends = (-_number(value, key, positive=True), _number(value, key, positive=True))
+            ends = (-number(value, key, positive=True), number(value, key, positive=True))
         if not ends[0] <= 0 <= ends[1]:
             raise ProblemError(f"{key} admits rest, low <= 0 <= high, got {value!r}")
         speed[index] = [joint.read(end) for end in ends]
@@ -338,14 +305,21 @@ def _mesh(section: dict) -> MeshSettings:
     if not isinstance(intervals, int) or isinstance(intervals, bool) or not 2 <= intervals <= MAX_INTERVALS:
         raise ProblemError(f"mesh.intervals is a whole number from 2 to {MAX_INTERVALS}, got {intervals!r}")
     effort = section.get("effort", default.effort)
-    return MeshSettings(scheme=scheme(name, effort).name, intervals=intervals, effort=effort)
+    tolerance = section.get("tolerance_deg")
+    if tolerance is not None:
+        tolerance = number(tolerance, "mesh.tolerance_deg", positive=True)
+        if not _TIGHTEST_DEG <= tolerance <= INTEGRATION_DEG:
+            raise ProblemError(
+                f"mesh.tolerance_deg is from {_TIGHTEST_DEG:g} to the certificate's {INTEGRATION_DEG:g}, got {tolerance:g}"
+            )
+    return MeshSettings(scheme=scheme(name, effort).name, intervals=intervals, effort=effort, tolerance_deg=tolerance)
 
 
 def _solver(section: dict) -> SolverSettings:
     default = SolverSettings()
     return SolverSettings(
-        compile=_word(section, "solver.compile", COMPILE, default.compile),
-        max_time_s=_number(section.get("max_time_s", default.max_time_s), "solver.max_time_s", positive=True),
+        compile=word(section, "solver.compile", COMPILE, default.compile),
+        max_time_s=number(section.get("max_time_s", default.max_time_s), "solver.max_time_s", positive=True),
     )
 
 
@@ -357,14 +331,14 @@ def _tracking(section: dict) -> Tracking:
     duration = section.get("duration_s")
 
     def angle(key: str, value: float) -> float:
-        return np.radians(_number(section.get(key, np.degrees(value)), f"tracking.{key}", positive=True))
+        return np.radians(number(section.get(key, np.degrees(value)), f"tracking.{key}", positive=True))
 
     return Tracking(
-        kp=_number(section.get("kp", default.kp), "tracking.kp", least=0.0),
-        kd=_number(section.get("kd", default.kd), "tracking.kd", least=0.0),
-        period_s=_number(section.get("period_s", default.period_s), "tracking.period_s", positive=True),
+        kp=number(section.get("kp", default.kp), "tracking.kp", least=0.0),
+        kd=number(section.get("kd", default.kd), "tracking.kd", least=0.0),
+        period_s=number(section.get("period_s", default.period_s), "tracking.period_s", positive=True),
         delay_periods=delay,
-        duration_s=None if duration is None else _number(duration, "tracking.duration_s", positive=True),
+        duration_s=None if duration is None else number(duration, "tracking.duration_s", positive=True),
         lqr_position=float(angle("lqr_position_deg", default.lqr_position)),
         lqr_velocity=float(angle("lqr_velocity_deg_s", default.lqr_velocity)),
     )
@@ -384,7 +358,7 @@ def _check_poses(section: dict, problem: PlanningProblem) -> None:
             raise ProblemError(f"motion.{key}_deg does not close: {error}") from error
         for index in extra:
             joint = mechanism.joints[index]
-            asked = joint.read(_number(named[index], f"motion.{key} of joint {joint.name}"))
+            asked = joint.read(number(named[index], f"motion.{key} of joint {joint.name}"))
             if abs(asked - pose[index]) > _POSE_TOLERANCE:
                 pairs = zip(mechanism.independent_joints, s, strict=True)
                 raise ProblemError(

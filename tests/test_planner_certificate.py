@@ -12,7 +12,7 @@ from planner.tables import BUILT_IN
 from planner.trajectory import Trajectory
 from tests.fourbar import SHANK, knee
 from tests.test_planner_plans import planned, problem_of
-from tests.tolerances_planner import CLOSURE_M, EXCESS, PEAK_ON_A_GRID, SAME_FIGURE, SINGULARITY
+from tests.tolerances_planner import CLOSURE_M, EXCESS, EXTREME, PEAK_ON_A_GRID, SAME_FIGURE, SINGULARITY
 
 
 def motion() -> Trajectory:
@@ -132,12 +132,12 @@ def test_a_joint_that_is_too_fast_is_named_with_its_excess(joint):
 
 
 def test_the_fastest_of_each_joint_agrees_with_the_closed_form():
-    time = motion().dense_times(12)
+    time = motion().dense_times(400)  # the certificate finds its extremes between its own, coarser samples
     fourbar, s = knee(), motion().position_at(time)[:, 0]
     rates = fourbar.rates(s) * motion().velocity_at(time)[:, 0]
     expected = np.abs([rates[0], rates[1] - rates[0], rates[2]]).max(axis=1)
     certificate = found(motion(), *(f"limits.speed_deg_s.{joint}=1e5" for joint in "OAC"))
-    np.testing.assert_allclose(np.radians(1e5) - certificate.speed_margin, expected, rtol=SAME_FIGURE)
+    np.testing.assert_allclose(np.radians(1e5) - certificate.speed_margin, expected, rtol=EXTREME)
 
 
 def test_what_nothing_limits_has_an_infinite_margin():
