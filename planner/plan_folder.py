@@ -56,10 +56,7 @@ def record(plan: Plan) -> dict:
                 "solve": sum(step.solve_s for step in plan.history),
             },
             "details": plan.details,
-            "history": [
-                {name: getattr(step, name) for name in step.__slots__ if name != "integration_error_deg"}
-                for step in plan.history
-            ],
+            "history": [{name: getattr(step, name) for name in step.__slots__} for step in plan.history],
             "not_honoured": list(problem.not_honoured),
             "versions": versions(),
             "problem": problem.source,

@@ -139,7 +139,7 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
     pinned = None
     if problem.objective == "time":
         trajectory, solution, mesh, pinned = _settle_switches(problem, trajectory, solution, mesh, history, say)
-    certificate = _try_certify(problem, trajectory)
+    certificate = _try_certify(problem, trajectory, history)
     position_rows, kept, finest = False, problem, _MOST * problem.mesh.intervals
     passed = None  # the last that passed, to go back to where a finer one does not
     for _ in range(_ROUNDS):
@@ -166,7 +166,7 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
         if finer is None:
             break
         trajectory, solution = finer
-        certificate = _try_certify(problem, trajectory)
+        certificate = _try_certify(problem, trajectory, history)
     if passed is not None and (certificate is None or not certificate.passed):
         trajectory, solution, certificate = passed
     if certificate is None:
@@ -228,11 +228,14 @@ def _widths(trajectory: Trajectory, marked: np.ndarray) -> np.ndarray:
     return np.repeat(widths / pieces, pieces)
 
 
-def _try_certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate | None:
+def _try_certify(problem: PlanningProblem, trajectory: Trajectory, history: list[Step]) -> Certificate | None:
+    """Return a motion's certificate, its error noted in the history; None where the motion leaves the branch."""
     try:
-        return certify(problem, trajectory)
+        certificate = certify(problem, trajectory)
     except AssemblyError:
         return None
+    history[-1] = replace(history[-1], integration_error_deg=certificate.integration_error_deg)
+    return certificate
 
 
 def _settle_switches(problem, trajectory, solution, mesh, history, say):
