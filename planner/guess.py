@@ -1,6 +1,6 @@
 """Starting points: motions that already close the loop, keep the boundary states and ask for a possible effort."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +8,7 @@ from scipy.interpolate import BPoly
 
 from models.along import needed_effort
 from models.assembly import follow
+from models.errors import AssemblyError
 from models.mechanism import Mechanism
 from planner.problem import PlanningProblem
 from planner.trajectory import Trajectory
@@ -69,6 +70,37 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
         duration_s=duration,
         start_pose=start_pose,
     )
+
+
+def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[Guess]:
+    """Yield motions for a reach of free duration that gather way first: back from the goal before it, or beyond it and back.
+
+    Where effort is short of gravity's, the way straight there is not open, and a solver that starts on it finds none.
+    """
+    motion = problem.motion
+    if motion.kind != "reach" or motion.duration_s is not None:
+        return
+    way = motion.goal - motion.start
+    for via, at in ((motion.start - 0.5 * way, 0.4), (motion.goal + 0.5 * way, 0.6)):
+        duration = 4.0 * _shortest_duration(problem, start_pose)
+        if motion.max_duration_s is not None:
+            duration = min(duration, motion.max_duration_s)
+        rest = np.zeros_like(way)
+        states = [[motion.start, rest, rest], [via, rest, rest], [motion.goal, rest, rest]]
+        path = BPoly.from_derivatives([0.0, at * duration, duration], states)
+        guess = Guess(
+            position=path,
+            velocity=path.derivative(1),
+            acceleration=path.derivative(2),
+            effort=None,
+            duration_s=duration,
+            start_pose=start_pose,
+        )
+        try:
+            poses_along(problem.mechanism, guess, np.linspace(0.0, duration, _SAMPLES))
+        except AssemblyError:  # the swing leaves what the loop allows
+            continue
+        yield guess
 
 
 def _smooth_path(problem: PlanningProblem, duration: float) -> BPoly:

@@ -8,7 +8,7 @@ import numpy as np
 from models.assembly import follow
 from models.errors import AssemblyError
 from planner.certificate import INTEGRATION_DEG, INTEGRATION_M, RANGE_SLACK, Certificate, certify
-from planner.guess import Guess, first_guess, motion_of
+from planner.guess import Guess, first_guess, motion_of, swinging_guesses
 from planner.infeasibility import effort_sentence, least_limit, overrun_sentence, tightened, without
 from planner.mesh import Mesh, halved, segmented, uniform
 from planner.plan import Plan, Step, tracking_errors
@@ -309,6 +309,11 @@ def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: 
             message=f"failed: the solver ran out of its {problem.solver.max_time_s:g} s (solver.max_time_s)",
             history=tuple(history),
         )
+    for swing in swinging_guesses(problem, guess.start_pose):
+        found = _solve(problem, swing, mesh, np.array([swing.duration_s]), "start from a swing", history, say)
+        plan = None if found is None else _certified(problem, found, mesh, history, say)
+        if plan is not None and plan.status == "optimal":
+            return plan
     say("no motion found; looking for the limit that forbids one")
     least = least_limit(problem, guess, mesh, durations)
     if least is not None and least.factor <= 1.0:
