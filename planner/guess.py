@@ -21,7 +21,7 @@ _DURATIONS = (1e-5, 1e4)
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Guess:
-    """A motion to start from: functions of time (n,) giving (n, n_s) and efforts (n, n_u), and its segments' durations."""
+    """A motion to start from: functions of time (n,) giving (n, n_s) and efforts (n, n_u), and its duration."""
 
     position: Callable[[np.ndarray], np.ndarray]
     velocity: Callable[[np.ndarray], np.ndarray]
@@ -61,7 +61,11 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
     duration = problem.motion.duration_s
     if duration is None:
         duration = min(_shortest_duration(problem, start_pose), problem.motion.max_duration_s or np.inf)
-    path = _smooth_path(problem, duration)
+    return _guess_along(_smooth_path(problem, duration), duration, start_pose)
+
+
+def _guess_along(path: BPoly, duration: float, start_pose: np.ndarray) -> Guess:
+    """Return a path as a guess, its efforts left to inverse dynamics."""
     return Guess(
         position=path,
         velocity=path.derivative(1),
@@ -80,22 +84,12 @@ def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterat
     motion = problem.motion
     if motion.kind != "reach" or motion.duration_s is not None:
         return
-    way = motion.goal - motion.start
+    way, rest = motion.goal - motion.start, np.zeros_like(motion.goal)
+    duration = min(4.0 * _shortest_duration(problem, start_pose), motion.max_duration_s or np.inf)
     for via, at in ((motion.start - 0.5 * way, 0.4), (motion.goal + 0.5 * way, 0.6)):
-        duration = 4.0 * _shortest_duration(problem, start_pose)
-        if motion.max_duration_s is not None:
-            duration = min(duration, motion.max_duration_s)
-        rest = np.zeros_like(way)
         states = [[motion.start, rest, rest], [via, rest, rest], [motion.goal, rest, rest]]
         path = BPoly.from_derivatives([0.0, at * duration, duration], states)
-        guess = Guess(
-            position=path,
-            velocity=path.derivative(1),
-            acceleration=path.derivative(2),
-            effort=None,
-            duration_s=duration,
-            start_pose=start_pose,
-        )
+        guess = _guess_along(path, duration, start_pose)
         try:
             poses_along(problem.mechanism, guess, np.linspace(0.0, duration, _SAMPLES))
         except AssemblyError:  # the swing leaves what the loop allows

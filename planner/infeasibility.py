@@ -39,7 +39,7 @@ def least_limit(problem: PlanningProblem, guess: Guess, mesh: Mesh, durations: n
     best, pinned = None, None
     for _ in range(2):
         transcribed = transcribe(problem, guess, mesh, durations, least_limit=True, pinned=pinned)
-        solution = solve(transcribed)
+        solution = solve(transcribed, max_time_s=problem.solver.max_time_s)
         if not solution.converged:
             break
         factor = float(solution.x[transcribed.program.layout.extra()][0])

@@ -15,7 +15,7 @@ from models.assembly import follow
 from models.errors import AssemblyError, LinkplanError, PlanFileError
 from planner.certificate import Certificate, certify
 from planner.folders import plain_record, write_json
-from planner.plan import Plan
+from planner.plan import Plan, not_honoured
 from planner.problem import PlanningProblem
 from planner.problem_file import problem_from_tables
 from planner.tables import apply_override
@@ -57,7 +57,7 @@ def record(plan: Plan) -> dict:
             },
             "details": plan.details,
             "history": [{name: getattr(step, name) for name in step.__slots__} for step in plan.history],
-            "not_honoured": list(problem.not_honoured),
+            "not_honoured": list(not_honoured(plan)),
             "versions": versions(),
             "problem": problem.source,
         }

@@ -244,7 +244,7 @@ def _settle_switches(problem, trajectory, solution, mesh, history, say):
     First with efforts held at the limits that the arcs showed, which leaves the cuts alone to be found; where that is
     slower than the solution without cuts, the arcs were read wrongly and the efforts are set free again.
     """
-    pinned = None
+    pinned, no_worse = None, _NO_WORSE
     for _ in range(_SETTLINGS):
         cuts = find_cuts(trajectory, problem.limits.effort)
         if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6 or _turns_at_the_middle(problem):
@@ -255,13 +255,14 @@ def _settle_switches(problem, trajectory, solution, mesh, history, say):
         better = None
         for efforts, what in ((held, "cuts at the switches"), (None, "cuts at the switches, efforts free")):
             found = _solve(problem, guess, finer, durations, what, history, say, pinned=efforts, warm=True)
-            if found is not None and found[1].objective <= solution.objective * (1 + _NO_WORSE):
+            if found is not None and found[1].objective <= solution.objective * (1 + no_worse):
                 better = found
                 break
         if better is None:
             break
         settled = better[1].objective > solution.objective * (1 - _SETTLED)
         (trajectory, solution), mesh, pinned = better, finer, efforts
+        no_worse = _SETTLED  # from now on both have cuts, and only a better one replaces the other
         if settled or not np.any(np.isnan(held)):
             break
     return trajectory, solution, mesh, pinned

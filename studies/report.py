@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from planner.plan import Plan
+from planner.plan import Plan, not_honoured
 from studies.bode import BodeStudy
 from studies.compare import Comparison, rollout_record
 from studies.inspection import Inspection
@@ -86,7 +86,7 @@ def plan_text(plan: Plan) -> str:
         f"certificate: {'passed' if certificate.passed else 'NOT passed'}",
         table(["between the nodes", "worst", "unit"], rows),
     ]
-    lines += [f"not honoured: {text}" for text in problem.not_honoured]
+    lines += [f"not honoured: {text}" for text in not_honoured(plan)]
     return "\n".join(lines)
 
 
