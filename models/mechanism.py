@@ -116,6 +116,10 @@ class Mechanism:
             )
         return names.index(name)
 
+    def closure_slice(self, closure: int) -> slice:
+        """Return where a closure's rows stand among all rows."""
+        return slice(3 * closure, 3 * closure + 3)
+
     def gap_m(self, q: np.ndarray) -> float:
         """Return the largest distance [m] between two points that a closure ties, at pose q (n_q,)."""
         phi = np.array(self.dynamics.closure(q)).reshape(-1, 3)

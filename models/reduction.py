@@ -40,7 +40,7 @@ class ReducedDynamics:
     acceleration: ca.Function  # q, v, u -> a (n_s,)
     flow: ca.Function  # q, v, u -> q' (n_q,), v' (n_s,)
     linearisation: ca.Function  # q, v, u -> da/ds, da/dv, da/du along the closed chain
-    closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N], zero on rows left out
+    closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N], the least that does it; zero on closures left out
     energy: ca.Function  # q, v -> kinetic, potential [J]
 
 
@@ -79,6 +79,7 @@ def reduce_tree(
     force = ca.SX.zeros(phi.numel())
     if chosen:
         force[chosen] = _solve(J_z.T, (needed - B @ u)[[int(i) for i in dependent]])
+        force = _least_norm(ca.Function("J", [q], [jacobian]), chosen) @ force
     kinetic_at = ca.Function("kinetic", [q, qd], [tree.kinetic_energy])
 
     def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
@@ -124,3 +125,30 @@ def _solve(A: ca.SX, b: ca.SX) -> ca.SX:
         adjugate = ca.vertcat(ca.horzcat(A[1, 1], -A[0, 1]), ca.horzcat(-A[1, 0], A[0, 0]))
         return (adjugate @ b) / (A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
     return ca.solve(A, b)
+
+
+def _least_norm(jacobian: ca.Function, chosen: list[int]) -> ca.DM:
+    """Return the matrix (n_rows, n_rows) from forces on the chosen rows to the least forces on all rows that do the same.
+
+    In a planar loop one of a connect's three rows depends on the other two, J_c = C J_chosen with C constant; then
+    C (C^T C)^-1 mu has the size of the pin force whichever rows were chosen. Where C is not constant (spatial
+    loops, rows that depend on another closure's) forces stay on the chosen rows.
+    """
+    n_rows = jacobian.size1_out(0)
+    spread = np.eye(n_rows)
+    rng = np.random.default_rng(0)
+    samples = [np.array(jacobian(rng.uniform(-1.0, 1.0, jacobian.size1_in(0)))) for _ in range(3)]
+    for first in range(0, n_rows, 3):
+        of = list(range(first, first + 3))
+        kept = [row for row in of if row in chosen]
+        if not kept or len(kept) == 3:
+            continue
+        maps = [J[of] @ np.linalg.pinv(J[kept]) for J in samples]
+        residual = max(np.abs(J[of] - C @ J[kept]).max() for J, C in zip(samples, maps, strict=True))
+        if residual > 1e-9 or max(np.abs(C - maps[0]).max() for C in maps) > 1e-9:
+            continue
+        C = maps[0]
+        block = np.zeros((3, n_rows))
+        block[:, kept] = C @ np.linalg.inv(C.T @ C)
+        spread[of] = np.where(np.abs(block) > 1e-12, block, 0.0)
+    return ca.sparsify(ca.DM(spread))

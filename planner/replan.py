@@ -16,13 +16,15 @@ import numpy as np
 
 from models.errors import AssemblyError
 from planner.certificate import certify
+from planner.collocation import Transcribed
 from planner.plan import Plan, Step
-from planner.planning import Say, finished, plan_motion, silent
+from planner.planning import finished, plan_motion
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem
 from planner.program import Program
+from planner.refinement import Say, silent
 from planner.solve import Solution, build_solver, run_solver
-from planner.transcription import Transcribed, renumbered, trajectory_of
+from planner.transcription import renumbered, trajectory_of
 
 # A segment within this share of its bounds counts as stopped by them.
 _ROOM = 1e-6
@@ -77,6 +79,7 @@ class Planner:
             return None
         step = Step(
             what="solved again",
+            scheme=solution.transcribed.scheme.name,
             intervals=solution.transcribed.program.mesh.n_intervals,
             segments=solution.transcribed.program.mesh.n_segments,
             converged=True,
@@ -93,7 +96,7 @@ class Planner:
         self._last, self._key = solved, structure(problem) if solved is not None else None
         if solved is not None and solved.program is not self._program:
             self._program = solved.program
-            self._solver = build_solver(solved.program, warm=True, max_time_s=problem.solver.max_time_s)
+            self._solver = build_solver(solved.program, problem.solver, warm=True)
 
 
 def _at_the_end_of_its_room(solution: Solution) -> bool:
@@ -109,7 +112,12 @@ def _at_the_end_of_its_room(solution: Solution) -> bool:
 def structure(problem: PlanningProblem) -> tuple:
     """Return what a program is built on: problems with equal structures differ in numbers only."""
     limits, motion = problem.limits, problem.motion
-    finite = tuple(np.isfinite(limit).tobytes() for limit in (limits.effort, limits.position, limits.speed))
+    limited = (limits.effort, limits.position, limits.speed, limits.effort_rate, limits.power, limits.closure_force)
+    finite = (*(np.isfinite(limit).tobytes() for limit in limited), limits.singular_margin > 0)
     given = tuple(x is None for x in (motion.start, motion.goal, motion.duration_s, motion.max_duration_s))
-    mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort)
-    return (problem.mechanism.fingerprint(), motion.kind, problem.objective, problem.reference is None, finite, given, mesh)
+    via = tuple((np.isnan(w.position).tobytes(), np.isnan(w.speed).tobytes(), w.time_s is None) for w in motion.waypoints)
+    lines = tuple(motor is not None and motor.has_line for motor in problem.motors)
+    mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
+    terms = tuple(problem.objective.weights)
+    of = (problem.mechanism.fingerprint(), motion.kind, terms, problem.reference is None, problem.solver.name)
+    return (*of, finite, given, motion.min_duration_s is None, via, lines, mesh)
