@@ -133,12 +133,16 @@ def bounds(formulation: Formulation, layout: Layout, mesh: Mesh, durations: np.n
     return lower, upper
 
 
-def row_bounds(formulation: Formulation, interval: IntervalFunctions, layout: Layout):
-    """Return the bounds of an interval's rows, repeated over the intervals: its own, then each node's."""
+def row_bounds(formulation: Formulation, interval: IntervalFunctions, breaks_s: np.ndarray):
+    """Return the bounds of the intervals' rows in turn: an interval's own, then each node's."""
+    n = len(breaks_s) - 1
     own = np.zeros((interval.n_own, 2))
     for row, (kind, item) in enumerate(zip(interval.own_kinds, interval.own_items, strict=True)):
         if kind != "continuity":
             own[row] = formulation.own[kind][item]
-    node = np.vstack([np.zeros((interval.n_equations, 2)), formulation.path.reshape(-1, 2)])
-    both = np.vstack([own, np.tile(node, (interval.n_nodes, 1))])
-    return np.tile(both[:, 0], layout.n_intervals), np.tile(both[:, 1], layout.n_intervals)
+    path = np.broadcast_to(formulation.path.reshape(-1, 2), (n, interval.n_path, 2))
+    if formulation.inset is not None:
+        path = path + formulation.inset(breaks_s)[:, :, None] * np.array([1.0, -1.0])
+    node = np.concatenate([np.zeros((n, interval.n_equations, 2)), path], axis=1)
+    both = np.concatenate([np.broadcast_to(own, (n, *own.shape)), np.tile(node, (1, interval.n_nodes, 1))], axis=1)
+    return both[:, :, 0].ravel(), both[:, :, 1].ravel()

@@ -118,8 +118,8 @@ def collocate(
     cost = np.zeros(layout.size)
     cost[layout.extra()] = 1.0
     lower, upper = bounds(formulation, layout, mesh, durations, None if least_limit else pinned)
-    row_lower, row_upper = row_bounds(formulation, interval, layout)
     breaks = mesh.breaks(durations)
+    row_lower, row_upper = row_bounds(formulation, interval, breaks)
     return Transcribed(
         program=build_program(layout, mesh, interval, linear, cost, formulation.endpoint),
         scheme=chosen,
@@ -152,7 +152,7 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
     start[layout.durations()] = durations / unit
     lower, upper = bounds(formulation, layout, mesh, durations, transcribed.pinned)
     _, linear_lower, linear_upper = linear_rows(formulation, layout, mesh, None)
-    row_lower, row_upper = row_bounds(formulation, program.interval, layout)
+    row_lower, row_upper = row_bounds(formulation, program.interval, mesh.breaks(durations))
     return replace(
         transcribed,
         formulation=formulation,

@@ -4,6 +4,7 @@ import numpy as np
 
 from models.mechanism import Mechanism
 from planner.formulation import Formulation, Knot, Units
+from planner.insets import Inset, drawn_in
 from planner.interval import IntervalRows
 from planner.mechanics import RUNNING, Asked, Scales, mechanism_system, node_numbers
 from planner.objective import QUADRATIC
@@ -16,7 +17,12 @@ SMOOTHING = 2.5e-9
 
 
 def formulate(
-    problem: PlanningProblem, scales: Scales, *, position_rows: bool = False, least_limit: bool = False
+    problem: PlanningProblem,
+    scales: Scales,
+    *,
+    position_rows: bool = False,
+    least_limit: bool = False,
+    insets: tuple[Inset, ...] = (),
 ) -> Formulation:
     """Return a problem's formulation.
 
@@ -25,6 +31,7 @@ def formulate(
         scales: units of its unknowns.
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
         least_limit: leave the objective out: only a motion is sought.
+        insets: how far limits are drawn in over the motion, where it overran them between nodes.
     """
     mechanism, limits, objective = problem.mechanism, problem.limits, problem.objective
     n_s, n_u = mechanism.dof, mechanism.n_u
@@ -73,6 +80,9 @@ def formulate(
         "effort_rate": limits.effort_rate[list(rated)] * scales.time_s / scales.effort[list(rated), None],
         "motor": np.tile([-1.0, 1.0], (len(motor_columns), 1)),
     }
+    limited = [("speed", joint) for joint in speed_joints] + [("motor", j) for j in motors]
+    limited += [("power", j) for j in asked.powers] + [("closure_force", c) for c in asked.closures]
+    limited += [("singular_margin", 0)] * asked.singular + [("work", j) for j in range(n_u if works else 0)]
     path = [
         limits.speed[list(speed_joints)] * scales.time_s,
         np.tile([-1.0, 1.0], (len(motors), 1)),
@@ -81,6 +91,7 @@ def formulate(
         np.tile([limits.singular_margin, np.inf], (int(asked.singular), 1)),
         np.tile([0.0, np.inf], (n_u if works else 0, 1)),
     ]
+    path = np.vstack([part.reshape(-1, 2) for part in path])
     state = np.vstack([limits.position[independent] / scales.position[:, None], limits.speed[independent] / rate[:, None]])
     return Formulation(
         build_system=lambda: mechanism_system(mechanism, asked),
@@ -99,13 +110,14 @@ def formulate(
         state=state,
         algebraic=algebraic,
         effort=limits.effort,
-        path=np.vstack([part.reshape(-1, 2) for part in path]),
+        path=path,
         own=own,
         knots=knots_of(problem, scales),
         returns=tuple(range(2 * n_s)) if problem.motion.kind == "periodic" else (),
         smooth=smoothed or objective.has("effort_rate") or bool(rated),
         eta=_eta(problem, scales, rows, value, smoothed, lines=_own_lines(problem, motor_columns, scales)),
         theta=theta,
+        inset=drawn_in(insets, limited, path),
     )
 
 

@@ -49,7 +49,7 @@ class Formulation:
     said. Bounds are [low, high] rows: `state` (n_state, 2), `algebraic` (n_z, 2), `effort` (n_u, 2) in its own units, `path`
     (n_path, 2), `own` by kind of an interval's own rows. `returns` are states that end as they began; `smooth` says
     whether efforts may not jump. `eta` are an interval's own parameters, `theta` maps times (n, m) [s] to those of nodes
-    (n, m, n_theta).
+    (n, m, n_theta). `inset` maps breaks (n + 1,) [s] to how far (n, n_path) path bounds are drawn in on each interval.
     """
 
     build_system: Callable[[], System]
@@ -70,6 +70,7 @@ class Formulation:
     smooth: bool
     eta: np.ndarray
     theta: Callable[[np.ndarray], np.ndarray]
+    inset: Callable[[np.ndarray], np.ndarray] | None = None
     endpoint: Endpoint | None = None
     endpoint_bounds: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     endpoint_parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))

@@ -69,9 +69,11 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
             start_pose=start_pose,
         )
     duration = motion.duration_s or _within(problem, _shortest_duration(problem, start_pose))
-    return replace(
-        _guess_along(_smooth_path(problem, duration), duration, start_pose), knots_s=knot_times(problem, duration)
-    )
+    knots = knot_times(problem, duration)
+    guess = replace(_guess_along(_smooth_path(problem, duration), duration, start_pose), knots_s=knots)
+    if motion.waypoints and not closes(problem.mechanism, guess):
+        return replace(_guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose), knots_s=knots)
+    return guess
 
 
 def guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
@@ -215,16 +217,16 @@ def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterat
             yield guess
 
 
-def _smooth_path(problem: PlanningProblem, duration: float) -> BPoly:
-    """Return quintics through the knots, with no acceleration at them (Flash & Hogan 1985)."""
+def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False) -> BPoly:
+    """Return quintics through the knots, with no acceleration at them (Flash & Hogan 1985), at rest at each where asked."""
     motion = problem.motion
     if motion.waypoints:
         times, s = knot_times(problem, duration), _knot_positions(problem)
         v = np.zeros_like(s)
         v[1:-1] = (s[2:] - s[:-2]) / (times[2:] - times[:-2])[:, None]
         turning = (s[2:] - s[1:-1]) * (s[1:-1] - s[:-2]) <= 0
-        v[1:-1][turning] = 0.0
-        for k, waypoint in enumerate(motion.waypoints):
+        v[1:-1][turning | rests] = 0.0
+        for k, waypoint in enumerate(motion.waypoints if not rests else ()):
             v[k + 1] = np.where(np.isnan(waypoint.speed), v[k + 1], waypoint.speed)
     else:
         times = np.array([0.0, duration / 2, duration] if motion.kind == "periodic" else [0.0, duration])
@@ -244,7 +246,10 @@ def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> floa
         return _AFTER_THE_LAST * given[-1]
     unit = _smooth_path(problem, 1.0)
     tau = np.linspace(0.0, 1.0, _SAMPLES)
-    poses = follow(mechanism, unit(tau), start_pose)
+    try:
+        poses = follow(mechanism, unit(tau), start_pose)
+    except AssemblyError:  # the path leaves what the loop allows; how fast it could be gone along says nothing
+        return 1.0
 
     def excess(log_duration: float) -> float:
         duration = float(np.exp(log_duration))

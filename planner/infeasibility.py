@@ -19,8 +19,8 @@ from planner.switches import find_cuts, pinned_efforts
 from planner.trajectory import Trajectory
 from planner.transcription import trajectory_of, transcribe
 
-# What may be taken away to see whether it is what forbids a motion, in this order.
-RELAXABLE = ("speed", "power", "closure_force", "motor", "effort_rate", "singular_margin", "position")
+# What may be taken away to see whether it is what forbids a motion, in this order, before the efforts' limits are looked at.
+RELAXABLE = ("speed", "power", "closure_force", "motor", "effort_rate", "singular_margin")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -91,7 +91,7 @@ def effort_sentence(problem: PlanningProblem, least: LeastLimit) -> tuple[str, d
 
 
 def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
-    """Return a problem with one of its `RELAXABLE` limits taken away; None where it has no such limit."""
+    """Return a problem with one of its `RELAXABLE` limits, or "position", taken away; None where it has no such limit."""
     limits = problem.limits
     if what == "motor":
         if not any(motor is not None and motor.has_line for motor in problem.motors):
@@ -108,30 +108,17 @@ def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
 
 
 def tightened(problem: PlanningProblem, certificate: Certificate) -> PlanningProblem:
-    """Return a problem with limits drawn in by what a motion overran them by between the nodes, and a tenth more."""
-    limits, motors = problem.limits, list(problem.motors)
+    """Return a problem with ranges, speeds and effort rates drawn in by what a motion overran them by, and a tenth more."""
+    limits = problem.limits
     changed: dict = {}
     for name, margin in (("position", certificate.position_margin), ("speed", certificate.speed_margin)):
         inward = 1.1 * np.maximum(0.0, -margin)[:, None] * np.array([1.0, -1.0])
         changed[name] = getattr(limits, name) + inward
-    power, rate, force = (np.array(getattr(limits, name)) for name in ("power", "effort_rate", "closure_force"))
+    rate = np.array(limits.effort_rate)
     for margin in certificate.margins:
-        if margin.kept or not np.isfinite(margin.left):
-            continue
-        inward = 1.1 * -margin.left
-        if margin.what == "closure_force":
-            force[margin.item] -= inward
-        elif margin.what == "singular_margin":
-            changed["singular_margin"] = limits.singular_margin + inward
-        elif margin.what == "motor":
-            motor, share = motors[margin.item], 1.0 - inward
-            motors[margin.item] = replace(
-                motor, stall_effort=share * motor.stall_effort, no_load_speed=share * motor.no_load_speed
-            )
-        else:
-            (power if margin.what == "power" else rate)[margin.item] += inward * np.array([1.0, -1.0])
-    changed |= {"power": power, "effort_rate": rate, "closure_force": force}
-    return replace(problem, limits=replace(limits, **changed), motors=tuple(motors))
+        if margin.what == "effort_rate" and not margin.kept and np.isfinite(margin.left):
+            rate[margin.item] += 1.1 * -margin.left * np.array([1.0, -1.0])
+    return replace(problem, limits=replace(limits, effort_rate=rate, **changed))
 
 
 def violated_sentence(problem: PlanningProblem, trajectory: Trajectory, what: str) -> str | None:

@@ -29,6 +29,7 @@ class Margin:
     left: float
     unit: str
     time_s: float
+    overrun: np.ndarray  # (n_intervals,) by how much of itself the limit is overrun in each, 0 where it is kept
 
     @property
     def kept(self) -> bool:
@@ -66,7 +67,7 @@ def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
 def margins(problem: PlanningProblem, trajectory: Trajectory, time, q, v, a, u) -> tuple[Margin, ...]:
     """Return what is left of every such limit of a problem along a motion sampled at times (n,)."""
     mechanism, limits, found = problem.mechanism, problem.limits, []
-    names = [actuator.name for actuator in mechanism.actuators]
+    names, n = [actuator.name for actuator in mechanism.actuators], len(trajectory.breaks_s) - 1
 
     def add(what: str, item: int, name: str, values: np.ndarray, bounds, unit: str) -> None:
         low, high = bounds
@@ -83,6 +84,7 @@ def margins(problem: PlanningProblem, trajectory: Trajectory, time, q, v, a, u) 
                 left=float(inside[at]),
                 unit=unit,
                 time_s=float(time[at]),
+                overrun=np.maximum(0.0, -inside).reshape(n, -1).max(axis=1) / (abs(limit) or 1.0),
             )
         )
 

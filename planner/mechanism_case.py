@@ -10,6 +10,7 @@ from planner.certificate import INTEGRATION_DEG, INTEGRATION_M, RANGE_SLACK, Cer
 from planner.collocation import Transcribed
 from planner.guess import Guess, motion_of
 from planner.infeasibility import tightened
+from planner.insets import Inset, insets_of
 from planner.mesh import Mesh
 from planner.plan import Step
 from planner.problem import MeshSettings, PlanningProblem, SolverSettings
@@ -27,6 +28,7 @@ class MechanismCase:
 
     problem: PlanningProblem
     asked: PlanningProblem
+    insets: tuple[Inset, ...] = ()
 
     @property
     def mesh(self) -> MeshSettings:
@@ -55,7 +57,7 @@ class MechanismCase:
 
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""
-        return transcribe(self.problem, start, mesh, durations, **options)
+        return transcribe(self.problem, start, mesh, durations, insets=self.insets, **options)
 
     def motion(self, solution: Solution, limit: np.ndarray) -> Trajectory | None:
         """Return a solution's trajectory; None where the solver took it to another branch."""
@@ -99,9 +101,10 @@ class MechanismCase:
         least = min(certificate.position_margin.min(), certificate.speed_margin.min())
         return bool(least < -RANGE_SLACK) or not all(margin.kept for margin in certificate.margins)
 
-    def tightened(self, certificate: Certificate) -> "MechanismCase":
+    def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
         """Return the case with limits drawn in by what the motion overran them."""
-        return replace(self, problem=tightened(self.problem, certificate))
+        further = insets_of(certificate.margins, motion.breaks_s)
+        return replace(self, problem=tightened(self.problem, certificate), insets=self.insets + further)
 
     def with_scheme(self, name: str) -> "MechanismCase":
         """Return the case with another transcription."""

@@ -13,6 +13,7 @@ from models.assembly import follow
 from models.errors import AssemblyError, LinkplanError, PlanFileError
 from planner.certificate import Certificate, certify
 from planner.folders import plain_record, write_json
+from planner.margins import Margin
 from planner.plan import Plan, not_honoured
 from planner.problem import PlanningProblem
 from planner.problem_file import problem_from_tables
@@ -87,9 +88,13 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
         "speed_margin_deg_s": {j.name: j.shown(m) for j, _, m in margins if j.kind == "hinge" and np.isfinite(m)},
         "speed_margin_m_s": {j.name: m for j, _, m in margins if j.kind == "slide" and np.isfinite(m)},
         "singularity_ratio": certificate.singularity_ratio,
-        "margins": [{name: getattr(margin, name) for name in margin.__slots__} for margin in certificate.margins],
+        "margins": [_margin_record(margin) for margin in certificate.margins],
         "worst_time_s": certificate.worst_time_s,
     }
+
+
+def _margin_record(margin: Margin) -> dict:
+    return {name: getattr(margin, name) for name in ("what", "name", "value", "limit", "left", "unit", "time_s")}
 
 
 def write_plan(plan: Plan, folder: Path) -> None:

@@ -13,7 +13,7 @@ from planner.mesh import Mesh, broken, segmented, uniform
 from planner.plan import Plan, Step, tracking_errors
 from planner.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
 from planner.presolve import plain_contradiction, start_pose_of
-from planner.problem import PlanningProblem
+from planner.problem import PlanningProblem, SolverSettings
 from planner.refinement import Say, attempt, refine, silent
 from planner.solve import INVALID, OUT_OF_TIME
 
@@ -22,6 +22,8 @@ __all__ = ["Say", "finished", "plan_motion", "silent"]
 # A mesh so many times coarser, and no coarser than that, is solved first where the fine one is not found from any start.
 _COARSER = 4
 _COARSEST = 6
+# Iterations for solves that only look for the reason.
+_ITERATIONS = 200
 # Bends tried after the first failure, where the user asks for no further starts.
 _BENDS = 3
 
@@ -203,7 +205,9 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
     if history and history[-1].solver_status in stopped:
         reason = f"failed: {stopped[history[-1].solver_status]}"
         return Plan(problem=problem, status="failed", message=reason, history=tuple(history))
-    case, (mesh, durations) = case_of(problem), first_mesh(problem, guess)
+    # A motion that exists is found in tens of iterations; what forbids one is not worth a thousand.
+    asked, problem = problem, replace(problem, solver=_patient(problem.solver))
+    case, mesh = case_of(problem), first_mesh(problem, guess)[0]
     if mesh.n_intervals > _COARSER * _COARSEST:
         coarse, lengths = first_mesh(problem, guess, mesh.n_intervals // _COARSER)
         found = attempt(case, guess, coarse, lengths, "a coarser mesh", history, say)
@@ -211,6 +215,10 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         if plan is not None and plan.status == "optimal":
             return plan
     say("no motion found; looking for the limit that forbids one")
+    for what in RELAXABLE:
+        plan = _without(problem, what, guess, history, say)
+        if plan is not None:
+            return plan
     least = _least_limit(problem, guess, history)
     if least is not None and least.factor <= 1.0:
         start, what = motion_of(least.trajectory), "start from the motion of least peak effort"
@@ -220,31 +228,43 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
     if least is not None and least.factor > 1.0:
         sentence, details = effort_sentence(problem, least)
         return Plan(
-            problem=problem,
+            problem=asked,
             status="infeasible",
             message=f"infeasible: {sentence}{_shortest(problem, details, say)}",
             history=tuple(history),
             details=details,
         )
-    for what in RELAXABLE:
-        relaxed = without(problem, what)
-        if relaxed is None:
-            continue
-        found = attempt(case_of(relaxed), guess, mesh, durations, f"without limits on {what}", history, say)
-        if found is None:
-            continue
-        sentence = violated_sentence(problem, found[0], what)
-        if sentence is not None:
-            details: dict[str, float] = {}
-            message = f"infeasible: {sentence}{_shortest(problem, details, say)}"
-            return Plan(problem=problem, status="infeasible", message=message, history=tuple(history), details=details)
+    plan = _without(problem, "position", guess, history, say)
+    if plan is not None:
+        return plan
     status = history[-1].solver_status if history else "no start closes the loop"
     return Plan(
-        problem=problem,
+        problem=asked,
         status="failed",
         message=f"failed: the solver found neither a motion nor a limit that forbids one ({status})",
         history=tuple(history),
     )
+
+
+def _patient(settings: SolverSettings) -> SolverSettings:
+    """Return settings for solves that look for a reason: few iterations, and compiled ones, as there are many such solves."""
+    mode = "always" if settings.compile == "auto" else settings.compile
+    return replace(settings, max_iterations=_ITERATIONS, compile=mode)
+
+
+def _without(problem: PlanningProblem, what: str, guess: Guess, history: list[Step], say: Say) -> Plan | None:
+    """Return the plan that says by how much a motion made without a limit overruns it; None where it is not to blame."""
+    relaxed = without(problem, what)
+    if relaxed is None:
+        return None
+    mesh, durations = first_mesh(problem, guess)
+    found = attempt(case_of(relaxed), guess, mesh, durations, f"without limits on {what}", history, say)
+    sentence = None if found is None else violated_sentence(problem, found[0], what)
+    if sentence is None:
+        return None
+    details: dict[str, float] = {}
+    message = f"infeasible: {sentence}{_shortest(problem, details, say)}"
+    return Plan(problem=problem, status="infeasible", message=message, history=tuple(history), details=details)
 
 
 def _least_limit(problem: PlanningProblem, guess: Guess, history: list[Step]) -> LeastLimit | None:
@@ -255,7 +275,7 @@ def _least_limit(problem: PlanningProblem, guess: Guess, history: list[Step]) ->
         found = least_limit(problem, start, *first_mesh(problem, start), history)
         if found is not None and (best is None or found.factor < best.factor):
             best = found
-        if best is not None and best.factor <= 1.0:
+        if best is None or best.factor <= 1.0:
             break
     return best
 

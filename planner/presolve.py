@@ -19,8 +19,13 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
         value = getattr(motion, name)
         if value is not None:
             _check_reach(problem, f"motion.{name}_deg", value, can)
+    for k, waypoint in enumerate(motion.waypoints):
+        if not np.any(np.isnan(waypoint.position)):
+            _check_reach(problem, f"motion.waypoints[{k}].at_deg", waypoint.position, can)
     if motion.start is not None:
         return close_at(mechanism, motion.start)
+    if problem.reference is None:
+        return np.array(mechanism.home)
     first = problem.reference.derivative(np.zeros(1))[0]
     period = np.linspace(0.0, problem.reference.period_s, 181)
     values = problem.reference.derivative(period)

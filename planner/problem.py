@@ -54,6 +54,7 @@ class SolverSettings:
     compile: str = "auto"
     max_time_s: float = 600.0
     starts: int = 1
+    max_iterations: int | None = None  # None: as many as a hard problem takes
 
 
 REFINE = ("both", "intervals", "degree")

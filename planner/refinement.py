@@ -90,7 +90,7 @@ class Case(Protocol):
         """Return whether a limit is left between the nodes that tightening mends."""
         ...
 
-    def tightened(self, certificate: Any) -> "Case":
+    def tightened(self, certificate: Any, motion: Any) -> "Case":
         """Return the case with limits drawn in by what a motion overran them."""
         ...
 
@@ -155,7 +155,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
             kept, what, marked = kept.with_scheme(higher), f"higher degree, {higher}", np.zeros(mesh.n_intervals, dtype=bool)
         elif not marked.any() and certificate is not None and case.overruns(certificate):
             # Only a limit is left, between the nodes: ask the solver for a little less than it.
-            kept, what = kept.tightened(certificate), "limits kept between the nodes"
+            kept, what = kept.tightened(certificate, motion), "limits kept between the nodes"
         elif not marked.any():
             marked[:] = True
         n_finer = mesh.n_intervals + int(marked.sum())

@@ -17,7 +17,7 @@ from planner.program import Program
 
 # Feasibility and optimality of the scaled program; the certificate then judges the motion itself.
 TOLERANCE = 1e-10
-MAX_ITERATIONS = 1000
+MAX_ITERATIONS = 500
 # IPOPT's word for it.
 OUT_OF_TIME = "Maximum_WallTime_Exceeded"
 INVALID = "Invalid_Number_Detected"
@@ -40,6 +40,7 @@ class Solution:
 def build_solver(program: Program, settings: SolverSettings | None = None, *, warm: bool = False) -> ca.Function:
     """Return IPOPT for a program; a warm one begins next to the point and multipliers that it is given."""
     settings = settings or SolverSettings()
+    iterations = MAX_ITERATIONS if settings.max_iterations is None else settings.max_iterations
     functions = program.functions
     options = {
         "print_time": False,
@@ -47,7 +48,7 @@ def build_solver(program: Program, settings: SolverSettings | None = None, *, wa
         "ipopt.sb": "yes",
         "ipopt.tol": TOLERANCE,
         "ipopt.constr_viol_tol": TOLERANCE,
-        "ipopt.max_iter": MAX_ITERATIONS,
+        "ipopt.max_iter": iterations,
         "ipopt.max_wall_time": settings.max_time_s,
         # Limits are promises: IPOPT may not relax them by its customary 1e-8.
         "ipopt.bound_relax_factor": 0.0,

@@ -10,6 +10,7 @@ from planner.collocation import Transcribed, collocate, curves_of, renumbered_wi
 from planner.formulate import formulate
 from planner.formulation import Start
 from planner.guess import Guess, poses_along
+from planner.insets import Inset
 from planner.mechanics import Scales
 from planner.mesh import Mesh
 from planner.problem import PlanningProblem
@@ -60,6 +61,7 @@ def transcribe(
     position_rows: bool = False,
     least_limit: bool = False,
     pinned: np.ndarray | None = None,
+    insets: tuple[Inset, ...] = (),
 ) -> Transcribed:
     """Return the program of a problem on a mesh, with bounds and a starting point.
 
@@ -72,9 +74,10 @@ def transcribe(
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
         pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
+        insets: how far limits are drawn in, where a motion overran them between nodes.
     """
     scales = scales or choose_scales(problem, guess)
-    formulation = formulate(problem, scales, position_rows=position_rows, least_limit=least_limit)
+    formulation = formulate(problem, scales, position_rows=position_rows, least_limit=least_limit, insets=insets)
     transcribed = collocate(
         formulation,
         scheme(problem.mesh.scheme, problem.mesh.effort),
