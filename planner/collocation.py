@@ -232,7 +232,7 @@ def curves_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) -> Cur
     def integrated(coefficients: np.ndarray, values: np.ndarray) -> np.ndarray:
         return np.einsum("pj,kjs->pks", coefficients, values)
 
-    inside = _ROUNDING * np.abs(limit)
+    inside = np.where(np.isfinite(limit), _ROUNDING * np.abs(limit), 0.0)
     effort = np.clip(x[layout.effort()] * units.effort, limit[:, 0] + inside[:, 0], limit[:, 1] - inside[:, 1])
     return Curves(
         breaks_s=breaks,

@@ -15,7 +15,7 @@ AT_NODES = ("motor", "power", "closure_force", "singular_margin")
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Inset:
-    """How far one limit is drawn in, as a share (n,) of itself, on intervals with breaks (n + 1,) as shares of the duration."""
+    """How far one limit is drawn in, as a share (n,) of itself; `breaks` (n + 1,) are shares of the duration."""
 
     what: str
     item: int

@@ -55,6 +55,11 @@ class MechanismCase:
         """Whether the problem asks for a tolerance."""
         return self.asked.mesh.tolerance_deg is not None
 
+    @property
+    def objective_tolerance(self) -> float | None:
+        """None: a mechanism's mesh is judged by its motion."""
+        return None
+
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""
         return transcribe(self.problem, start, mesh, durations, insets=self.insets, **options)

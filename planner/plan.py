@@ -30,6 +30,7 @@ class Step:
     integration_error_deg: float | None
     build_s: float
     solve_s: float
+    integration_error: float | None = None  # of a user's differential equation, as a share of its states' sizes
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

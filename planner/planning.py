@@ -247,7 +247,7 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
 
 
 def _patient(settings: SolverSettings) -> SolverSettings:
-    """Return settings for solves that look for a reason: few iterations, and compiled ones, as there are many such solves."""
+    """Return settings for solves that look for a reason: few iterations, and compiled, as there are many such solves."""
     mode = "always" if settings.compile == "auto" else settings.compile
     return replace(settings, max_iterations=_ITERATIONS, compile=mode)
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from models.assembly import Reach, close_at, reach
 from models.errors import ProblemError
+from planner.margins import singularity_ratios
 from planner.problem import PlanningProblem
 
 
@@ -79,6 +80,9 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
                     f" {joint.shown(min(max(x, low), high)):.4g}"
                 )
+    contradiction = _singular(problem)
+    if contradiction is not None:
+        return contradiction
     if motion.kind == "reach" and motion.duration_s is not None:
         for column, joint in enumerate(mechanism.independent_joints):
             mean = (motion.goal[column] - motion.start[column]) / motion.duration_s
@@ -91,4 +95,20 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.shown(bound):.4g} {joint.unit}/s;"
                     f" that limit alone asks for {shortest:.4g} s"
                 )
+    return None
+
+
+def _singular(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a start or goal that is nearer to a singular pose than the problem admits, or None."""
+    margin, motion = problem.limits.singular_margin, problem.motion
+    for name in ("start", "goal"):
+        s = getattr(motion, name)
+        if s is None or not margin:
+            continue
+        ratio = float(singularity_ratios(problem, close_at(problem.mechanism, s)[None])[0])
+        if ratio < margin:
+            return (
+                f"infeasible: the {name} is at {ratio:.4g} of the distance from a singular pose that the home pose has,"
+                f" {margin - ratio:.3g} short of limits.singular_margin = {margin:g}"
+            )
     return None

@@ -141,7 +141,8 @@ class _Ends:
         n = layout.n_state
         e, q = ca.SX.sym("e", 2 * n + 1), ca.SX.sym("q", endpoint.n_parameters)
         F = ca.densify(endpoint.function(e[:n], e[n : 2 * n], e[2 * n], q))
-        rows, cost = F[: endpoint.n_rows], F[endpoint.n_rows]
+        # CasADi makes a row of an empty slice of a column.
+        rows, cost = ca.reshape(F[: endpoint.n_rows], endpoint.n_rows, 1), F[endpoint.n_rows]
         places = [*layout.state(0), *layout.state(layout.n_intervals)]
         at = ca.vertcat(x[[int(i) for i in places]], ca.sum1(x[layout.durations().tolist()]))
         # Each local unknown stands at one place, the duration at as many as there are segments.
@@ -151,18 +152,18 @@ class _Ends:
         J, dense = ca.jacobian(rows, e), ca.densify(ca.gradient(cost, e))
         row, column, order = self._spread(*J.sparsity().get_triplet(), second_is_place=True)
         self.jacobian_places = row, column
-        self.jacobian = ca.Function("ends_jacobian", [e, q], [ca.vec(J.nz[:])])(at, parameters)[order]
+        self.jacobian = ca.Function("ends_jacobian", [e, q], [_column(J.nz[:])])(at, parameters)[order]
         everything = list(range(2 * n + 1))
         _, self.gradient_places, order = self._spread([0] * len(everything), everything, second_is_place=True)
         self.gradient = ca.Function("ends_gradient", [e, q], [dense])(at, parameters)[order]
         lam = ca.SX.sym("lam", 1 + endpoint.n_rows)
-        H = ca.hessian(lam[0] * cost + ca.dot(lam[1:], rows), e)[0]
+        H = ca.hessian(lam[0] * cost + ca.dot(_column(lam[1:]), rows), e)[0]
         i, j = H.sparsity().get_triplet()
         first, second, order = self._spread(i, j, second_is_place=False)
         upper = first <= second
         self.hessian_places = first[upper], second[upper]
         chosen = [value for value, kept in zip(order, upper, strict=True) if kept]
-        self._hessian = ca.Function("ends_hessian", [e, q, lam], [ca.vec(H.nz[:])[chosen]])
+        self._hessian = ca.Function("ends_hessian", [e, q, lam], [_column(_column(H.nz[:])[chosen])])
         self._at = at, parameters
 
     def hessian(self, lam_f: ca.MX, lam_rows: ca.MX) -> ca.MX:
@@ -179,6 +180,10 @@ class _Ends:
                     second.append(int(b))
                     order.append(value)
         return np.array(first, dtype=int), np.array(second, dtype=int), order
+
+
+def _column(values: ca.SX) -> ca.SX:
+    return ca.reshape(values, values.numel(), 1)
 
 
 def _gather(layout: Layout, mesh: Mesh) -> np.ndarray:

@@ -19,7 +19,7 @@ from planner.solve import Solution, solve
 from planner.switches import find_cuts, pinned_efforts
 
 # Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
-_ROUNDS = 8
+_ROUNDS = 10
 # A mesh that has grown by this factor without passing will not pass by growing on.
 _MOST = 120
 # Where no tolerance is asked for, the target is followed as far as a mesh of so many intervals carries it; how far below the
@@ -31,6 +31,8 @@ _MARK = 0.5
 # factor: the motion is smooth there, and nodes are worth more than intervals.
 _EVERYWHERE = 0.5
 _STANDS_OUT = 30.0
+# Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
+_ROUGH = 0.01
 # A solve with cuts at its switches replaces the one before when it is no slower than the error of a mesh without cuts.
 NO_WORSE = 1e-4
 # Cuts next to arcs within the limits settle in a few solves: until the objective gains less than this share, relative.
@@ -53,6 +55,7 @@ class Case(Protocol):
     effort_limit: np.ndarray  # (n_u, 2)
     least_time: bool  # whether time is in the objective: switches are then looked for
     tolerance_given: bool  # whether the user asked for a tolerance
+    objective_tolerance: float | None  # on the objective's change from mesh to mesh, relative
 
     def transcribe(self, start: Any, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a start; options are position_rows, pinned and least_limit."""
@@ -141,17 +144,26 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         motion, solution, mesh, pinned = settle_switches(case, motion, solution, mesh, history, say)
     certificate = _certify(case, motion, history)
     position_rows, kept, finest = False, case, _MOST * case.mesh.intervals
-    passed = None  # the last that passed, to go back to where a finer one does not
+    passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
     for _ in range(_ROUNDS):
+        settled = True
         if certificate is not None and certificate.passed:
             passed = motion, solution, certificate
-            if case.exact(certificate):
+            wanted = case.objective_tolerance
+            settled = wanted is None or abs(solution.objective - before) <= wanted * abs(solution.objective)
+            if case.exact(certificate) and settled:
                 break
+            before = solution.objective
+        begun = position_rows
         position_rows = position_rows or certificate is None or case.leaves_positions(certificate)
         marked = _marked(mesh, certificate, case.strictness())
-        higher = _higher(kept, certificate, marked, pinned)
+        if not settled and not marked.any():
+            marked = _rough(motion)
+        higher = _higher(kept, certificate, marked)
         what = "finer mesh"
-        if higher is not None:
+        if position_rows and not begun and certificate is not None:
+            what, marked = "states kept within their limits at every instant", np.zeros(mesh.n_intervals, dtype=bool)
+        elif higher is not None:
             kept, what, marked = kept.with_scheme(higher), f"higher degree, {higher}", np.zeros(mesh.n_intervals, dtype=bool)
         elif not marked.any() and certificate is not None and case.overruns(certificate):
             # Only a limit is left, between the nodes: ask the solver for a little less than it.
@@ -196,13 +208,22 @@ def _marked(mesh: Mesh, certificate: Any | None, strictness: float) -> np.ndarra
     return marked
 
 
-def _higher(case: Case, certificate: Any | None, marked: np.ndarray, pinned: np.ndarray | None) -> str | None:
+def _rough(motion: Any) -> np.ndarray:
+    """Return the intervals (n,) on which the efforts' polynomials bend most in their highest degree: next to kinks."""
+    widths, degree = np.diff(motion.breaks_s), motion.effort.shape[0] - 1
+    bend = np.abs(np.diff(motion.effort, n=degree, axis=0)[0]) if degree else np.abs(motion.effort[0])
+    size = np.maximum(np.abs(motion.effort).max(axis=(0, 1)), np.finfo(float).tiny)
+    rough = widths * (bend / size).max(axis=1)
+    return rough >= _ROUGH * rough.max()
+
+
+def _higher(case: Case, certificate: Any | None, marked: np.ndarray) -> str | None:
     """Return the transcription of higher degree that is worth more than a finer mesh, or None."""
     family = re.fullmatch(r"(radau|gauss)-(\d)", case.mesh.scheme)
-    if family is None or case.mesh.refine == "intervals" or certificate is None or pinned is not None or not marked.any():
+    if family is None or case.mesh.refine == "intervals" or certificate is None or not marked.any():
         return None
     degree = min(int(family[2]) + 2, MAX_DEGREE)
-    growth = certificate.growth
+    growth = certificate.growth[marked]
     even = marked.mean() >= _EVERYWHERE and growth.max() <= _STANDS_OUT * max(float(np.median(growth)), 1e-300)
     if degree == int(family[2]) or not (even or case.mesh.refine == "degree"):
         return None
