@@ -1,5 +1,6 @@
 """A closed-chain mechanism: a MuJoCo model, its joints, closures and actuators, and its reduced dynamics."""
 
+import copy
 import hashlib
 import numbers
 from collections.abc import Mapping
@@ -16,9 +17,9 @@ from models.closure import dependent_columns, independent_rows, numerical_rank, 
 from models.errors import AssemblyError, ModelError
 from models.library import compile_model
 from models.names import nearest
-from models.payload import Payload, payload_from
+from models.payload import BODY_NAME, Payload, payload_from
 from models.reduction import ReducedDynamics, reduce_tree
-from models.tree import HINGE, SLIDE, build_tree
+from models.tree import HINGE, SLIDE, Inertial, build_tree
 
 # Joint angles named in `home` beside the independent ones choose a branch; the loop may settle this far from them.
 HOME_TOLERANCE = np.radians(5.0)
@@ -98,14 +99,40 @@ class Mechanism:
         """The actuators' limits (n_u, 2) [N.m or N]."""
         return np.array([[a.lower, a.upper] for a in self.actuators]).reshape(-1, 2)
 
-    def fingerprint(self) -> str:
-        """Return a hash of all that the reduced dynamics depend on: the compiled model and the choice of coordinates."""
-        content = np.zeros(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
-        mujoco.mj_saveModel(self.model, None, content)
+    def fingerprint(self, *, payload_apart: bool = False) -> str:
+        """Return a hash of all that the reduced dynamics depend on: the compiled model and the choice of coordinates.
+
+        With `payload_apart` payloads on one body have one hash, as they have one `parametric_dynamics`.
+        """
+        model = self.model
+        if payload_apart and self.payload is not None:
+            model = copy.copy(model)
+            body = model.body(BODY_NAME).id
+            model.body_mass[body], model.body_inertia[body] = 1.0, 1.0
+            model.body_ipos[body], model.body_iquat[body] = 0.0, [1.0, 0.0, 0.0, 0.0]
+            mujoco.mj_setConst(model, mujoco.MjData(model))  # what the compiler derived from them
+            model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which the simulator alone uses
+        content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+        mujoco.mj_saveModel(model, None, content)
         digest = hashlib.sha256(content.tobytes())
         for choice in (self.independent, self.dependent, self.closure_rows):
             digest.update(choice.tobytes() + b"|")
         return digest.hexdigest()
+
+    def parametric_dynamics(self) -> ReducedDynamics:
+        """Return the reduced dynamics with the payload's numbers (7,) as every function's last input.
+
+        Raises:
+            ModelError: when there is no payload.
+        """
+        if self.payload is None:
+            raise ModelError(f"mechanism '{self.name}' has no payload to vary")
+        pi = ca.SX.sym("payload", len(self.payload.numbers()))
+        own = Inertial(mass=pi[0], com=pi[1:4], inertia=ca.diag(pi[4:7]))
+        tree = build_tree(self.model, {self.model.body(BODY_NAME).id: own})
+        phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in read_closures(self.model, tree)])
+        matrix = _effort_matrix(self.n_q, self.actuators)
+        return reduce_tree(tree, phi, matrix, self.closure_rows, self.independent, self.dependent, pi)
 
     def joint_index(self, name: str, error: type[Exception] = ModelError) -> int:
         """Return the index of a joint by name."""

@@ -45,9 +45,19 @@ class ReducedDynamics:
 
 
 def reduce_tree(
-    tree: Tree, phi: ca.SX, effort_matrix: np.ndarray, rows: np.ndarray, independent: np.ndarray, dependent: np.ndarray
+    tree: Tree,
+    phi: ca.SX,
+    effort_matrix: np.ndarray,
+    rows: np.ndarray,
+    independent: np.ndarray,
+    dependent: np.ndarray,
+    parameters: ca.SX | None = None,
 ) -> ReducedDynamics:
-    """Return the reduced dynamics of `tree` under the closure phi (n_rows,), of which `rows` are independent."""
+    """Return the reduced dynamics of `tree` under the closure phi (n_rows,), of which `rows` are independent.
+
+    Where the tree has `parameters`, they are every function's last input.
+    """
+    further = [] if parameters is None else [parameters]
     q, qd, qdd = tree.q, tree.qd, tree.qdd
     n_s, n_u = len(independent), effort_matrix.shape[1]
     v, a, u = ca.SX.sym("v", n_s), ca.SX.sym("a", n_s), ca.SX.sym("u", n_u)
@@ -67,23 +77,23 @@ def reduce_tree(
     if chosen:
         gamma[[int(i) for i in dependent]] = -_solve(J_z, convective(q, rates))
 
-    tree_effort = ca.Function("tree_effort", [q, qd, qdd], [tree.inverse_dynamics - tree.passive])
-    needed = tree_effort(q, rates, gamma_map @ a + gamma)
+    tree_effort = ca.Function("tree_effort", [q, qd, qdd, *further], [tree.inverse_dynamics - tree.passive])
+    needed = tree_effort(q, rates, gamma_map @ a + gamma, *further)
     B = ca.SX(ca.DM(effort_matrix))
     inverse = gamma_map.T @ needed
     effort_map = gamma_map.T @ B
     inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
-    reduced_bias = gamma_map.T @ tree_effort(q, rates, gamma)
+    reduced_bias = gamma_map.T @ tree_effort(q, rates, gamma, *further)
     acceleration = _solve(inertia, effort_map @ u - reduced_bias)
 
     force = ca.SX.zeros(phi.numel())
     if chosen:
         force[chosen] = _solve(J_z.T, (needed - B @ u)[[int(i) for i in dependent]])
         force = _least_norm(ca.Function("J", [q], [jacobian]), chosen) @ force
-    kinetic_at = ca.Function("kinetic", [q, qd], [tree.kinetic_energy])
+    kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
     def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
-        return ca.Function(name, inputs, [ca.densify(output) for output in outputs])
+        return ca.Function(name, inputs + further, [ca.densify(output) for output in outputs])
 
     return ReducedDynamics(
         closure=function("closure", [q], phi),
@@ -110,7 +120,7 @@ def reduce_tree(
             ca.jacobian(acceleration, u),
         ),
         closure_force=function("closure_force", [q, v, a, u], force),
-        energy=function("energy", [q, v], kinetic_at(q, rates), tree.potential_energy),
+        energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),
     )
 
 

@@ -8,6 +8,7 @@ anchors, axes and references come from the compiled `mjModel`, so that MuJoCo's 
 quantities agree with MuJoCo's `qM`, `qfrc_bias` and `qfrc_passive` to rounding.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -68,10 +69,20 @@ def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     )
 
 
-def build_tree(model: mujoco.MjModel) -> Tree:
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Inertial:
+    """A body's mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m2] about it, in the body's frame."""
+
+    mass: ca.SX | float
+    com: ca.SX | ca.DM
+    inertia: ca.SX | ca.DM
+
+
+def build_tree(model: mujoco.MjModel, inertials: Mapping[int, Inertial] | None = None) -> Tree:
     """Return the symbolic dynamics of a model whose joints are hinges and slides.
 
-    q_i here is MuJoCo's `qpos[i]`, the joint's `ref` included; the rotation applied is qpos - qpos0.
+    q_i here is MuJoCo's `qpos[i]`, the joint's `ref` included; the rotation applied is qpos - qpos0. Bodies in
+    `inertials` have those in place of the model's own.
     """
     n_q = model.nv
     q, qd, qdd = (ca.SX.sym(name, n_q) for name in ("q", "qd", "qdd"))
@@ -90,7 +101,7 @@ def build_tree(model: mujoco.MjModel) -> Tree:
         frames.append(_child_frame(model, body, frames[model.body_parentid[body]], q, qd, qdd, joints))
 
     gravity = ca.DM(model.opt.gravity) if not _disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else ca.DM.zeros(3)
-    tau, kinetic, potential = _newton_euler(model, frames, joints, gravity)
+    tau, kinetic, potential = _newton_euler(model, frames, joints, gravity, inertials or {})
     at_rest = ca.SX.zeros(n_q)
     mass = ca.jacobian(tau, qdd) + ca.diag(ca.DM(_armature(model)))
     passive, spring_energy = _passive(model, q, qd)
@@ -215,7 +226,7 @@ def _rotation(axis: np.ndarray, angle: ca.SX) -> ca.SX:
     return ca.DM(along) + ca.cos(angle) * ca.DM(np.eye(3) - along) + ca.sin(angle) * ca.DM(cross)
 
 
-def _newton_euler(model, frames, joints, gravity):
+def _newton_euler(model, frames, joints, gravity, inertials: Mapping[int, Inertial]):
     """Return generalised forces (n_q,), kinetic and potential energy of the moving bodies."""
     force = [ca.SX.zeros(3) for _ in frames]  # on the subtree, at the body frame's origin
     moment = [ca.SX.zeros(3) for _ in frames]
@@ -223,11 +234,9 @@ def _newton_euler(model, frames, joints, gravity):
     for body in range(1, model.nbody):
         if model.body_weldid[body] == 0:
             continue
-        frame, mass = frames[body], float(model.body_mass[body])
-        arm = frame.R_world_B @ ca.DM(model.body_ipos[body])
-        R_B_I = rotation_from_quaternion(model.body_iquat[body])
-        inertia_B = R_B_I @ np.diag(model.body_inertia[body]) @ R_B_I.T
-        inertia = frame.R_world_B @ ca.DM(_clean(inertia_B)) @ frame.R_world_B.T
+        frame, own = frames[body], inertials.get(body) or _inertial(model, body)
+        mass, arm = own.mass, frame.R_world_B @ own.com
+        inertia = frame.R_world_B @ own.inertia @ frame.R_world_B.T
         w, alpha = frame.w_world_B, frame.alpha_world_B
         force[body] = mass * (frame.acceleration_B + _rigid_acceleration(w, alpha, arm) - gravity)
         moment[body] = inertia @ alpha + ca.cross(w, inertia @ w) + ca.cross(arm, force[body])
@@ -247,6 +256,12 @@ def _newton_euler(model, frames, joints, gravity):
         moment[parent] += moment[body] + ca.cross(p - frames[parent].p_world_B, force[body])
         force[parent] += force[body]
     return tau, kinetic, potential
+
+
+def _inertial(model: mujoco.MjModel, body: int) -> Inertial:
+    R_B_I = rotation_from_quaternion(model.body_iquat[body])
+    inertia_B = R_B_I @ np.diag(model.body_inertia[body]) @ R_B_I.T
+    return Inertial(mass=float(model.body_mass[body]), com=ca.DM(model.body_ipos[body]), inertia=ca.DM(_clean(inertia_B)))
 
 
 def _clean(matrix: np.ndarray) -> np.ndarray:

@@ -99,7 +99,7 @@ def formulate(
         n_x=0,
         n_z=len(algebraic),
         n_u=n_u,
-        key=(mechanism.fingerprint(), repr(asked)),
+        key=(mechanism.fingerprint(payload_apart=True), repr(asked)),
         rows=rows,
         units=Units(
             time_s=scales.time_s,

@@ -6,6 +6,7 @@ Equations: phi(q) / length and (inverse_dynamics(q, v, a) - Gamma^T B u) / scale
 the bounds of the unknowns themselves.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -83,23 +84,24 @@ def mechanism_system(mechanism: Mechanism, asked: Asked) -> System:
     sizes = {"weight": len(asked.running), "reference": n_s if "tracking" in asked.running else 0}
     sizes |= {"time": 1, "position": n_s, "effort": n_u, "residual": n_s, "length": 1, "power": 1, "force": 1}
     sizes |= {"line": 2 * len(asked.motors), "rating": len(asked.closures), "home": int(asked.singular)}
+    sizes |= {"payload": 0 if mechanism.payload is None else len(mechanism.payload.numbers())}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     rate = given["position"] / given["time"]
     order = np.argsort(np.concatenate([mechanism.independent, mechanism.dependent]))
     q = ca.vertcat(node.s * given["position"], node.z[: n_q - n_s])[[int(i) for i in order]]
     v, a, u = node.v * rate, node.a * rate / given["time"], node.u * given["effort"]
-    dynamics = mechanism.dynamics
+    call = _caller(mechanism, given["payload"])
     equations = ca.vertcat(
-        dynamics.independent_closure(q) / given["length"], dynamics.residual(q, v, a, u) / given["residual"]
+        call("independent_closure", q) / given["length"], call("residual", q, v, a, u) / given["residual"]
     )
-    path = _path(mechanism, asked, given, q, v, a, u)
+    path = _path(mechanism, asked, given, call, (q, v, a, u))
     kinds = ("closure",) * (n_q - n_s) + ("dynamics",) * n_s + asked.kinds
     if works:
-        spent = u * (dynamics.effort_map(q).T @ v) / given["power"]
+        spent = u * (call("effort_map", q).T @ v) / given["power"]
         path.append(node.z[n_q - n_s :] - spent)
         kinds += ("work",) * n_u
     path = ca.vertcat(ca.SX(0, 1), *path)
-    running = _running(mechanism, asked, given, node, (q, v, a, u))
+    running = _running(mechanism, asked, given, node, call, (q, v, a, u))
     theta = ca.vertcat(*given.values())
     column = ca.densify(ca.vertcat(equations, path, running))
     return System(
@@ -114,25 +116,35 @@ def mechanism_system(mechanism: Mechanism, asked: Asked) -> System:
     )
 
 
-def _path(mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], q, v, a, u) -> list[ca.SX]:
+def _caller(mechanism: Mechanism, payload: ca.SX) -> Callable[..., ca.SX]:
+    """Return a caller of the reduced dynamics' functions by name, a payload's numbers being parameters."""
+    if mechanism.payload is None:
+        return lambda name, *arguments: getattr(mechanism.dynamics, name)(*arguments)
+    dynamics = mechanism.parametric_dynamics()
+    return lambda name, *arguments: getattr(dynamics, name)(*arguments, payload)
+
+
+def _path(mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], call: Callable[..., ca.SX], motion) -> list[ca.SX]:
     """Return the path quantities that limits ask for: speeds in units of 1 / time, powers in theirs, the rest as shares."""
-    dynamics, path = mechanism.dynamics, []
-    path += [given["time"] * (dynamics.velocity_map(q)[joint, :] @ v) for joint in asked.speed_joints]
+    q, v, _, u = motion
+    path = [given["time"] * (call("velocity_map", q)[joint, :] @ v) for joint in asked.speed_joints]
     if asked.motors or asked.powers:
-        w = dynamics.effort_map(q).T @ v
+        w = call("effort_map", q).T @ v
         for item, j in enumerate(asked.motors):
             path.append(given["line"][2 * item] * u[j] + given["line"][2 * item + 1] * w[j])
         path += [u[j] * w[j] / given["power"] for j in asked.powers]
     if asked.closures:
-        force = dynamics.closure_force(q, v, a, u)
+        force = call("closure_force", *motion)
         for item, c in enumerate(asked.closures):
             path.append(ca.sumsqr(force[mechanism.closure_slice(c)]) * given["rating"][item])
     if asked.singular:
-        path.append(dynamics.singularity(q) * given["home"])
+        path.append(call("singularity", q) * given["home"])
     return path
 
 
-def _running(mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], node: NodeSymbols, motion) -> ca.SX:
+def _running(
+    mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], node: NodeSymbols, call: Callable[..., ca.SX], motion
+) -> ca.SX:
     """Return the weighted running costs, each in its own unit."""
     total = ca.SX(0)
     for item, term in enumerate(asked.running):
@@ -142,7 +154,7 @@ def _running(mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], node: 
         elif term == "work":
             value = ca.sum1(node.z[mechanism.n_q - mechanism.dof :])
         else:
-            value = ca.sumsqr(mechanism.dynamics.closure_force(*motion)) / given["force"] ** 2
+            value = ca.sumsqr(call("closure_force", *motion)) / given["force"] ** 2
         total += given["weight"][item] * value
     return total
 
@@ -163,4 +175,6 @@ def node_numbers(
     after = [scales.vector(), np.ravel(lines), 1.0 / np.square(ratings)]
     if asked.singular:
         after.append([1.0 / float(mechanism.dynamics.singularity(mechanism.home))])
+    if mechanism.payload is not None:
+        after.append(mechanism.payload.numbers())
     return np.asarray(weights, dtype=float), np.concatenate([np.asarray(part, dtype=float) for part in after])

@@ -1,11 +1,20 @@
 """Before any solving: is the problem within what the mechanism can do at all, and is there a plain contradiction in it?"""
 
+import functools
+
 import numpy as np
 
 from models.assembly import Reach, close_at, reach
 from models.errors import ProblemError
+from models.mechanism import Mechanism
 from planner.margins import singularity_ratios
 from planner.problem import PlanningProblem
+
+
+@functools.lru_cache(maxsize=16)
+def _reach(mechanism: Mechanism) -> Reach:
+    """Return what a mechanism reaches: walked once, as planning again and again asks for it each time."""
+    return reach(mechanism)
 
 
 def start_pose_of(problem: PlanningProblem) -> np.ndarray:
@@ -15,7 +24,7 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
         ProblemError: when start, goal or reference lie outside what the mechanism reaches, with the interval.
     """
     mechanism, motion = problem.mechanism, problem.motion
-    can = reach(mechanism) if mechanism.dof == 1 else None
+    can = _reach(mechanism) if mechanism.dof == 1 else None
     for name in ("start", "goal"):
         value = getattr(motion, name)
         if value is not None:

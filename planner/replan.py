@@ -4,9 +4,9 @@
     for goal in goals:
         plan = planner.plan(replace(problem, motion=replace(problem.motion, goal=goal)))
 
-Boundary states, limits, durations and references are numbers of a program and cost no building. Where a problem is of
-another structure (mechanism or payload, kind, objective, mesh, which limits are finite), or where the warm solve does not
-lead to a motion that its certificate passes, it is planned from the beginning.
+Payload, boundary states, waypoints, limits, durations, references and weights are numbers of a program and cost no building.
+Where a problem is of another structure (mechanism, kind, terms of the objective, mesh, which limits are finite), or
+where the warm solve does not lead to a motion that its certificate passes, it is planned from the beginning.
 """
 
 from dataclasses import replace
@@ -52,7 +52,8 @@ class Planner:
             if plan is not None:
                 return plan
         plan = plan_motion(problem, self._say)
-        self._keep(problem, plan.solved if plan.status == "optimal" else None)
+        if plan.status == "optimal" and plan.solved is not None:
+            self._keep(problem, plan.solved)
         return plan
 
     def solve_again(self, problem: PlanningProblem) -> Solution | None:
@@ -92,9 +93,9 @@ class Planner:
         self._last = replace(solution.transcribed, start=solution.x)
         return finished(problem, trajectory, certificate, solution.objective, [step], None)
 
-    def _keep(self, problem: PlanningProblem, solved: Transcribed | None) -> None:
-        self._last, self._key = solved, structure(problem) if solved is not None else None
-        if solved is not None and solved.program is not self._program:
+    def _keep(self, problem: PlanningProblem, solved: Transcribed) -> None:
+        self._last, self._key = solved, structure(problem)
+        if solved.program is not self._program:
             self._program = solved.program
             self._solver = build_solver(solved.program, problem.solver, warm=True)
 
@@ -106,7 +107,7 @@ def _at_the_end_of_its_room(solution: Solution) -> bool:
     if len(place) == 1:
         return False
     low, high, at = transcribed.lower[place], transcribed.upper[place], solution.x[place]
-    return bool(np.any(np.minimum(at - low, high - at) < _ROOM * at))
+    return bool(np.any((np.minimum(at - low, high - at) < _ROOM * at) & (high > low)))
 
 
 def structure(problem: PlanningProblem) -> tuple:
@@ -119,5 +120,13 @@ def structure(problem: PlanningProblem) -> tuple:
     lines = tuple(motor is not None and motor.has_line for motor in problem.motors)
     mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
     terms = tuple(problem.objective.weights)
-    of = (problem.mechanism.fingerprint(), motion.kind, terms, problem.reference is None, problem.solver.name)
+    payload = problem.mechanism.payload
+    of = (
+        problem.mechanism.fingerprint(payload_apart=True),
+        payload is None or payload.body,
+        motion.kind,
+        terms,
+        problem.reference is None,
+        problem.solver.name,
+    )
     return (*of, finite, given, motion.min_duration_s is None, via, lines, mesh)

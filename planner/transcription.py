@@ -92,7 +92,7 @@ def transcribe(
 
 
 def renumbered(transcribed: Transcribed, problem: PlanningProblem, x: np.ndarray) -> Transcribed:
-    """Return a program with another problem's numbers in it: boundary states, limits, duration, reference; nothing is built.
+    """Return a program with another problem's numbers in it: nothing is built.
 
     Args:
         transcribed: of a problem with the same mechanism, kind, terms of the objective and mesh, limited in the same places.
@@ -100,7 +100,8 @@ def renumbered(transcribed: Transcribed, problem: PlanningProblem, x: np.ndarray
         x: unknowns to start from, as a rule the last solution; a fixed duration is the new problem's.
     """
     positions = bool(transcribed.formulation.rows.position_columns)
-    return renumbered_with(transcribed, formulate(problem, transcribed.scales, position_rows=positions), x)
+    again = renumbered_with(transcribed, formulate(problem, transcribed.scales, position_rows=positions), x)
+    return replace(again, mechanism=problem.mechanism)
 
 
 def _start(problem: PlanningProblem, guess: Guess, scales: Scales, n_z: int) -> Start:
