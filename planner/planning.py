@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 
 from planner.certificate import certify
-from planner.guess import Guess, bent_guesses, closes, guesses, motion_of
-from planner.infeasibility import RELAXABLE, LeastLimit, effort_sentence, least_limit, violated_sentence, without
+from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of
+from planner.infeasibility import LeastLimit, effort_sentence, least_limit
 from planner.mechanism_case import case_of
 from planner.mesh import Mesh, broken, segmented, uniform
 from planner.plan import Plan, Step, tracking_errors
@@ -15,6 +15,7 @@ from planner.prescribed import highest_frequency, prescribe, reference_demand, r
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem, SolverSettings
 from planner.refinement import Say, attempt, refine, silent
+from planner.relaxation import RELAXABLE, least_of, violated_sentence, without
 from planner.solve import INVALID, OUT_OF_TIME
 
 __all__ = ["Say", "finished", "plan_motion", "silent"]
@@ -259,7 +260,13 @@ def _without(problem: PlanningProblem, what: str, guess: Guess, history: list[St
         return None
     mesh, durations = first_mesh(problem, guess)
     found = attempt(case_of(relaxed), guess, mesh, durations, f"without limits on {what}", history, say)
-    sentence = None if found is None else violated_sentence(problem, found[0], what)
+    if found is None:
+        return None
+    motion = found[0]
+    if what in RELAXABLE and violated_sentence(problem, motion, what) is not None:
+        say(f"looking for the least that {what} has to be")
+        motion = least_of(problem, what, motion, mesh, np.bincount(mesh.segment, np.diff(motion.breaks_s)), history)
+    sentence = violated_sentence(problem, motion, what)
     if sentence is None:
         return None
     details: dict[str, float] = {}
@@ -288,8 +295,10 @@ def _shortest(problem: PlanningProblem, details: dict[str, float], say: Say) -> 
     if not np.all(np.isfinite(problem.limits.effort)):
         return ""
     say("looking for the shortest feasible duration")
-    quickest = plan_motion(replace(problem, objective="time", motion=replace(motion, duration_s=None)), say)
-    if quickest.status != "optimal":
+    free = replace(problem, objective="time", motion=replace(motion, duration_s=None))
+    start_pose = start_pose_of(free)
+    quickest = _first_of(free, iter([("a smooth path", first_guess(free, start_pose))]), [], say)
+    if quickest is None or quickest.status != "optimal":
         return ""
     details["shortest_duration_s"] = quickest.trajectory.duration_s
     return f"; the shortest feasible duration is {quickest.trajectory.duration_s:.5g} s"
