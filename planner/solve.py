@@ -70,7 +70,8 @@ def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool) 
         "ipopt.sb": "yes",
         "ipopt.tol": TOLERANCE,
         "ipopt.constr_viol_tol": TOLERANCE,
-        # What it calls acceptable where it can do no better must be a motion all the same: by default a row may be off by 0.01.
+        # What it calls acceptable where it can do no better must be a motion all the same: by default a row may be off
+        # by 0.01.
         "ipopt.acceptable_constr_viol_tol": ACCEPTABLE,
         "ipopt.acceptable_compl_inf_tol": ACCEPTABLE,
         "ipopt.max_iter": iterations,

@@ -1,7 +1,8 @@
 """The command line: `linkplan list | check | plan | batch | track | compare | bode | view | demo`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
-problems found), said in a sentence; 2 bad input or a disk that refuses, one line. Heavy imports wait for the command that needs them.
+problems found), said in a sentence; 2 bad input or a disk that refuses, one line. Heavy imports wait for the command
+that needs them.
 """
 
 import argparse
