@@ -227,8 +227,8 @@ def test_progress_goes_to_stderr_and_results_to_stdout(ask):
     code, out, err = ask("plan", "knee-sprint")
     assert code == 0
     assert "certificate: passed" in out
-    assert "cuts at the switches" in err
-    assert "cuts at the switches" not in out
+    assert "  plan: cuts at the switches" in err
+    assert "  plan: " not in out
 
 
 def test_version_and_help_are_not_refused(ask):
