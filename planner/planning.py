@@ -1,5 +1,6 @@
 """From a planning problem to a certified plan: presolve, starts in turn, refinement, and the reason where there is none."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -27,6 +28,8 @@ _COARSEST = 6
 _ITERATIONS = 200
 # Bends tried after the first failure, where the user asks for no further starts.
 _BENDS = 3
+# Bends looked at for one that closes the loops, per one that is wanted.
+_LOOKED_AT = 20
 
 
 def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
@@ -98,9 +101,9 @@ def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], his
 def _best_of(problem, starts: list[tuple[str, Guess]], start_pose: np.ndarray, history: list[Step], say: Say) -> Plan | None:
     """Return the best plan of as many starts as the problem asks for; None where none leads to one."""
     wanted, found = problem.solver.starts, []
-    bends = (bend for bend in bent_guesses(problem, start_pose) if closes(problem.mechanism, bend[1]))
-    for number in range(wanted):
-        what, guess = starts[number] if number < len(starts) else next(bends)
+    bends = itertools.islice(bent_guesses(problem, start_pose), _LOOKED_AT * wanted)
+    closed = (start for start in itertools.chain(starts, bends) if closes(problem.mechanism, start[1]))
+    for number, (what, guess) in enumerate(itertools.islice(closed, wanted)):
         mesh, durations = first_mesh(problem, guess)
         word = f"start {number + 1} of {wanted}, {what}"
         solved = attempt(case_of(problem), guess, mesh, durations, word, history, say)
@@ -214,18 +217,18 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         found = attempt(case, guess, coarse, lengths, "a coarser mesh", history, say)
         plan = None if found is None else _certified(problem, found, coarse, history, say)
         if plan is not None and plan.status == "optimal":
-            return plan
+            return replace(plan, problem=asked)
     say("no motion found; looking for the limit that forbids one")
     for what in RELAXABLE:
         plan = _without(problem, what, guess, history, say)
         if plan is not None:
-            return plan
+            return replace(plan, problem=asked)
     least = _least_limit(problem, guess, history)
     if least is not None and least.factor <= 1.0:
         start, what = motion_of(least.trajectory), "start from the motion of least peak effort"
         found = attempt(case, start, least.mesh, least.durations, what, history, say)
         if found is not None:
-            return _certified(problem, found, least.mesh, history, say)
+            return replace(_certified(problem, found, least.mesh, history, say), problem=asked)
     if least is not None and least.factor > 1.0:
         sentence, details = effort_sentence(problem, least)
         return Plan(
@@ -237,7 +240,7 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         )
     plan = _without(problem, "position", guess, history, say)
     if plan is not None:
-        return plan
+        return replace(plan, problem=asked)
     status = history[-1].solver_status if history else "no start closes the loop"
     return Plan(
         problem=asked,
@@ -276,9 +279,10 @@ def _without(problem: PlanningProblem, what: str, guess: Guess, history: list[St
 
 def _least_limit(problem: PlanningProblem, guess: Guess, history: list[Step]) -> LeastLimit | None:
     """Return the least factor on the effort limits from several starts: what one start finds may be a local answer."""
-    others = (start for _, start in bent_guesses(problem, guess.start_pose) if closes(problem.mechanism, start))
+    bends = itertools.islice(bent_guesses(problem, guess.start_pose), _LOOKED_AT)
+    others = (start for _, start in bends if closes(problem.mechanism, start))
     best = None
-    for start in (guess, *(next(others) for _ in range(_BENDS - 1))):
+    for start in (guess, *itertools.islice(others, _BENDS - 1)):
         found = least_limit(problem, start, *first_mesh(problem, start), history)
         if found is not None and (best is None or found.factor < best.factor):
             best = found

@@ -122,3 +122,11 @@ ODE_LIMIT = 1e-8
 ODE_KINKED = 1e-6
 # Singular arcs: the cost is flat in the effort, which may chatter; the cost itself is met to its second order.
 ODE_SINGULAR = 1e-6
+# Positive work, relative: the small weight on effort rates that keeps it from chattering, and its kink where power changes sign.
+LEAST_WORK = 1e-3
+SMOOTHED = 1e-3
+WORK_INTEGRAL = 2e-3
+# A term of the objective against Gauss's rule along the motion, relative: both exact for the effort's polynomials.
+TERM_INTEGRAL = 1e-9
+# MuJoCo's pin at impedance 0.9999, relative: 1e-4 in the constraint's acceleration, squared forces.
+SOFT_PIN = 2e-3
