@@ -38,6 +38,7 @@ class Guess:
     duration_s: float
     start_pose: np.ndarray
     knots_s: np.ndarray | None = None
+    legs: int = 1  # swings that it is made of: each wants intervals of its own
 
 
 def motion_of(trajectory: Trajectory) -> Guess:
@@ -77,17 +78,12 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
 
 
 def guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
-    """Yield motions to start from with a word on each, in the order in which they are worth trying.
-
-    The user's own, the first guess, swings that gather way where the duration is free.
-    """
+    """Yield the user's own start and the first guess, with a word on each."""
     if problem.guess is not None:
         own = _of_the_user(problem, start_pose)
         if own is not None:
             yield "the guess given", own
     yield "a smooth path", first_guess(problem, start_pose)
-    for swing in swinging_guesses(problem, start_pose):
-        yield "a swing", swing
 
 
 def bent_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:

@@ -1,5 +1,6 @@
 """From a planning problem to a certified plan: presolve, starts in turn, refinement, and the reason where there is none."""
 
+import functools
 import itertools
 from collections.abc import Iterator
 from dataclasses import replace
@@ -7,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from planner.certificate import certify
-from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of
+from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of, swinging_guesses
 from planner.infeasibility import LeastLimit, effort_sentence, least_limit
 from planner.mechanism_case import case_of
 from planner.mesh import Mesh, broken, segmented, uniform
+from planner.phase_plane import phase_plane_guess
 from planner.plan import Plan, Step, tracking_errors
 from planner.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
 from planner.presolve import plain_contradiction, start_pose_of
@@ -24,6 +26,10 @@ __all__ = ["Say", "finished", "plan_motion", "silent"]
 # A mesh so many times coarser, and no coarser than that, is solved first where the fine one is not found from any start.
 _COARSER = 4
 _COARSEST = 6
+# Intervals that each swing of a start is given at least.
+_PER_LEG = 40
+# A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth.
+_SURELY = 1.001
 # Iterations for solves that only look for the reason.
 _ITERATIONS = 200
 # Bends tried after the first failure, where the user asks for no further starts.
@@ -49,25 +55,31 @@ def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
     if contradiction is not None:
         return Plan(problem=problem, status="infeasible", message=contradiction)
     history: list[Step] = []
-    starts = list(guesses(problem, start_pose))
     if problem.solver.starts > 1:
-        plan = _best_of(problem, starts, start_pose, history, say)
+        plan = _best_of(problem, start_pose, history, say)
     else:
-        plan = _first_of(problem, _in_turn(problem, starts, start_pose), history, say)
-    return plan or _explain(problem, starts[0][1], history, say)
+        plan = _first_of(problem, _in_turn(problem, start_pose), history, say)
+    return plan or _explain(problem, first_guess(problem, start_pose), history, say)
 
 
-def _in_turn(
-    problem: PlanningProblem, starts: list[tuple[str, Guess]], start_pose: np.ndarray
-) -> Iterator[tuple[str, Guess]]:
-    yield from starts
+def _in_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
+    """Yield starts in the order in which they are worth trying, each made when it is asked for.
+
+    The user's own, the smooth path, the phase plane's where there is one degree of freedom, swings, a few bends.
+    """
+    yield from guesses(problem, start_pose)
+    planar = phase_plane_guess(problem, start_pose)
+    if planar is not None:
+        yield "the phase plane", planar
+    for swing in swinging_guesses(problem, start_pose):
+        yield "a swing", swing
     for _, (what, guess) in zip(range(_BENDS), bent_guesses(problem, start_pose), strict=False):
         yield what, guess
 
 
 def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
     """Return the first mesh of a problem and its segments' durations [s] in a guess."""
-    n = n_intervals or problem.mesh.intervals
+    n = n_intervals or max(problem.mesh.intervals, _PER_LEG * guess.legs if guess.legs > 1 else 0)
     if guess.knots_s is not None:
         durations = np.diff(guess.knots_s)
         return segmented(durations, n, leg=np.arange(len(durations))), durations
@@ -98,11 +110,12 @@ def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], his
     return failed
 
 
-def _best_of(problem, starts: list[tuple[str, Guess]], start_pose: np.ndarray, history: list[Step], say: Say) -> Plan | None:
+def _best_of(problem: PlanningProblem, start_pose: np.ndarray, history: list[Step], say: Say) -> Plan | None:
     """Return the best plan of as many starts as the problem asks for; None where none leads to one."""
     wanted, found = problem.solver.starts, []
-    bends = itertools.islice(bent_guesses(problem, start_pose), _LOOKED_AT * wanted)
-    closed = (start for start in itertools.chain(starts, bends) if closes(problem.mechanism, start[1]))
+    planned = itertools.islice(_in_turn(problem, start_pose), wanted)
+    bends = itertools.islice(bent_guesses(problem, start_pose), _BENDS, _LOOKED_AT * wanted)
+    closed = (start for start in itertools.chain(planned, bends) if closes(problem.mechanism, start[1]))
     for number, (what, guess) in enumerate(itertools.islice(closed, wanted)):
         mesh, durations = first_mesh(problem, guess)
         word = f"start {number + 1} of {wanted}, {what}"
@@ -229,6 +242,10 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         found = attempt(case, start, least.mesh, least.durations, what, history, say)
         if found is not None:
             return replace(_certified(problem, found, least.mesh, history, say), problem=asked)
+    known = None if least is None or least.factor <= 1.0 else _known_motion(problem, guess)
+    if known is not None:
+        reason = f"failed: a motion of {known:.5g} s keeps the effort limits by the phase plane, the solver did not find it"
+        return Plan(problem=asked, status="failed", message=reason, history=tuple(history))
     if least is not None and least.factor > 1.0:
         sentence, details = effort_sentence(problem, least)
         return Plan(
@@ -238,6 +255,11 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
             history=tuple(history),
             details=details,
         )
+    bare = functools.reduce(lambda kept, what: without(kept, what) or kept, RELAXABLE, problem)
+    if bare is not problem:
+        plan = _explain_together(problem, bare, guess, history, say)
+        if plan is not None:
+            return replace(plan, problem=asked)
     plan = _without(problem, "position", guess, history, say)
     if plan is not None:
         return replace(plan, problem=asked)
@@ -248,6 +270,28 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         message=f"failed: the solver found neither a motion nor a limit that forbids one ({status})",
         history=tuple(history),
     )
+
+
+def _known_motion(problem: PlanningProblem, guess: Guess) -> float | None:
+    """Return the duration of a motion that is known to keep the effort limits, in no more time than is given; or None."""
+    duration = problem.motion.duration_s
+    free = replace(problem, objective="time", motion=replace(problem.motion, duration_s=None))
+    known = phase_plane_guess(free, guess.start_pose)
+    if known is None or (duration is not None and duration < _SURELY * known.duration_s):
+        return None
+    return known.duration_s
+
+
+def _explain_together(
+    problem: PlanningProblem, bare: PlanningProblem, guess: Guess, history: list[Step], say: Say
+) -> Plan | None:
+    """Return the plan that says what efforts are missing even without the other limits; None where efforts suffice."""
+    least = _least_limit(bare, guess, history)
+    if least is None or least.factor <= 1.0:
+        return None
+    sentence, details = effort_sentence(bare, least)
+    message = f"infeasible: even without its other limits, {sentence}{_shortest(problem, details, say)}"
+    return Plan(problem=problem, status="infeasible", message=message, history=tuple(history), details=details)
 
 
 def _patient(settings: SolverSettings) -> SolverSettings:

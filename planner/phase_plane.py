@@ -1,0 +1,266 @@
+"""Motions of one degree of freedom by the phase plane: full effort, swings that gather way, and a braking last leg.
+
+Along s the energy w = v^2 / 2 obeys dw/ds = a(s, v, u) (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985): a leg
+that pushes with full effort from rest, another that brakes to rest at the goal, and where they cross the switch. Where that
+way is not open, the quickest one by way of a grid of turns is looked for. These are starting points where a straight motion
+is not found; the optimum is left to the solver, and so is all that this leaves out.
+"""
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from models.along import sampled
+from models.assembly import follow, reach
+from models.errors import AssemblyError
+from planner.guess import Guess
+from planner.problem import PlanningProblem
+
+# Cells of the grid over s; two poses a cell.
+_CELLS = 800
+# Legs of a motion at the most, and places on the grid where it may turn.
+_SWINGS = 6
+_PLACES = 60
+# A speed below this counts as this where times are added up [rad/s or m/s].
+_STILL = 1e-9
+# A crank that turns fully may go so far beyond start and goal [rad].
+_TURNS = 2.0 * np.pi
+# Shares of the effort limits tried for a motion that may take longer than the least.
+_SHARES = (1.0, 0.7, 0.4)
+# Room kept to the ends of the reach, as a share of it.
+_ROOM = 1e-3
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Plane:
+    """A grid over s: positions (n,) of cell ends, and the acceleration at ends and middles (2 n - 1,) in turn.
+
+    a = rest + linear v + quadratic v^2 + push[direction], exact but for dampers that are not linear.
+    """
+
+    s: np.ndarray
+    rest: list[float]
+    linear: list[float]
+    quadratic: list[float]
+    push: dict[int, list[float]]  # under full effort in direction +1 or -1
+    top: np.ndarray  # largest w at each cell end, by speed limits
+    effort: dict[int, np.ndarray]  # (2 n - 1, n_u) that pushes so
+
+    def leg(self, start: int, w: float, step: int, effort: int, *, backwards: bool = False) -> np.ndarray:
+        """Return w at cell ends from `start` on, index by index in steps of +-1, until it would fall to zero or below.
+
+        `effort` is the direction of the push. Backwards, the motion runs against the steps: a braking leg from its end.
+        """
+        sign, push = (-step if backwards else step), self.push[effort]
+        values, at = [w], start
+        while 0 <= at + step < len(self.s):
+            h, k = self.s[at + step] - self.s[at], 2 * at
+            v2 = 2 * values[-1]
+            first = self.rest[k] + push[k] + self.quadratic[k] * v2 + sign * self.linear[k] * v2**0.5
+            k, v2 = k + step, max(v2 + h * first, 0.0)
+            w = values[-1] + h * (self.rest[k] + push[k] + self.quadratic[k] * v2 + sign * self.linear[k] * v2**0.5)
+            if w <= 0:
+                break
+            at += step
+            values.append(min(w, float(self.top[at])))
+        return np.array(values)
+
+
+def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+    """Return a reach as the phase plane has it, its duration nearest to a fixed one; None where there is none."""
+    motion, mechanism = problem.motion, problem.mechanism
+    if mechanism.dof != 1 or motion.kind != "reach" or motion.waypoints or not np.all(np.isfinite(problem.limits.effort)):
+        return None
+    shares = _SHARES if motion.duration_s is not None else _SHARES[:1]
+    best = None
+    for share in shares:
+        plane = _plane(problem, start_pose, share)
+        found = None if plane is None else _legs(plane, problem)
+        if found is None:
+            continue
+        guess = _guess(plane, found, start_pose)
+        off = abs(np.log(guess.duration_s / (motion.duration_s or guess.duration_s)))
+        if best is None or off < best[0]:
+            best = off, guess
+    if best is None:
+        return None
+    return best[1] if motion.duration_s is None else _stretched(best[1], motion.duration_s)
+
+
+def _plane(problem: PlanningProblem, start_pose: np.ndarray, share: float) -> _Plane | None:
+    mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
+    ends = np.sort([motion.start[0], motion.goal[0]])
+    can = reach(mechanism)
+    low, high = limits.position[mechanism.independent[0]]
+    if can.turns_fully:
+        low, high = max(low, ends[0] - _TURNS), min(high, ends[1] + _TURNS)
+    else:
+        low, high = max(low, can.lower.position), min(high, can.upper.position)
+    room = _ROOM * (high - low)
+    s = np.linspace(min(low + room, ends[0]), max(high - room, ends[1]), _CELLS + 1)
+    s = np.unique(np.concatenate([s, ends]))
+    s = s[np.concatenate([[True], np.diff(s) > 1e-9 * (high - low)])]
+    fine = np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s)
+    begin = int(np.argmin(np.abs(fine - motion.start[0])))
+    try:
+        after = follow(mechanism, fine[begin:, None], start_pose)
+        before = follow(mechanism, fine[begin::-1, None], start_pose)[::-1]
+    except AssemblyError:
+        return None
+    poses = np.vstack([before[:-1], after])
+    # The part around the start in which every joint keeps its range.
+    inside = np.all((poses >= limits.position[:, 0]) & (poses <= limits.position[:, 1]), axis=1)
+    out = np.flatnonzero(~inside)
+    first = int(out[out < begin].max(initial=-1)) + 1
+    last = int(out[out > begin].min(initial=len(fine))) - 1
+    first, last = (first + 1) // 2, last // 2
+    s, poses = s[first : last + 1], poses[2 * first : 2 * last + 1]
+    if len(s) < 3 or not s[0] <= ends[0] <= ends[1] <= s[-1]:
+        return None
+    return _gridded(problem, s, poses, share * limits.effort)
+
+
+def _gridded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> _Plane:
+    """Return the plane over positions (n,) with poses (2 n - 1, n_q) and effort limits (n_u, 2)."""
+    dynamics, n = problem.mechanism.dynamics, len(poses)
+
+    def acceleration(v: float, u: np.ndarray) -> np.ndarray:
+        return sampled(dynamics.acceleration, poses, np.full((n, 1), v), u)[:, 0, 0]
+
+    none = np.zeros((n, len(limit)))
+    rest, ahead, back = (acceleration(v, none) for v in (0.0, 1.0, -1.0))
+    maps = sampled(dynamics.effort_map, poses)[:, 0]
+    effort = {way: np.where(way * maps > 0, limit[:, 1], limit[:, 0]) for way in (+1, -1)}
+    return _Plane(
+        s=s,
+        rest=rest.tolist(),
+        linear=(0.5 * (ahead - back)).tolist(),
+        quadratic=(0.5 * (ahead + back) - rest).tolist(),
+        push={way: (acceleration(0.0, effort[way]) - rest).tolist() for way in effort},
+        top=_top(problem, poses[::2]),
+        effort=effort,
+    )
+
+
+def _top(problem: PlanningProblem, poses: np.ndarray) -> np.ndarray:
+    """Return the largest w = v^2 / 2 at poses (n, n_q) that every joint's speed limit admits."""
+    mechanism, speed = problem.mechanism, np.abs(problem.limits.speed).min(axis=1)
+    ratio = np.array([np.abs(np.array(mechanism.dynamics.velocity_map(q))[:, 0]) for q in poses])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fastest = np.where(ratio > 0, speed / ratio, np.inf).min(axis=1)
+    return 0.5 * fastest**2
+
+
+def _legs(plane: _Plane, problem: PlanningProblem):
+    """Return legs (indices, w, directions of the push at each) from start to goal, the quickest by way of a grid of turns.
+
+    None where there is no way. Dijkstra over the places where a motion may rest.
+    """
+    motion, n = problem.motion, len(plane.s)
+    start, goal = (int(np.argmin(np.abs(plane.s - x[0]))) for x in (motion.start, motion.goal))
+    speeds = [0.0 if v is None else float(v[0]) for v in (motion.start_speed, motion.goal_speed)]
+    rests = sorted({*np.linspace(0, n - 1, _PLACES).round().astype(int).tolist()} - {goal})
+    ends = [(goal, speeds[1]), *((place, 0.0) for place in rests)]
+    arriving = {}  # braking legs by where and in which direction they arrive
+    for place, v in ends:
+        for way in (+1, -1):
+            if v * way >= 0:
+                arriving[place, way] = plane.leg(place, 0.5 * v**2, -way, -way, backwards=True)
+    queue, known = [(0.0, 0, start, _Path())], {}
+    while queue:
+        time, legs_so_far, at, legs = heapq.heappop(queue)
+        if legs and at == goal:
+            return legs
+        if known.get(at, np.inf) <= time or legs_so_far == _SWINGS:
+            continue
+        known[at] = time
+        v = speeds[0] if not legs else 0.0
+        for way in [int(np.sign(v))] if v else [+1, -1]:
+            push = plane.leg(at, 0.5 * v**2, way, way)
+            index = at + way * np.arange(len(push))
+            for place, _ in ends:
+                joined = _joined(plane, index, push, place, way, arriving.get((place, way)))
+                if joined is not None:
+                    heapq.heappush(queue, (time + _duration(plane, joined), legs_so_far + 1, place, _Path([*legs, joined])))
+    return None
+
+
+class _Path(list):
+    """Legs in a queue: never compared."""
+
+    def __lt__(self, other: object) -> bool:
+        return False
+
+
+def _duration(plane: _Plane, leg) -> float:
+    index, w, _ = leg
+    v = np.sqrt(2 * w)
+    return float(np.sum(2 * np.abs(np.diff(plane.s[index])) / np.maximum(v[1:] + v[:-1], _STILL)))
+
+
+def _joined(plane: _Plane, index: np.ndarray, push: np.ndarray, goal: int, way: int, brake: np.ndarray | None):
+    """Return a pushing leg up to where it crosses the braking leg into the goal, then that one; None without a crossing."""
+    if brake is None or not (goal - index[0]) * way > 0:
+        return None
+    braking = np.full(len(plane.s), np.nan)
+    braking[goal - way * np.arange(len(brake))] = brake
+    ahead = np.arange(index[0], goal + way, way)
+    pushing = np.full(len(plane.s), np.nan)
+    pushing[index] = push
+    over = np.flatnonzero(pushing[ahead] >= braking[ahead])
+    if not len(over):
+        return None
+    k = int(over[0])
+    # Below the braking leg just before, or the way there is not open: it would be met too fast.
+    if np.any(np.isnan(pushing[ahead[:k]])) or (k and np.isnan(braking[ahead[k - 1]])):
+        return None
+    w = np.concatenate([pushing[ahead[:k]], braking[ahead[k:]]])
+    effort = np.where(np.arange(len(ahead)) < k, way, -way)
+    return ahead, w, effort
+
+
+def _guess(plane: _Plane, legs, start_pose: np.ndarray) -> Guess:
+    """Return legs as a guess: position and velocity by Hermite cubics over time, efforts as they push."""
+    times, s, v, pushes = [0.0], [plane.s[legs[0][0][0]]], [], []
+    for leg_number, (index, w, effort) in enumerate(legs):
+        way = int(np.sign(index[-1] - index[0]))
+        speed = way * np.sqrt(2 * w)
+        step = np.abs(np.diff(plane.s[index]))
+        times += list(times[-1] + np.cumsum(2 * step / np.maximum(np.abs(speed[1:] + speed[:-1]), _STILL)))
+        s += list(plane.s[index[1:]])
+        v += list(speed if leg_number == 0 else speed[1:])
+        pushes += list(effort[:-1] * 1.0)
+    t, pushed = np.array(times), np.array(pushes)
+    path = CubicHermiteSpline(t, np.array(s)[:, None], np.array(v)[:, None])
+    place = np.array(s)
+
+    def effort_at(at: np.ndarray) -> np.ndarray:
+        k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(pushed) - 1)
+        half = 2 * np.clip(np.searchsorted(plane.s, place[k]), 0, len(plane.s) - 1)
+        return np.where(pushed[k, None] > 0, plane.effort[+1][half], plane.effort[-1][half])
+
+    return Guess(
+        position=path,
+        velocity=path.derivative(1),
+        acceleration=path.derivative(2),
+        effort=effort_at,
+        duration_s=float(t[-1]),
+        start_pose=start_pose,
+        legs=len(legs),
+    )
+
+
+def _stretched(guess: Guess, duration: float) -> Guess:
+    """Return a guess slowed or hastened to a duration, its efforts left to inverse dynamics."""
+    factor = guess.duration_s / duration
+    return Guess(
+        position=lambda t: guess.position(factor * t),
+        velocity=lambda t: factor * guess.velocity(factor * t),
+        acceleration=lambda t: factor**2 * guess.acceleration(factor * t),
+        effort=None,
+        duration_s=duration,
+        start_pose=guess.start_pose,
+        legs=guess.legs,
+    )
