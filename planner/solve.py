@@ -26,8 +26,8 @@ __all__ = ["INVALID", "OUT_OF_TIME", "Solution", "build_solver", "run_solver", "
 # number: measured at 2,000 intervals, three quarters of a solve. Smaller programs keep it for its better pivots.
 _LARGE = 200
 # How near its end a warm solve begins, and how far its point is pushed off bounds that hold it: next to an answer with its
-# multipliers, three iterations do where a barrier of 1e-4 took five.
-_WARM_BARRIER, _WARM_PUSH = 1e-8, 1e-9
+# multipliers, four iterations do where a barrier of 1e-4 took five; much nearer, and limits that come to bind take twice as long.
+_WARM_BARRIER, _WARM_PUSH = 1e-6, 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

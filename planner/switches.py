@@ -89,10 +89,10 @@ def pinned_efforts(trajectory: Efforts, limit: np.ndarray, cuts: np.ndarray) -> 
 
 
 def _spread(cuts: list[float], breaks: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Return the cuts in order, those dropped that stand closer to another or to a knot than half an interval."""
+    """Return the cuts in order, but for those within half an interval of another, or a twentieth of a knot."""
     apart = 0.5 * float(np.diff(breaks).min())
     kept: list[float] = []
     for cut in sorted(cuts):
-        if np.abs(cut - knots).min() > apart and (not kept or cut - kept[-1] > apart):
+        if np.abs(cut - knots).min() > 0.1 * apart and (not kept or cut - kept[-1] > apart):
             kept.append(cut)
     return np.array(kept)

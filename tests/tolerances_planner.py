@@ -110,23 +110,40 @@ ODE_FOUR_DIGITS = 3e-6
 ODE_COSTATES = 5e-8
 # Where a state's limit is touched or held, the effort's kink falls between nodes: the objective's tolerance of 1e-7.
 ODE_BOUND_BY_A_STATE = 1e-7
-# States and efforts against a closed form, absolute, of order one.
-ODE_STATE = 1e-7
+# States and efforts against a closed form, absolute, of order one: what a radau-3 polynomial leaves between nodes.
+# Measured 4e-7.
+ODE_STATE = 1e-6
 # Instants of switches [s], of motions of order one to ten: cuts settle to the solver's 1e-10. Measured 1e-9.
 ODE_SWITCH = 1e-6
 # The objective against that along the integrated motion, relative: the tolerance on states, to first order. Measured 1e-12.
 ODE_INTEGRATED = 1e-8
 # A state's or path quantity's limit between nodes, relative: the certificate's slack, what the solver leaves of its rows.
 ODE_LIMIT = 1e-8
-# Arcs along a path limit and others meet in kinks of the effort, relative: the objective's tolerance of 1e-7. 
+# Arcs along a path limit and others meet in kinks of the effort, relative: the objective's tolerance of 1e-7.
 ODE_KINKED = 1e-6
 # Singular arcs: the cost is flat in the effort, which may chatter; the cost itself is met to its second order.
 ODE_SINGULAR = 1e-6
-# Positive work, relative: the small weight on effort rates that keeps it from chattering, and its kink where power changes sign.
-LEAST_WORK = 1e-3
+# Positive work, relative: the small weight on effort rates that keeps it from chattering, and its kink where power changes
+# sign. Measured 2e-3.
+LEAST_WORK = 5e-3
 SMOOTHED = 1e-3
 WORK_INTEGRAL = 2e-3
 # A term of the objective against Gauss's rule along the motion, relative: both exact for the effort's polynomials.
 TERM_INTEGRAL = 1e-9
 # MuJoCo's pin at impedance 0.9999, relative: 1e-4 in the constraint's acceleration, squared forces.
 SOFT_PIN = 2e-3
+# Limits of power, rate, line, pin force and singular margin between nodes, relative: drawn in where they were overrun, and
+# the certificate's slack of 1e-9.
+FURTHER_LIMIT = 1e-8
+# A limit that binds is reached, relative: drawn in by a tenth more than it was overrun between nodes.
+BINDS = 1e-3
+# Least time where arcs on a limit meet arcs at the effort's: kinks of the effort stand on no cut, and the limit is drawn in
+# by more than it was overrun, relative. Measured 1.3e-4.
+TIME_WITH_ARCS = 2e-4
+# Least effort by a waypoint at a free instant against scipy's minimum over instant and speed, relative: scipy's own 1e-9.
+WAYPOINT_EFFORT = 1e-7
+# An effort at the very start of a motion, absolute, of order one: a polynomial's end, of lower order than its nodes.
+# Measured 1e-6.
+ODE_EFFORT = 1e-5
+# A gain along a singular arc, where the effort chatters between nodes and the state is asked for to 1e-4, relative.
+ODE_CHATTERING = 1e-3
