@@ -35,6 +35,7 @@ class ReducedDynamics:
     passive: ca.Function  # q, q' -> springs and dampers (n_q,)
     reduced_inertia: ca.Function  # q -> Gamma^T M Gamma (n_s, n_s)
     gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that holds the weight
+    effort_matrix: ca.Function  # q -> B (n_q, n_u), each actuator's generalised effort
     effort_map: ca.Function  # q -> Gamma^T B (n_s, n_u)
     inverse_dynamics: ca.Function  # q, v, a -> Gamma^T B u that the motion needs (n_s,)
     residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
@@ -101,6 +102,7 @@ def reduce_tree(
         passive=function("passive", [q, qd], tree.passive),
         reduced_inertia=function("reduced_inertia", [q], inertia),
         gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
+        effort_matrix=function("effort_matrix", [q], B),
         effort_map=function("effort_map", [q], effort_map),
         inverse_dynamics=function("inverse_dynamics", [q, v, a], inverse),
         residual=function("residual", [q, v, a, u], inverse - effort_map @ u),

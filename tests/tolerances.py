@@ -46,6 +46,16 @@ PRINTED_GAP = 6e-3
 # The least gap where a loop cannot close, relative: Gauss-Newton creeps towards a minimum that is not zero.
 LEAST_GAP = 0.05
 
+# Actuator moments, relative: rounding of one expression against another. Measured 2e-14.
+MOMENT = 1e-10
+# MuJoCo's soft constraint extrapolated on random mechanisms, whose masses differ a thousandfold: what is left is of second
+# order, with larger factors than on the four-bars above. To be measured.
+RANDOM_LIMIT = 1e-3
+# The order with which MuJoCo's acceleration approaches ours on random mechanisms, from impedances 0.9999 and 0.99999.
+RANDOM_ORDER = 0.3
+# The rate of energy against power, relative to the larger of the powers and the kinetic energy per second: rounding.
+POWER_RATE = 1e-9
+
 
 def relative_error(actual: object, expected: object) -> float:
     """Return the largest deviation relative to the largest expected entry; shapes must agree, NaN stays NaN."""
