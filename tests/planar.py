@@ -54,7 +54,9 @@ def _joint(rng: np.random.Generator, name: str, size: float, slide: np.ndarray |
     extra = ""
     if rng.random() < 0.5:
         scale = size if slide is None else 1.0
-        extra += f' stiffness="{numbers(scale * rng.uniform(0.5, 3))}" springref="{numbers(ref + rng.uniform(-0.5, 0.5) * size)}"'
+        extra += (
+            f' stiffness="{numbers(scale * rng.uniform(0.5, 3))}" springref="{numbers(ref + rng.uniform(-0.5, 0.5) * size)}"'
+        )
     if rng.random() < 0.5:
         extra += f' damping="{numbers(size * rng.uniform(0.01, 0.2))}"'
     if rng.random() < 0.3:
