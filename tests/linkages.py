@@ -97,8 +97,8 @@ PRESS = f"""
     <body name="rocker_right" pos="0.3 0 0.02"><joint name="rocker_right"/>
       <geom type="capsule" fromto="0 0 0 -0.13 0 0.12"/><site name="right_eye" pos="-0.13 0 0.12"/></body>
   </worldbody>
-  <equality><connect name="left" site1="left_tip" site2="left_eye"/><connect name="right" site1="right_tip" site2="right_eye"/>
-  </equality>
+  <equality><connect name="left" site1="left_tip" site2="left_eye"/>
+    <connect name="right" site1="right_tip" site2="right_eye"/></equality>
   <actuator><motor joint="ram" ctrlrange="-50 50"/></actuator>
 </mujoco>"""
 

@@ -128,12 +128,14 @@ def random_planar(seed: int) -> Planar:
         tendon_ends.append(f"hook{k}")
         link.elements += f'<site name="hook{k}" pos="{_local(link, start + 0.7 * (elbow - start))}"/>'
     base.elements += f'<site name="reel" pos="{numbers(rng.uniform(-0.6, 0.6, 3))}"/>'
+    place = f'pos="{numbers(rng.uniform(-1, 1, 3))}" quat="{numbers(random_quaternion(rng))}"'
+    rope = "".join(f'<site site="{site}"/>' for site in ("reel", *tendon_ends))
+    belt = "".join(f'<joint joint="{joint}" coef="{numbers(rng.uniform(-1, 1))}"/>' for joint in joints)
     text = f"""
 <mujoco model="planar {seed}"><compiler angle="radian" autolimits="true"/>
   <option gravity="{numbers(rng.uniform(-10, 10, 3))}"/>
-  <worldbody><body pos="{numbers(rng.uniform(-1, 1, 3))}" quat="{numbers(random_quaternion(rng))}">{_xml(base)}</body></worldbody>
-  <tendon><spatial name="rope"{_spring(rng)}><site site="reel"/>{"".join(f'<site site="{s}"/>' for s in tendon_ends)}</spatial>
-    <fixed name="belt"{_spring(rng)}>{"".join(f'<joint joint="{j}" coef="{numbers(rng.uniform(-1, 1))}"/>' for j in joints)}</fixed>
+  <worldbody><body {place}>{_xml(base)}</body></worldbody>
+  <tendon><spatial name="rope"{_spring(rng)}>{rope}</spatial><fixed name="belt"{_spring(rng)}>{belt}</fixed>
   </tendon>
   <equality>{"".join(equalities)}</equality>
   <actuator>{_actuators(rng, joints)}</actuator>

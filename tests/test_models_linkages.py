@@ -194,7 +194,8 @@ _TWO_ARMS = """
 <mujoco><compiler angle="radian"/><worldbody>
   <body name="a" pos="0.1 0.2 0.3"><joint name="j" axis="1 2 3" ref="0.3"/><geom size="0.1"/>
     <site name="s" pos="0.1 0.2 0.1" euler="1 0.2 0.3"/>
-    <body name="b" pos="0.1 0 0.4" euler="0.3 0.1 2"><joint name="k" axis="0 1 1" ref="-0.2"/><geom size="0.1"/></body></body>
+    <body name="b" pos="0.1 0 0.4" euler="0.3 0.1 2"><joint name="k" axis="0 1 1" ref="-0.2"/><geom size="0.1"/></body>
+  </body>
   <body name="c" pos="0 0.3 0.1" euler="1 1 0.2"><joint name="m" type="slide" axis="1 1 0" ref="0.3"/>
     <joint name="n" axis="1 1 0"/><geom size="0.1"/><site name="t" pos="-0.1 0.2 0.1" euler="1 -0.2 0.3"/></body>
 </worldbody>
@@ -245,7 +246,8 @@ def test_every_equality_has_mujocos_residual_and_jacobian_in_metres_where_it_is_
 def test_two_geared_pendulums_have_the_inertia_of_the_ratio_squared():
     text = """<mujoco><compiler angle="radian"/><default><joint axis="0 1 0"/></default><worldbody>
       <body name="a"><joint name="a" ref="0.2"/><inertial mass="1" pos="0 0 0" diaginertia="0.3 0.3 0.3"/></body>
-      <body name="b" pos="1 0 0"><joint name="b" ref="-0.1"/><inertial mass="1" pos="0 0 0" diaginertia="0.02 0.02 0.02"/></body>
+      <body name="b" pos="1 0 0"><joint name="b" ref="-0.1"/>
+        <inertial mass="1" pos="0 0 0" diaginertia="0.02 0.02 0.02"/></body>
       </worldbody><equality><joint joint1="b" joint2="a" polycoef="0 -4 0.5 0 0"/></equality>
       <actuator><motor joint="a"/></actuator></mujoco>"""
     mechanism = load_mechanism(text)
@@ -268,7 +270,7 @@ def test_a_joint_equality_of_one_joint_locks_it_where_it_says():
 
 
 def test_a_tendon_equality_of_one_joint_each_is_the_joint_equality():
-    tendons = '<tendon><fixed name="r"><joint joint="crank_r" coef="1"/></fixed><fixed name="l"><joint joint="crank_l" coef="1"/></fixed>'
+    tendons = "<tendon>" + "".join(f'<fixed name="{side}"><joint joint="crank_{side}" coef="1"/></fixed>' for side in "rl")
     text = replaced(GRIPPER, "<tendon>", tendons)
     joint = '<joint name="mirror" joint1="crank_r" joint2="crank_l" polycoef="0 -1 0 0 0"/>'
     tied = load_mechanism(replaced(text, joint, '<tendon name="mirror" tendon1="r" tendon2="l" polycoef="0 -1 0 0 0"/>'))

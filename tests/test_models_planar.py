@@ -1,4 +1,4 @@
-"""Random planar mechanisms of one to three loops against MuJoCo: the tree, the actuators, the constrained motion, its forces.
+"""Random planar mechanisms of one to three loops against MuJoCo: tree, actuators, constrained motion, forces.
 
 Thirty seeds by default; LINKPLAN_PLANAR=200 in the environment runs two hundred.
 """
