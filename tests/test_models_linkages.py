@@ -299,6 +299,20 @@ def test_the_fingers_of_the_gripper_stay_mirrored_and_upright():
         assert abs(q["finger_r"] + q["crank_r"]) < 1e-9, "a parallelogram keeps its finger's direction"
 
 
+def test_a_grippers_reach_ends_where_both_of_its_parallelograms_lie_flat():
+    mechanism = load("gripper")
+    column = [joint.name for joint in mechanism.independent_joints].index("crank_l")
+    can = reach(mechanism, column)
+    flat = np.arctan2(0.04, 0.03) - np.arctan2(-0.002, 0.015)  # crank along the line of the pivots
+    assert (can.lower.reason, can.upper.reason) == ("singular pose", "singular pose")
+    assert abs(can.lower.position + flat) < 1e-8
+    assert abs(can.upper.position - (np.pi - flat)) < 1e-8
+
+
+def test_a_chart_that_ends_is_not_called_a_range():
+    assert reach(load("rssr"), 1).upper.reason == "end of rod_rx's chart"
+
+
 # Loops that ride
 
 
