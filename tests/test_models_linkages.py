@@ -305,8 +305,9 @@ def test_a_grippers_reach_ends_where_both_of_its_parallelograms_lie_flat():
     can = reach(mechanism, column)
     flat = np.arctan2(0.04, 0.03) - np.arctan2(-0.002, 0.015)  # crank along the line of the pivots
     assert (can.lower.reason, can.upper.reason) == ("singular pose", "singular pose")
-    assert abs(can.lower.position + flat) < 1e-8
-    assert abs(can.upper.position - (np.pi - flat)) < 1e-8
+    # A flat parallelogram is a branching point, where Newton on phi = 0, det J_z = 0 converges as on a double root.
+    assert abs(can.lower.position + flat) < 1e-6
+    assert abs(can.upper.position - (np.pi - flat)) < 1e-6
 
 
 def test_a_chart_that_ends_is_not_called_a_range():
