@@ -1,8 +1,8 @@
 """Poses of a mechanism on its branch: along a path of independent positions, and as far as the chain reaches.
 
 A path is followed by a tangent predictor and Newton in the dependent joints. Where Newton fails, corrects by more than
-the step itself, or the sign of a block of det J_z turns, the step is halved: so a pose found is on the branch that the path began
-on, and a path that meets a singular pose stops there instead of slipping through.
+the step itself, or the sign of a block of det J_z turns, the step is halved: so a pose found is on the branch that the path
+began on, and a path that meets a singular pose stops there instead of slipping through.
 """
 
 from dataclasses import dataclass

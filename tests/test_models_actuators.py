@@ -17,7 +17,8 @@ from tests.tolerances import MOMENT, TREE, relative_error
 BENCH = """
 <mujoco model="bench"><compiler angle="radian" autolimits="true"/>
   <default><geom contype="0" conaffinity="0" size="0.02"/><joint axis="0 1 0"/></default>
-  <worldbody><site name="ground" pos="0.3 0.1 0.2" euler="0.2 0.3 1"/><geom name="drum" type="sphere" size="0.05" pos="0.2 0 0"/>
+  <worldbody><site name="ground" pos="0.3 0.1 0.2" euler="0.2 0.3 1"/>
+    <geom name="drum" type="sphere" size="0.05" pos="0.2 0 0"/>
     <body name="crank"><joint name="crank" %(crank)s/><geom type="capsule" fromto="0 0 0 0.1 0 0.05"/>
       <site name="knee" pos="0.1 0 0.05" euler="1 0.2 0.3"/>
       <body name="rod" pos="0.1 0 0.05"><joint name="rod" %(rod)s/><geom type="capsule" fromto="0 0 0 0.2 0 0"/>

@@ -4,7 +4,6 @@ from functools import cache
 
 import mujoco
 import numpy as np
-import pytest
 import scipy.integrate
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -211,7 +210,8 @@ def test_a_chart_ends_well_before_its_singularity():
 def test_several_roots_are_several_trees():
     text = """<mujoco><worldbody>
       <body name="a"><joint name="a" type="ball"/><geom size="0.1" pos="0.2 0 0"/></body>
-      <body name="b" pos="1 0 0"><joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body></worldbody></mujoco>"""
+      <body name="b" pos="1 0 0"><joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body>
+      </worldbody></mujoco>"""
     chain = load_mechanism(text)
     inertia = np.array(chain.dynamics.mass_matrix(chain.home))
     assert chain.dof == 4
