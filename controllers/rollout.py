@@ -246,7 +246,8 @@ def _step(model, data: mujoco.MjData, actuators: tuple[Actuator, ...], effort: n
             length, velocity = (float(x[actuator.output]) for x in (now.actuator_length, now.actuator_velocity))
             now.ctrl[actuator.channel] = ctrl = actuator.control(float(u), length, velocity)
             if len(acted) < len(actuators):
-                low, high = model.actuator_forcerange[actuator.index]
+                limited = bool(model.actuator_forcelimited[actuator.index])
+                low, high = model.actuator_forcerange[actuator.index] if limited else (-np.inf, np.inf)
                 acted.append(float(np.clip(actuator.effort(ctrl, length, velocity), low, high)))
 
     mujoco.set_mjcb_control(invert)
