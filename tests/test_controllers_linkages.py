@@ -38,10 +38,9 @@ class Scripted:
 def hard(text: str, timestep: float = 1e-5, integrator: str = "Euler") -> str:
     """Return a model with loops as hard as its time step allows."""
     option = f'<option timestep="{timestep}" integrator="{integrator}"/>'
-    text = replaced(
+    return replaced(
         text, "<default>", f'{option}<default><equality solref="{2.5 * timestep} 1" solimp="0.999 0.9999 0.001"/>'
     )
-    return text
 
 
 def standing(mechanism: Mechanism, n: int = STEPS) -> SampledReference:
