@@ -388,6 +388,21 @@ def test_the_rod_between_two_balls_spins_idly_and_that_is_said():
     assert mechanism.joints[mechanism.independent[0]].name == "crank"
 
 
+def test_a_rod_on_three_hinges_spins_idly_as_one_on_a_ball():
+    hinges = "".join(f'<joint name="rod_{k}" axis="{axis}"/>' for k, axis in enumerate(("1 0 0", "0 1 0", "0 0 1")))
+    mechanism = load_mechanism(replaced(RSSR, '<joint name="rod" type="ball" damping="0.001"/>', hinges))
+    (note,) = mechanism.notes
+    assert "body rod" in note
+    assert [mechanism.joints[i].name for i in mechanism.idle] == ["rod_0", "rod_1", "rod_2"]
+
+
+def test_a_bent_rod_that_gravity_turns_is_not_idle():
+    bent = replaced(RSSR, '<geom type="capsule" fromto="0 0 0 0.25 0.08 0.06"/>', '<geom pos="0.1 0.2 0"/>')
+    mechanism = load_mechanism(bent)
+    assert mechanism.dof == 2
+    assert mechanism.idle == ()
+
+
 def test_a_path_that_leaves_a_chart_is_refused_by_joint():
     mechanism = load("rssr")
     spin = np.linspace(mechanism.home[mechanism.independent[1]], 6.5, 200)

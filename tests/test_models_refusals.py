@@ -131,6 +131,10 @@ FALSE = {
     "ball friction": (replaced(RSSR, 'type="ball"', 'type="ball" frictionloss="0.1"'), ["frictionloss", "rod"]),
     "ball spring": (replaced(RSSR, 'type="ball"', 'type="ball" stiffness="2"'), ["stiffness", "ball", "rod"]),
     "ball range": (replaced(RSSR, 'type="ball"', 'type="ball" range="0 1"'), ["range", "ball", "rod"]),
+    "a damped motor on a ball": (
+        replaced(RSSR, "<actuator>", '<actuator><motor name="swivel" joint="rod" gear="1 0 0" damping="1"/>'),
+        ["damping", "swivel", "joint rod"],
+    ),
     "ball damping of higher order": (
         replaced(RSSR, 'type="ball" damping="0.001"', 'type="ball" damping="0.001 0.2"'),
         ["damping", "ball", "rod"],
