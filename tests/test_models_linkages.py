@@ -388,6 +388,15 @@ def test_the_rod_between_two_balls_spins_idly_and_that_is_said():
     assert mechanism.joints[mechanism.independent[0]].name == "crank"
 
 
+def test_the_first_coordinate_of_such_a_rod_is_its_spin():
+    mechanism = load("rssr")
+    rates = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, 1]
+    assert np.abs(rates - np.eye(5)[1]).max() < 1e-14, "it alone moves"
+    line = np.array([0.25, 0.08, 0.06])
+    spin = mechanism.qvel_of(mechanism.home, rates)[1:4]
+    assert np.abs(spin - line / np.linalg.norm(line)).max() < 1e-14
+
+
 def test_a_rod_on_three_hinges_spins_idly_as_one_on_a_ball():
     hinges = "".join(f'<joint name="rod_{k}" axis="{axis}"/>' for k, axis in enumerate(("1 0 0", "0 1 0", "0 0 1")))
     mechanism = load_mechanism(replaced(RSSR, '<joint name="rod" type="ball" damping="0.001"/>', hinges))
