@@ -19,7 +19,7 @@ from models.joints import Joint, index_of, read_joints
 from models.library import compile_model
 from models.newton import Loop
 from models.payload import Payload, payload_from
-from models.rank import dependent_columns, independent_rows, numerical_rank
+from models.rank import dependent_columns, independent_rows, numerical_rank, weak_rank
 from models.reduction import ReducedDynamics, reduce_tree
 from models.tendons import is_fixed, tendon_joints
 from models.transmission import TRN_TENDON
@@ -180,7 +180,7 @@ def load_mechanism(
     if rank == len(joints):
         raise ModelError(
             f"mechanism '{name}' is locked: {len(joints)} joints less {rank} independent closure rows leave 0 degrees of"
-            " freedom"
+            f" freedom{_hint(weak_rank(jacobians[0]))}"
         )
     ordinary = [jacobian for jacobian in jacobians if numerical_rank(jacobian) == rank]
     rows = independent_rows(ordinary, rank)
@@ -223,6 +223,14 @@ def load_mechanism(
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
     return mechanism
+
+
+def _hint(weak: int) -> str:
+    if not weak:
+        return ""
+    return (
+        f"; {weak} of the rows counts by a ten-thousandth only: joint axes or points that were to be in line are not quite"
+    )
 
 
 def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:

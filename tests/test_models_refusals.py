@@ -86,6 +86,10 @@ MODELS = {
     "locked by a weld": (equality('<weld body1="left"/><weld body1="right"/>'), ["locked", "0 degrees of freedom"]),
     "locked by couplings": (equality('<joint joint1="ja"/><joint joint1="jb"/>'), ["locked", "0 degrees of freedom"]),
     "locked by a tendon and a joint": (equality('<tendon tendon1="cable"/><joint joint1="ja"/>'), ["locked"]),
+    "locked by axes that are not quite parallel": (
+        replaced(WELDED, '<joint name="C"/>', '<joint name="C" axis="1e-6 1 0"/>'),
+        ["locked", "not quite"],
+    ),
     "locked truss": (TRUSS, ["'truss'", "locked"]),
     "couplings that contradict each other": (
         equality('<joint joint1="ja" polycoef="0.1 0 0 0 0"/><joint joint1="ja" polycoef="0.4 0 0 0 0"/>'),
