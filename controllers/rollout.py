@@ -231,8 +231,9 @@ def conditions(mechanism: Mechanism, model: mujoco.MjModel, reference: SampledRe
 def _step(model, data: mujoco.MjData, actuators: tuple[Actuator, ...], effort: np.ndarray, substeps: int) -> np.ndarray:
     """Step MuJoCo under held efforts (n_u,), and return the efforts that acted in the first step.
 
-    They are the same but where a servo's ctrl meets the end of its range, or its gain vanishes. MuJoCo's implicit integrators
-    add a servo's own damping to the inertia of a step whatever its ctrl: the motion then differs a little from a motor's.
+    They are the same but where a servo's ctrl meets the end of its range, or its gain vanishes. MuJoCo's implicit
+    integrators add a servo's own damping to the inertia of a step whatever its ctrl: the motion then differs a little from
+    a motor's.
     """
     if not any(actuator.is_servo for actuator in actuators):
         for actuator, u in zip(actuators, effort, strict=True):
