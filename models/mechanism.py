@@ -1,5 +1,6 @@
 """A closed-chain mechanism: a MuJoCo model, its joints, closures and actuators, and its reduced dynamics."""
 
+import copy
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,12 +19,12 @@ from models.idle import idle_freedoms
 from models.joints import Joint, index_of, read_joints
 from models.library import compile_model
 from models.newton import Loop
-from models.payload import Payload, payload_from
+from models.payload import BODY_NAME, Payload, payload_from
 from models.rank import dependent_columns, independent_rows, numerical_rank, weak_rank
 from models.reduction import ReducedDynamics, reduce_tree
 from models.tendons import is_fixed, tendon_joints
 from models.transmission import TRN_TENDON
-from models.tree import build_tree
+from models.tree import Inertial, build_tree
 
 # A named choice of coordinates is refused where a column of J_z is left with less than this share of itself: the pose
 # is then within some microradians of a dead centre of the choice.
@@ -94,18 +95,49 @@ class Mechanism:
         """The actuators' limits (n_u, 2) [N.m or N]."""
         return np.array([[a.lower, a.upper] for a in self.actuators]).reshape(-1, 2)
 
-    def fingerprint(self) -> str:
-        """Return a hash of all that the reduced dynamics depend on: the compiled model and the choice of coordinates."""
-        content = np.zeros(mujoco.mj_sizeModel(self.model), dtype=np.uint8)
-        mujoco.mj_saveModel(self.model, None, content)
+    def fingerprint(self, *, payload_apart: bool = False) -> str:
+        """Return a hash of all that the reduced dynamics depend on: the compiled model and the choice of coordinates.
+
+        With `payload_apart` payloads on one body have one hash, as they have one `parametric_dynamics`.
+        """
+        model = self.model
+        if payload_apart and self.payload is not None:
+            model = copy.copy(model)
+            body = model.body(BODY_NAME).id
+            model.body_mass[body], model.body_inertia[body] = 1.0, 1.0
+            model.body_ipos[body], model.body_iquat[body] = 0.0, [1.0, 0.0, 0.0, 0.0]
+            mujoco.mj_setConst(model, mujoco.MjData(model))  # what the compiler derived from them
+            model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which the simulator alone uses
+        content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+        mujoco.mj_saveModel(model, None, content)
         digest = hashlib.sha256(content.tobytes())
         for choice in (self.independent, self.dependent, self.closure_rows):
             digest.update(choice.tobytes() + b"|")
         return digest.hexdigest()
 
+    def parametric_dynamics(self) -> ReducedDynamics:
+        """Return the reduced dynamics with the payload's numbers (7,) as every function's last input.
+
+        Raises:
+            ModelError: when there is no payload.
+        """
+        if self.payload is None:
+            raise ModelError(f"mechanism '{self.name}' has no payload to vary")
+        pi = ca.SX.sym("payload", len(self.payload.numbers()))
+        own = Inertial(mass=pi[0], com=pi[1:4], inertia=ca.diag(pi[4:7]))
+        tree = build_tree(self.model, self.qpos_of(np.zeros(self.n_q)), {self.model.body(BODY_NAME).id: own})
+        closures = read_closures(self.model, tree)
+        matrix = effort_matrix(self.model, tree, self.actuators)
+        return reduce_tree(tree, closures, matrix, self.closure_rows, self.independent, self.dependent, pi)
+
     def joint_index(self, name: str, error: type[Exception] = ModelError) -> int:
         """Return the index of a joint by name."""
         return index_of(self.name, self.joints, name, error)
+
+    def closure_slice(self, closure: int) -> slice:
+        """Return where the force [N] of a closure of `closure_names` stands among all rows: a weld's at its point."""
+        name = list(dict.fromkeys(gap.index for gap in self.closures))[closure]
+        return next(gap.rows for gap in self.closures if gap.index == name)
 
     def gap_m(self, q: np.ndarray) -> float:
         """Return the largest gap [m] of any closure at pose q (n_q,), an angle by what it moves at the model's extent."""
@@ -189,7 +221,7 @@ def load_mechanism(
     free = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
     refuse_singular_home(name, joints, loop, pose, rank, free, extent, about)
     B = effort_matrix(model, tree, actuators)
-    dynamics = reduce_tree(tree, phi, B, rows, free, dependent)
+    dynamics = reduce_tree(tree, closures, B, rows, free, dependent)
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian) == rank]
     weight = ca.Function("weight", [tree.q], [tree.gravity])
     idle, notes = idle_freedoms(

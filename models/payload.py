@@ -55,6 +55,10 @@ class Payload:
                 f" got {self.inertia_kgm2.tolist()}"
             )
 
+    def numbers(self) -> np.ndarray:
+        """Return mass, centre of mass and moments of inertia (7,), the parameters of `symbolic`."""
+        return np.concatenate([[self.mass_kg], self.com_m, self.inertia_kgm2])
+
     def scaled(self, factor: float) -> "Payload":
         """Return the payload with mass and inertia multiplied by `factor`, its centre of mass kept."""
         return replace(self, mass_kg=self.mass_kg * factor, inertia_kgm2=self.inertia_kgm2 * factor)

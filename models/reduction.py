@@ -7,11 +7,13 @@ v = s' and a = s'' belong to the independent joints, z are the dependent ones, J
 (Wehage & Haug, J. Mech. Design 104, 1982). Multipliers follow from the dependent rows, J_z^T lambda = (...)_z.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
+from models.closure import Closure
 from models.elimination import block_determinants, determinant, factorise
 from models.tree import Tree
 
@@ -43,17 +45,26 @@ class ReducedDynamics:
     acceleration: ca.Function  # q, v, u -> a (n_s,)
     flow: ca.Function  # q, v, u -> q' (n_q,), v' (n_s,)
     linearisation: ca.Function  # q, v, u -> da/ds, da/dv, da/du along the closed chain
-    closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N], zero on rows left out
+    closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N], the least that does it; zero on closures left out
     energy: ca.Function  # q, v -> kinetic, potential [J]
 
 
 def reduce_tree(
-    tree: Tree, phi: ca.SX, effort_matrix: ca.SX, rows: np.ndarray, independent: np.ndarray, dependent: np.ndarray
+    tree: Tree,
+    closures: Sequence[Closure],
+    effort_matrix: ca.SX,
+    rows: np.ndarray,
+    independent: np.ndarray,
+    dependent: np.ndarray,
+    parameters: ca.SX | None = None,
 ) -> ReducedDynamics:
-    """Return the reduced dynamics of `tree` under the closure phi (n_rows,), of which `rows` are independent.
+    """Return the reduced dynamics of `tree` under its closures, of whose equations phi (n_rows,) `rows` are independent.
 
-    `effort_matrix` is B (n_q, n_u), an expression of the tree's q.
+    `effort_matrix` is B (n_q, n_u), an expression of the tree's q. Where the tree has `parameters`, they are every
+    function's last input.
     """
+    further = [] if parameters is None else [parameters]
+    phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
     q, qd, qdd = tree.q, tree.qd, tree.qdd
     n_s, n_u = len(independent), effort_matrix.shape[1]
     v, a, u = ca.SX.sym("v", n_s), ca.SX.sym("a", n_s), ca.SX.sym("u", n_u)
@@ -74,22 +85,23 @@ def reduce_tree(
     if chosen:
         gamma[[int(i) for i in dependent]] = -solve(convective(q, rates))
 
-    tree_effort = ca.Function("tree_effort", [q, qd, qdd], [tree.inverse_dynamics - tree.passive])
-    needed = tree_effort(q, rates, gamma_map @ a + gamma)
+    tree_effort = ca.Function("tree_effort", [q, qd, qdd, *further], [tree.inverse_dynamics - tree.passive])
+    needed = tree_effort(q, rates, gamma_map @ a + gamma, *further)
     B = effort_matrix
     inverse = gamma_map.T @ needed
     effort_map = gamma_map.T @ B
     inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
-    reduced_bias = gamma_map.T @ tree_effort(q, rates, gamma)
+    reduced_bias = gamma_map.T @ tree_effort(q, rates, gamma, *further)
     acceleration = _solve(inertia, effort_map @ u - reduced_bias)
 
     force = ca.SX.zeros(phi.numel())
     if chosen:
         force[chosen] = _solve(J_z.T, (needed - B @ u)[[int(i) for i in dependent]])
-    kinetic_at = ca.Function("kinetic", [q, qd], [tree.kinetic_energy])
+        force = _least_norm(ca.Function("J", [q], [ca.densify(jacobian)]), chosen, [c.rows for c in closures]) @ force
+    kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
     def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
-        return ca.Function(name, inputs, [ca.densify(output) for output in outputs])
+        return ca.Function(name, inputs + further, [ca.densify(output) for output in outputs])
 
     return ReducedDynamics(
         closure=function("closure", [q], phi),
@@ -118,10 +130,37 @@ def reduce_tree(
             ca.jacobian(acceleration, u),
         ),
         closure_force=function("closure_force", [q, v, a, u], force),
-        energy=function("energy", [q, v], kinetic_at(q, rates), tree.potential_energy),
+        energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),
     )
 
 
 def _solve(A: ca.SX, b: ca.SX) -> ca.SX:
     """Return A^-1 b."""
     return factorise(A)(b)
+
+
+def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[slice]) -> ca.DM:
+    """Return the matrix (n_rows, n_rows) from forces on the chosen rows to the least forces on all rows that do the same.
+
+    In a planar loop one of a connect's three rows depends on the other two, J_c = C J_chosen with C constant; then
+    C (C^T C)^-1 mu has the size of the pin force whichever rows were chosen. Where C is not constant (spatial
+    loops, rows that depend on another closure's) forces stay on the chosen rows.
+    """
+    n_rows = jacobian.size1_out(0)
+    spread = np.eye(n_rows)
+    rng = np.random.default_rng(0)
+    samples = [np.array(jacobian(rng.uniform(-1.0, 1.0, jacobian.size1_in(0)))) for _ in range(3)]
+    for gap in gaps:
+        of = list(range(gap.start, gap.stop))
+        kept = [row for row in of if row in chosen]
+        if not kept or len(kept) == len(of):
+            continue
+        maps = [J[of] @ np.linalg.pinv(J[kept]) for J in samples]
+        residual = max(np.abs(J[of] - C @ J[kept]).max() for J, C in zip(samples, maps, strict=True))
+        if residual > 1e-9 or max(np.abs(C - maps[0]).max() for C in maps) > 1e-9:
+            continue
+        C = maps[0]
+        block = np.zeros((len(of), n_rows))
+        block[:, kept] = C @ np.linalg.inv(C.T @ C)
+        spread[of] = np.where(np.abs(block) > 1e-12, block, 0.0)
+    return ca.sparsify(ca.DM(spread))

@@ -8,6 +8,7 @@ anchors, axes and references come from the compiled `mjModel`, so that MuJoCo's 
 quantities agree with MuJoCo's `qM`, `qfrc_bias` and `qfrc_passive` to rounding.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -74,6 +75,15 @@ def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     )
 
 
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Inertial:
+    """A body's mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m2] about it, in the body's frame."""
+
+    mass: ca.SX | float
+    com: ca.SX | ca.DM
+    inertia: ca.SX | ca.DM
+
+
 def common_ancestor(model: mujoco.MjModel, first: int, second: int) -> int:
     """Return the nearest body that carries both, the world (0) where that one does not move."""
     above = {0}
@@ -99,11 +109,14 @@ def frame_in(tree: Tree, ancestor: int, body: int) -> Frame:
     return frame
 
 
-def build_tree(model: mujoco.MjModel, reference: np.ndarray | None = None) -> Tree:
+def build_tree(
+    model: mujoco.MjModel, reference: np.ndarray | None = None, inertials: Mapping[int, Inertial] | None = None
+) -> Tree:
     """Return the symbolic dynamics of a model in its internal coordinates.
 
     On a hinge or slide q_i is MuJoCo's `qpos`, the joint's `ref` included; the rotation applied is qpos - qpos0. The charts
-    of ball and free joints are centred at `reference` (nq,), a qpos, `qpos0` by default.
+    of ball and free joints are centred at `reference` (nq,), a qpos, `qpos0` by default. Bodies in
+    `inertials` have those in place of the model's own.
     """
     n_q = model.nv
     coordinates = read_coordinates(model, model.qpos0 if reference is None else reference)
@@ -121,7 +134,7 @@ def build_tree(model: mujoco.MjModel, reference: np.ndarray | None = None) -> Tr
     lengths = tuple(tendon_length(model, frames, q, tendon) for tendon in range(model.ntendon))
 
     gravity = ca.DM(model.opt.gravity) if not disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else ca.DM.zeros(3)
-    tau, kinetic, potential = _newton_euler(model, frames, joints, gravity)
+    tau, kinetic, potential = _newton_euler(model, frames, joints, gravity, inertials or {})
     armature = ca.DM(joint_armature(model))
     weight = ca.substitute(tau, ca.vertcat(qd, qdd), ca.SX.zeros(2 * n_q))
     tau = tau + armature * acceleration
@@ -259,7 +272,7 @@ def _rotation(axis: np.ndarray, angle: ca.SX) -> ca.SX:
     return ca.DM(along) + ca.cos(angle) * ca.DM(np.eye(3) - along) + ca.sin(angle) * ca.DM(cross)
 
 
-def _newton_euler(model, frames, joints, gravity):
+def _newton_euler(model, frames, joints, gravity, inertials: Mapping[int, Inertial]):
     """Return generalised forces (n_q,), kinetic and potential energy of the moving bodies."""
     force = [ca.SX.zeros(3) for _ in frames]  # on the subtree, at the body frame's origin
     moment = [ca.SX.zeros(3) for _ in frames]
@@ -267,11 +280,9 @@ def _newton_euler(model, frames, joints, gravity):
     for body in range(1, model.nbody):
         if model.body_weldid[body] == 0:
             continue
-        frame, mass = frames[body], float(model.body_mass[body])
-        arm = frame.R_world_B @ ca.DM(model.body_ipos[body])
-        R_B_I = rotation_from_quaternion(model.body_iquat[body])
-        inertia_B = R_B_I @ np.diag(model.body_inertia[body]) @ R_B_I.T
-        inertia = frame.R_world_B @ ca.DM(_clean(inertia_B)) @ frame.R_world_B.T
+        frame, own = frames[body], inertials.get(body) or _inertial(model, body)
+        mass, arm = own.mass, frame.R_world_B @ own.com
+        inertia = frame.R_world_B @ own.inertia @ frame.R_world_B.T
         w, alpha = frame.w_world_B, frame.alpha_world_B
         force[body] = mass * (frame.acceleration_B + _rigid_acceleration(w, alpha, arm) - gravity)
         moment[body] = inertia @ alpha + ca.cross(w, inertia @ w) + ca.cross(arm, force[body])
@@ -294,6 +305,12 @@ def _newton_euler(model, frames, joints, gravity):
         moment[parent] += moment[body] + ca.cross(p - frames[parent].p_world_B, force[body])
         force[parent] += force[body]
     return tau, kinetic, potential
+
+
+def _inertial(model: mujoco.MjModel, body: int) -> Inertial:
+    R_B_I = rotation_from_quaternion(model.body_iquat[body])
+    inertia_B = R_B_I @ np.diag(model.body_inertia[body]) @ R_B_I.T
+    return Inertial(mass=float(model.body_mass[body]), com=ca.DM(model.body_ipos[body]), inertia=ca.DM(_clean(inertia_B)))
 
 
 def _clean(matrix: np.ndarray) -> np.ndarray:

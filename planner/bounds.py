@@ -1,25 +1,20 @@
-"""Bounds and linear rows of a program: what a problem's limits and boundary states are in scaled numbers."""
+"""Bounds and linear rows of a program: what a formulation's limits and knots are on a mesh."""
+
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy.sparse as sp
 
-from planner.interval import IntervalFunctions, Layout
-from planner.mechanics import Scales
+from planner.formulation import Formulation
+from planner.interval import IntervalFunctions
+from planner.layout import Layout
 from planner.mesh import Mesh
-from planner.problem import PlanningProblem
 
-# Free segments may shrink to this share of their guessed duration and no further, so that no interval collapses.
+# Free segments may shrink to this share of their guessed duration, or grow by that factor of the whole, and no further.
 _SHORTEST_SEGMENT = 0.02
+_LONGEST = 100.0
 # A segment between cuts may shrink or stretch by this factor, and by half a mean interval beyond it.
 _CUT_ROOM = 1.1
-
-
-def speed_limited(problem: PlanningProblem) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the independent columns and the dependent joints whose speeds are limited."""
-    mechanism = problem.mechanism
-    limited = [i for i in range(mechanism.n_q) if np.any(np.isfinite(problem.limits.speed[i]))]
-    columns = tuple(k for k, i in enumerate(mechanism.independent) if i in limited)
-    return columns, tuple(i for i in limited if i not in mechanism.independent)
 
 
 def held_efforts(pinned: np.ndarray | None, mesh: Mesh, layout: Layout) -> np.ndarray | None:
@@ -29,113 +24,125 @@ def held_efforts(pinned: np.ndarray | None, mesh: Mesh, layout: Layout) -> np.nd
     return np.repeat(pinned[mesh.segment][:, None, :], layout.effort_coefficients, axis=1)
 
 
-def linear_rows(problem: PlanningProblem, layout: Layout, durations, scales: Scales, held: np.ndarray | None):
+@dataclass(frozen=True, eq=False, slots=True)
+class _Rows:
+    """Rows that are linear in the unknowns, in blocks: columns and coefficients (n, k), lower and upper bound (n,)."""
+
+    columns: list[np.ndarray] = field(default_factory=list)
+    values: list[np.ndarray] = field(default_factory=list)
+    lower: list[np.ndarray] = field(default_factory=list)
+    upper: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, columns: np.ndarray, values: np.ndarray, lower: float, upper: float) -> None:
+        self.columns.append(columns)
+        self.values.append(values)
+        self.lower.append(np.full(len(columns), lower))
+        self.upper.append(np.full(len(columns), upper))
+
+    def stacked(self, size: int):
+        if not self.columns:
+            return sp.csr_matrix((0, size)), np.zeros(0), np.zeros(0)
+        matrices = []
+        for columns, values in zip(self.columns, self.values, strict=True):
+            row = np.repeat(np.arange(len(columns)), columns.shape[1])
+            matrices.append(sp.csr_matrix((values.ravel(), (row, columns.ravel())), shape=(len(columns), size)))
+        return sp.vstack(matrices).tocsr(), np.concatenate(self.lower), np.concatenate(self.upper)
+
+
+def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, held: np.ndarray | None):
     """Return rows (n, size) with their lower and upper values.
 
-    A periodic motion's return, an effort without jumps where a reference is tracked, the total duration where cuts move,
-    and efforts within a factor of their limits where that factor is sought.
+    States that return, efforts without jumps, the instants of knots where several segments lead to them, and efforts
+    within a factor of their limits where that factor is sought.
     """
-    blocks: list[tuple[np.ndarray, np.ndarray, float, float]] = []  # columns, coefficients (n, k); lower, upper
-    ones, limit = np.ones((layout.n_s * 2, 1)), problem.limits.effort
-    periodic = problem.motion.kind == "periodic"
-    if periodic:
-        ends = np.stack([layout.state(layout.n_intervals), layout.state(0)], axis=1)
-        blocks.append((ends, np.hstack([ones, -ones]), 0.0, 0.0))
-    effort = layout.effort()
-    if problem.objective == "tracking" and layout.effort_coefficients > 1:
+    rows, effort = _Rows(), layout.effort()
+    if formulation.returns:
+        of = list(formulation.returns)
+        ends = np.stack([layout.state(layout.n_intervals)[of], layout.state(0)[of]], axis=1)
+        rows.add(ends, np.tile([1.0, -1.0], (len(of), 1)), 0.0, 0.0)
+    if formulation.smooth and layout.effort_coefficients > 1:
         following = effort[(np.arange(layout.n_intervals) + 1) % layout.n_intervals, 0]
-        pairs = np.stack([effort[:, -1], following], axis=-1)[: None if periodic else -1].reshape(-1, 2)
-        blocks.append((pairs, np.tile([1.0, -1.0], (len(pairs), 1)), 0.0, 0.0))
-    if layout.n_segments > 1 and problem.motion.duration_s is not None:
-        total = float(np.sum(durations)) / scales.time_s
-        blocks.append((layout.durations()[None, :], np.ones((1, layout.n_segments)), total, total))
-    elif layout.n_segments > 1 and problem.motion.max_duration_s is not None:
-        longest = problem.motion.max_duration_s / scales.time_s
-        blocks.append((layout.durations()[None, :], np.ones((1, layout.n_segments)), -np.inf, longest))
+        pairs = np.stack([effort[:, -1], following], axis=-1)[: None if formulation.periodic else -1].reshape(-1, 2)
+        rows.add(pairs, np.tile([1.0, -1.0], (len(pairs), 1)), 0.0, 0.0)
+    for group, low, high, weight in _knot_groups(formulation, mesh):
+        if len(group) > 1:
+            rows.add(layout.durations()[group][None, :], weight[None, :], low, high)
     if layout.n_extra:
+        limit, unit = formulation.effort, formulation.units.effort
         for j in range(layout.n_u):
             place = effort[:, :, j].reshape(-1, 1)
             columns = np.hstack([place, np.full_like(place, layout.extra()[0])])
             for bound, low, high in ((limit[j, 0], 0.0, np.inf), (limit[j, 1], -np.inf, 0.0)):
                 if np.isfinite(bound):
-                    rows = np.tile([1.0, -bound / scales.effort[j]], (len(place), 1))
+                    factor = np.tile([1.0, -bound / unit[j]], (len(place), 1))
                     at = np.zeros(len(place), dtype=bool) if held is None else held[:, :, j].ravel() == bound
-                    blocks.append((columns[~at], rows[~at], low, high))
-                    blocks.append((columns[at], rows[at], 0.0, 0.0))  # held at the limit, whatever its factor
-    if not blocks:
-        return sp.csr_matrix((0, layout.size)), np.zeros(0), np.zeros(0)
-    matrices = []
-    for columns, values, _, _ in blocks:
-        row = np.repeat(np.arange(len(columns)), columns.shape[1])
-        matrices.append(sp.csr_matrix((values.ravel(), (row, columns.ravel())), shape=(len(columns), layout.size)))
-    lower = np.concatenate([np.full(len(block[0]), block[2]) for block in blocks])
-    upper = np.concatenate([np.full(len(block[0]), block[3]) for block in blocks])
-    return sp.vstack(matrices).tocsr(), lower, upper
+                    rows.add(columns[~at], factor[~at], low, high)
+                    rows.add(columns[at], factor[at], 0.0, 0.0)  # held at the limit, whatever its factor
+    return rows.stacked(layout.size)
 
 
-def bounds(problem: PlanningProblem, layout: Layout, mesh: Mesh, durations, scales: Scales, pinned):
-    """Return the unknowns' bounds: ranges, speeds, effort limits, boundary states, durations, efforts that are held."""
-    mechanism, motion, limit = problem.mechanism, problem.motion, problem.limits.effort
+def _knot_groups(formulation: Formulation, mesh: Mesh):
+    """Yield what knots ask of segments: which of them, the bounds on their weighted sum, the weights; all scaled."""
+    begun, at = 0, 0.0
+    for k, knot in enumerate(formulation.knots[1:]):
+        if knot.share is not None:
+            before = np.flatnonzero(mesh.leg <= k)
+            weight = np.full(mesh.n_segments, -knot.share)
+            weight[before] += 1.0
+            yield np.arange(mesh.n_segments), 0.0, 0.0, weight
+        elif knot.fixed:
+            group = np.flatnonzero((mesh.leg >= begun) & (mesh.leg <= k))
+            yield group, knot.time[0] - at, knot.time[0] - at, np.ones(len(group))
+            begun, at = k + 1, knot.time[0]
+        elif knot.time[0] > 0 or np.isfinite(knot.time[1]):
+            group = np.flatnonzero((mesh.leg >= begun) & (mesh.leg <= k))
+            yield group, knot.time[0] - at, knot.time[1] - at, np.ones(len(group))
+
+
+def bounds(formulation: Formulation, layout: Layout, mesh: Mesh, durations: np.ndarray, pinned: np.ndarray | None):
+    """Return the unknowns' bounds: limits, knots, durations guessed at (n_segments,) [s], efforts that are held."""
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
-    n_s, rate = layout.n_s, scales.position / scales.time_s
     states = layout.states()
-    position, speed = problem.limits.position, problem.limits.speed
-    lower[states[:, :n_s]] = position[mechanism.independent, 0] / scales.position
-    upper[states[:, :n_s]] = position[mechanism.independent, 1] / scales.position
-    lower[states[:, n_s:]] = speed[mechanism.independent, 0] / rate
-    upper[states[:, n_s:]] = speed[mechanism.independent, 1] / rate
-    lower[layout.dependent()] = position[mechanism.dependent, 0]
-    upper[layout.dependent()] = position[mechanism.dependent, 1]
+    lower[states], upper[states] = formulation.state.T
+    lower[layout.dependent()], upper[layout.dependent()] = formulation.algebraic.T
+    unit = formulation.units.effort
     if not layout.n_extra:
-        lower[layout.effort()] = limit[:, 0] / scales.effort
-        upper[layout.effort()] = limit[:, 1] / scales.effort
+        lower[layout.effort()] = formulation.effort[:, 0] / unit
+        upper[layout.effort()] = formulation.effort[:, 1] / unit
     lower[layout.extra()] = 0.0
     held = held_efforts(pinned, mesh, layout)
     if held is not None:
         place = layout.effort()[~np.isnan(held)]
-        lower[place] = upper[place] = (held / scales.effort)[~np.isnan(held)]
-
-    def fix(k: int, s: np.ndarray | None, v: np.ndarray | None) -> None:
-        for value, unit, place in ((s, scales.position, states[k, :n_s]), (v, rate, states[k, n_s:])):
-            if value is not None:
-                lower[place] = upper[place] = value / unit
-
-    if motion.kind == "reach":
-        rest = np.zeros(n_s)
-        fix(0, motion.start, rest if motion.start_speed is None else motion.start_speed)
-        fix(layout.n_intervals, motion.goal, rest if motion.goal_speed is None else motion.goal_speed)
-    elif motion.kind == "periodic" and motion.start is not None:
-        fix(0, motion.start, None)
-        fix(layout.n_intervals // 2, motion.goal, None)
-    scaled = np.asarray(durations) / scales.time_s
+        lower[place] = upper[place] = (held / unit)[~np.isnan(held)]
+    for k, knot in zip(mesh.knots(), formulation.knots, strict=True):
+        lower[states[k]] = np.maximum(lower[states[k]], knot.state[:, 0])
+        upper[states[k]] = np.minimum(upper[states[k]], knot.state[:, 1])
+        fixed = knot.state[:, 0] == knot.state[:, 1]  # what is asked exactly is asked, whatever a limit says
+        lower[states[k][fixed]] = upper[states[k][fixed]] = knot.state[fixed, 0]
+    scaled = np.asarray(durations) / formulation.units.time_s
     place = layout.durations()
-    if motion.duration_s is not None and layout.n_segments == 1:
-        lower[place] = upper[place] = scaled
-    else:
-        lower[place] = _SHORTEST_SEGMENT * scaled
-        longest = motion.max_duration_s or 100.0 * float(np.sum(durations))
-        upper[place] = longest / scales.time_s
-        if layout.n_segments > 1:
-            # Cuts begin next to their switches: kept from wandering off, they settle there.
-            room = _CUT_ROOM + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
-            lower[place], upper[place] = scaled / room, np.minimum(room * scaled, upper[place])
+    lower[place], upper[place] = _SHORTEST_SEGMENT * scaled, _LONGEST * scaled.sum()
+    cut = np.bincount(mesh.leg)[mesh.leg] > 1
+    # Cuts begin next to their switches: kept from wandering off, they settle there.
+    room = _CUT_ROOM + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
+    lower[place[cut]], upper[place[cut]] = (scaled / room)[cut], (room * scaled)[cut]
+    for group, low, high, _ in _knot_groups(formulation, mesh):
+        if len(group) == 1:
+            one = place[group[0]]
+            lower[one], upper[one] = (low, high) if low == high else (max(lower[one], low), min(upper[one], high))
     return lower, upper
 
 
-def row_bounds(problem, interval: IntervalFunctions, layout: Layout, speed_columns, speed_joints, scales: Scales):
-    """Return the bounds of an interval's rows, repeated over the intervals: its own, then each node's."""
-    lower, upper = np.zeros(interval.n_own), np.zeros(interval.n_own)
-    speed, position = problem.limits.speed, problem.limits.position
-    independent = problem.mechanism.independent
-    own = {kind: np.flatnonzero([k == kind for k in interval.own_kinds]) for kind in ("speed", "position")}
-    for place, column in zip(np.array_split(own["speed"], max(1, len(speed_columns))), speed_columns, strict=False):
-        lower[place], upper[place] = speed[independent[column]] * scales.time_s / scales.position[column]
-    for place, column in zip(np.array_split(own["position"], layout.n_s), range(layout.n_s), strict=True):
-        if len(place):
-            lower[place], upper[place] = position[independent[column]] / scales.position[column]
-    of_path = speed[list(speed_joints)].reshape(-1, 2)
-    node_lower = np.concatenate([np.zeros(interval.n_equations), of_path[:, 0]])
-    node_upper = np.concatenate([np.zeros(interval.n_equations), of_path[:, 1]])
-    lower = np.concatenate([lower, np.tile(node_lower, interval.n_nodes)])
-    upper = np.concatenate([upper, np.tile(node_upper, interval.n_nodes)])
-    return np.tile(lower, layout.n_intervals), np.tile(upper, layout.n_intervals)
+def row_bounds(formulation: Formulation, interval: IntervalFunctions, breaks_s: np.ndarray):
+    """Return the bounds of the intervals' rows in turn: an interval's own, then each node's."""
+    n = len(breaks_s) - 1
+    own = np.zeros((interval.n_own, 2))
+    for row, (kind, item) in enumerate(zip(interval.own_kinds, interval.own_items, strict=True)):
+        if kind != "continuity":
+            own[row] = formulation.own[kind][item]
+    path = np.broadcast_to(formulation.path.reshape(-1, 2), (n, interval.n_path, 2))
+    if formulation.inset is not None:
+        path = path + formulation.inset(breaks_s)[:, :, None] * np.array([1.0, -1.0])
+    node = np.concatenate([np.zeros((n, interval.n_equations, 2)), path], axis=1)
+    both = np.concatenate([np.broadcast_to(own, (n, *own.shape)), np.tile(node, (1, interval.n_nodes, 1))], axis=1)
+    return both[:, :, 0].ravel(), both[:, :, 1].ravel()

@@ -13,6 +13,8 @@ from scipy.integrate import solve_ivp
 from models.along import joint_rates, needed_effort, sampled
 from models.assembly import follow
 from models.mechanism import Mechanism
+from planner.margins import Margin, actuator_speeds, closure_forces, margins, singularity_ratios
+from planner.motion import Waypoint
 from planner.problem import PlanningProblem
 from planner.trajectory import Trajectory
 
@@ -54,8 +56,11 @@ class Certificate:
     integration_error_m: float
     position_margin: np.ndarray  # (n_q,) [rad or m]
     speed_margin: np.ndarray  # (n_q,)
-    singularity_ratio: float  # least sigma_min(J_z) along the motion, of that at home
+    singularity_ratio: float  # least det J_z along the motion, of that at home
     peak_effort: np.ndarray  # (n_u,)
+    peak_power: np.ndarray  # (n_u,) [W], mechanical
+    peak_closure_force: np.ndarray  # (n_closures,) [N]
+    margins: tuple[Margin, ...]  # of the limits beyond effort, range and speed
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed in all
     residual_share: np.ndarray  # (n_intervals,) of the dynamics residual, in shares of what is allowed
     worst_time_s: dict[str, float]
@@ -94,7 +99,9 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     position_margin, speed_margin = _margins(mechanism, limits, q, v, time, worst)
-    ratio = _singularity_ratio(mechanism, q)
+    ratio = float(singularity_ratios(problem, q).min())
+    others = margins(problem, trajectory, time, q, v, a, u)
+    forces = closure_forces(problem, q, v, a, u)
     speed = max(float(np.abs(v).max()), np.finfo(float).tiny)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = _boundary_error(problem, trajectory, speed)
@@ -132,6 +139,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
                     f"joint {joint.name} leaves its {what} by {-joint.shown(value):.3g} {joint.unit}"
                     f"{'/s' if 'speed' in what else ''} at t = {worst[f'{what} of {joint.name}']:.4g} s"
                 )
+    failures += [margin.sentence() for margin in others if not margin.kept]
     return Certificate(
         effort_excess=effort_excess,
         inverse_dynamics_excess=inverse_excess,
@@ -145,6 +153,9 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         speed_margin=speed_margin,
         singularity_ratio=ratio,
         peak_effort=np.abs(u).max(axis=0),
+        peak_power=np.abs(u * actuator_speeds(problem, q, v)).max(axis=0),
+        peak_closure_force=forces.max(axis=0, initial=0.0),
+        margins=others,
         growth=growth,
         residual_share=residual.reshape(len(growth), -1).max(axis=1) / allowed,
         worst_time_s=worst,
@@ -180,18 +191,6 @@ def _least(values: np.ndarray) -> float:
     return float(min(values.min(), vertex.min(initial=np.inf)))
 
 
-def _singularity_ratio(mechanism: Mechanism, q: np.ndarray) -> float:
-    """Return the least sigma_min(J_z) over poses q, as a share of that at home; 1 for a mechanism without loops."""
-    if len(mechanism.dependent) == 0:
-        return 1.0
-
-    def smallest(pose: np.ndarray) -> float:
-        J = np.array(mechanism.dynamics.closure_jacobian(pose))
-        return float(np.linalg.svd(J[np.ix_(mechanism.closure_rows, mechanism.dependent)], compute_uv=False)[-1])
-
-    return min(smallest(pose) for pose in q[::4]) / smallest(mechanism.home)
-
-
 def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: float) -> float:
     """Return how far the motion's ends are from the states asked, positions by its span and speeds by its largest."""
     motion = problem.motion
@@ -206,7 +205,18 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
         asked, wanted = ends[::-1], speeds[::-1]
     else:
         return 0.0
-    return max(float(np.abs(ends - asked).max()) / span, float(np.abs(speeds - wanted).max()) / speed)
+    missed = [float(np.abs(ends - asked).max()) / span, float(np.abs(speeds - wanted).max()) / speed]
+    missed += [_missed(trajectory, waypoint, span, speed) for waypoint in motion.waypoints]
+    return max(missed)
+
+
+def _missed(trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float) -> float:
+    """Return how far a motion passes a waypoint by, at its instant or at the break that comes nearest."""
+    breaks = trajectory.breaks_s
+    time = breaks if waypoint.time_s is None else breaks[:1] + waypoint.time_s
+    position = np.nan_to_num(np.abs(trajectory.position_at(time) - waypoint.position)).max(axis=1) / span
+    rate = np.nan_to_num(np.abs(trajectory.velocity_at(time) - waypoint.speed)).max(axis=1) / speed
+    return float(np.maximum(position, rate).min())
 
 
 def _integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float) -> tuple[np.ndarray, float, np.ndarray]:

@@ -94,6 +94,7 @@ def cached(key: str) -> IntervalFunctions | None:
             **patterns,
             weights=np.array(said.pop("weights")),
             own_kinds=tuple(said.pop("own_kinds")),
+            own_items=tuple(said.pop("own_items")),
             node_kinds=tuple(said.pop("node_kinds")),
             **said,
         )
@@ -138,6 +139,7 @@ def _compile(functions: IntervalFunctions, work: Path, key: str) -> None:
     said |= {
         "weights": functions.weights.tolist(),
         "own_kinds": list(functions.own_kinds),
+        "own_items": list(functions.own_items),
         "node_kinds": list(functions.node_kinds),
     }
     (work / f"{key}.json").write_text(json.dumps(said), encoding="utf-8")

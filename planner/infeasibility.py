@@ -5,17 +5,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.along import joint_rates
-from planner.certificate import Certificate
+from models.assembly import follow
+from models.errors import AssemblyError
+from planner.certificate import Certificate, certify
 from planner.guess import Guess, motion_of
-from planner.mesh import Mesh, segmented
-from planner.problem import Limits, PlanningProblem
+from planner.limits import free
+from planner.mesh import Mesh
+from planner.plan import Step
+from planner.problem import PlanningProblem
+from planner.refinement import NO_WORSE, cut_mesh, step_of
 from planner.solve import solve
 from planner.switches import find_cuts, pinned_efforts
 from planner.trajectory import Trajectory
 from planner.transcription import trajectory_of, transcribe
 
-# A solve with cuts replaces the one without when it is no worse than the error of a mesh without cuts.
-_NO_WORSE = 1e-4
+# What may be taken away to see whether it is what forbids a motion, in this order, before the efforts' limits are looked at.
+RELAXABLE = ("speed", "power", "closure_force", "motor", "effort_rate", "singular_margin")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -28,7 +33,9 @@ class LeastLimit:
     durations: np.ndarray  # (n_segments,) [s]
 
 
-def least_limit(problem: PlanningProblem, guess: Guess, mesh: Mesh, durations: np.ndarray) -> LeastLimit | None:
+def least_limit(
+    problem: PlanningProblem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: list[Step]
+) -> LeastLimit | None:
     """Return the least factor on the effort limits that admits a motion, or None where none was found.
 
     Solved twice: on the mesh as given, then with cuts at the switches that it showed, where the factor is exact.
@@ -39,11 +46,12 @@ def least_limit(problem: PlanningProblem, guess: Guess, mesh: Mesh, durations: n
     best, pinned = None, None
     for _ in range(2):
         transcribed = transcribe(problem, guess, mesh, durations, least_limit=True, pinned=pinned)
-        solution = solve(transcribed, max_time_s=problem.solver.max_time_s)
+        solution = solve(transcribed, problem.solver)
+        history.append(step_of("least effort limit", transcribed, solution))
         if not solution.converged:
             break
         factor = float(solution.x[transcribed.program.layout.extra()][0])
-        if best is not None and factor > best.factor * (1 + _NO_WORSE):
+        if best is not None and factor > best.factor * (1 + NO_WORSE):
             break
         best = LeastLimit(
             factor=factor,
@@ -51,14 +59,15 @@ def least_limit(problem: PlanningProblem, guess: Guess, mesh: Mesh, durations: n
             mesh=mesh,
             durations=solution.x[transcribed.program.layout.durations()] * transcribed.scales.time_s,
         )
-        cuts = find_cuts(best.trajectory, factor * limit)
+        knots = best.trajectory.breaks_s[mesh.knots()]
+        cuts = find_cuts(best.trajectory, factor * limit, knots)
         if len(cuts) == 0:
             break
-        durations = np.diff(np.concatenate([[0.0], cuts, [best.trajectory.duration_s]]))
-        pinned = pinned_efforts(best.trajectory, factor * limit, cuts) / factor
+        mesh, durations = cut_mesh(knots, cuts, mesh.n_intervals)
+        pinned = pinned_efforts(best.trajectory, factor * limit, np.cumsum(durations)[:-1]) / factor
         for bound in limit.T:  # as the limits' own numbers, free of rounding
             pinned = np.where(np.isclose(pinned, bound, rtol=1e-9), bound, pinned)
-        mesh, guess = segmented(durations, mesh.n_intervals), motion_of(best.trajectory)
+        guess = motion_of(best.trajectory)
     return best
 
 
@@ -81,19 +90,52 @@ def effort_sentence(problem: PlanningProblem, least: LeastLimit) -> tuple[str, d
     return sentence, {"needed_effort": abs(needed), "needed_limit_factor": least.factor}
 
 
-def without(limits: Limits, what: str) -> Limits:
-    """Return limits with those on "speed" or "position" taken away."""
+def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
+    """Return a problem with one of its `RELAXABLE` limits, or "position", taken away; None where it has no such limit."""
+    limits = problem.limits
+    if what == "motor":
+        if not any(motor is not None and motor.has_line for motor in problem.motors):
+            return None
+        bare = tuple(m and replace(m, stall_effort=None, no_load_speed=None) for m in problem.motors)
+        return replace(problem, motors=bare)
     value = getattr(limits, what)
-    return replace(limits, **{what: np.column_stack([np.full(len(value), -np.inf), np.full(len(value), np.inf)])})
+    if what == "singular_margin":
+        return replace(problem, limits=replace(limits, singular_margin=0.0)) if value else None
+    if not np.any(np.isfinite(value)):
+        return None
+    freed = np.full(len(value), np.inf) if what == "closure_force" else free(len(value))
+    return replace(problem, limits=replace(limits, **{what: freed}))
 
 
-def tightened(limits: Limits, certificate: Certificate) -> Limits:
-    """Return limits drawn in on both sides by what a motion overran them by between the nodes, and a tenth more."""
-    changed = {}
+def tightened(problem: PlanningProblem, certificate: Certificate) -> PlanningProblem:
+    """Return a problem with ranges, speeds and effort rates drawn in by what a motion overran them by, and a tenth more."""
+    limits = problem.limits
+    changed: dict = {}
     for name, margin in (("position", certificate.position_margin), ("speed", certificate.speed_margin)):
         inward = 1.1 * np.maximum(0.0, -margin)[:, None] * np.array([1.0, -1.0])
         changed[name] = getattr(limits, name) + inward
-    return replace(limits, **changed)
+    rate = np.array(limits.effort_rate)
+    for margin in certificate.margins:
+        if margin.what == "effort_rate" and not margin.kept and np.isfinite(margin.left):
+            rate[margin.item] += 1.1 * -margin.left * np.array([1.0, -1.0])
+    return replace(problem, limits=replace(limits, effort_rate=rate, **changed))
+
+
+def violated_sentence(problem: PlanningProblem, trajectory: Trajectory, what: str) -> str | None:
+    """Return the sentence on what a motion made without a limit comes to, against that limit; None where it keeps it."""
+    if what in ("speed", "position"):
+        try:
+            time = trajectory.dense_times(8)
+            poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
+        except AssemblyError:
+            return None
+        return overrun_sentence(problem, trajectory, poses, what)
+    try:
+        found = certify(problem, trajectory).margins
+    except AssemblyError:
+        return None
+    over = [margin for margin in found if margin.what == what and not margin.kept]
+    return over[0].sentence("would have to come to") if over else None
 
 
 def overrun_sentence(problem: PlanningProblem, trajectory: Trajectory, poses: np.ndarray, what: str) -> str | None:

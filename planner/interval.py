@@ -13,100 +13,33 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from planner.schemes import Scheme, bernstein_gram
+from planner.layout import Layout
+from planner.schemes import Scheme, bernstein_elevation, bernstein_gram
 from planner.system import System
 
-# Weight of the squared effort rate in a tracking objective, all in scaled units. Where limits bind, the motion nearest in
-# position alone chatters at the ends of its bang arcs (Fuller's phenomenon); with this weight, a swing over the whole
-# limit in a tenth of the motion costs as much as an rms error of 3e-4 of the motion's span, and the effort is smooth.
-SMOOTHING = 2.5e-9
+# Costs that an interval adds itself, exact for the effort's polynomial: its duration, int u_j^2, int u_j'^2.
+COSTS = ("time", "effort", "effort_rate")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class IntervalRows:
-    """What an interval adds of its own: costs of the effort's polynomial, and rows on Bernstein coefficients.
+    """What an interval adds of its own: costs, and rows on Bernstein coefficients, which hold at every instant.
 
-    `effort_weight` (n_u,) multiplies int u^2, `rate_weight` int u'^2 (scaled); `speed_columns` are second-order
-    coordinates whose velocity is to be bounded at every instant, `position_rows` says whether all positions are.
+    `costs` are names out of `COSTS`. `speed_columns` and `position_columns` are second-order coordinates, `state_columns`
+    first-order states, `rate_columns` efforts whose rate is bounded. `motor_columns` are pairs (effort, coordinate) whose
+    line alpha u + beta v is bounded. Weights, alpha and beta are numbers of the program (eta), not of its structure.
     """
 
-    effort_weight: tuple[float, ...]
-    rate_weight: float = 0.0
+    costs: tuple[str, ...] = ()
     speed_columns: tuple[int, ...] = ()
-    position_rows: bool = False
+    position_columns: tuple[int, ...] = ()
+    state_columns: tuple[int, ...] = ()
+    rate_columns: tuple[int, ...] = ()
+    motor_columns: tuple[tuple[int, int], ...] = ()
 
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Layout:
-    """Where the unknowns of each interval stand in the whole vector."""
-
-    n_s: int
-    n_z: int
-    n_u: int
-    n_nodes: int
-    n_intervals: int
-    n_segments: int
-    n_x: int = 0
-    n_effort: int = 0  # Bernstein coefficients of each effort; as many as nodes where 0
-    n_extra: int = 0  # unknowns of the whole program beyond its last state and durations
-
-    @property
-    def n_state(self) -> int:
-        """The number of states at an interval's end."""
-        return 2 * self.n_s + self.n_x
-
-    @property
-    def effort_coefficients(self) -> int:
-        """The number of Bernstein coefficients of an effort on an interval."""
-        return self.n_effort or self.n_nodes
-
-    @property
-    def block(self) -> int:
-        """The number of unknowns that belong to one interval, its left state included."""
-        inner = self.n_nodes * (self.n_s + self.n_x + self.n_z) + self.effort_coefficients * self.n_u
-        return self.n_state + inner
-
-    @property
-    def size(self) -> int:
-        """The number of unknowns."""
-        return self.n_intervals * self.block + self.n_state + self.n_segments + self.n_extra
-
-    def state(self, k: int) -> np.ndarray:
-        """Return the indices (n_state,) of state k, 0 to n_intervals."""
-        return k * self.block + np.arange(self.n_state)
-
-    def states(self) -> np.ndarray:
-        """Return indices (n_intervals + 1, n_state): s, v, x."""
-        return np.array([self.state(k) for k in range(self.n_intervals + 1)])
-
-    def acceleration(self) -> np.ndarray:
-        """Return indices (n_intervals, n_nodes, n_s)."""
-        return self._inner(self.n_state, self.n_nodes, self.n_s)
-
-    def rate(self) -> np.ndarray:
-        """Return indices (n_intervals, n_nodes, n_x) of the first-order states' rates."""
-        return self._inner(self.n_state + self.n_nodes * self.n_s, self.n_nodes, self.n_x)
-
-    def dependent(self) -> np.ndarray:
-        """Return indices (n_intervals, n_nodes, n_z)."""
-        return self._inner(self.n_state + self.n_nodes * (self.n_s + self.n_x), self.n_nodes, self.n_z)
-
-    def effort(self) -> np.ndarray:
-        """Return indices (n_intervals, n_coefficients, n_u) of Bernstein coefficients."""
-        start = self.n_state + self.n_nodes * (self.n_s + self.n_x + self.n_z)
-        return self._inner(start, self.effort_coefficients, self.n_u)
-
-    def durations(self) -> np.ndarray:
-        """Return the indices (n_segments,) of the segments' durations."""
-        return self.size - self.n_extra - self.n_segments + np.arange(self.n_segments)
-
-    def extra(self) -> np.ndarray:
-        """Return the indices (n_extra,) of the whole program's further unknowns."""
-        return self.size - self.n_extra + np.arange(self.n_extra)
-
-    def _inner(self, start: int, count: int, width: int) -> np.ndarray:
-        inner = np.arange(count * width).reshape(count, width)
-        return start + self.block * np.arange(self.n_intervals)[:, None, None] + inner
+    def n_eta(self, n_u: int) -> int:
+        """Return the number of an interval's own parameters: weights of its costs, then alpha and beta of each motor."""
+        return sum({"time": 1}.get(cost, n_u) for cost in self.costs) + 2 * len(self.motor_columns)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -114,9 +47,10 @@ class IntervalFunctions:
     """CasADi functions of one node and one interval, nonzeros as dense columns, and where the nonzeros stand.
 
     Node: `node_value` (xi, theta); `node_jacobian` (xi, theta), with the running cost's gradient; `node_hessian` (xi, theta,
-    lambda), gradient and upper triangle. Interval: `nodes` (w, share), xi side by side; `own` (w, share), own rows and own
-    cost; `chain_jacobian` (w, share, node Jacobians), `chain_gradient` (w, share, running costs, their gradients),
-    `chain_hessian` (w, share, lambda_own, sigma, node gradients, node Hessians, gradients of the running costs).
+    lambda), gradient and upper triangle. Interval: `nodes` (w, share), xi side by side; `own` (w, share, eta), own rows and
+    own cost; `chain_jacobian` (w, share, eta, node Jacobians), `chain_gradient` (w, share, eta, running costs, their
+    gradients), `chain_hessian` (w, share, eta, lambda_own, sigma, node gradients, node Hessians, gradients of the running
+    costs).
     """
 
     node_value: ca.Function
@@ -134,7 +68,8 @@ class IntervalFunctions:
     n_path: int
     n_nodes: int
     weights: np.ndarray
-    own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position"
+    own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position", "state", "effort_rate", "motor"
+    own_items: tuple[int, ...]  # per own row: of which of its kind's columns
     node_kinds: tuple[str, ...]  # per row of a node: "closure", "dynamics", "speed", or what the system calls it
 
     @property
@@ -174,11 +109,11 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
         n_intervals=1,
         n_segments=1,
     )
-    w, share = ca.SX.sym("w", layout.size), ca.SX.sym("share")
+    w, share, eta = ca.SX.sym("w", layout.size), ca.SX.sym("share"), ca.SX.sym("eta", rows.n_eta(system.n_u))
     parts = _Parts(layout, scheme, w, share)
     xi = parts.node_columns()  # (n_xi, m)
-    own, kinds = _own_rows(parts, scheme, system, rows)
-    cost = _own_cost(parts, scheme, rows)
+    own, kinds, items = _own_rows(parts, scheme, system, rows, eta)
+    cost = _own_cost(parts, scheme, rows, eta)
     stacked = ca.vec(xi)
     T = ca.jacobian(stacked, w)
     blocks = [T[i * system.n_xi : (i + 1) * system.n_xi, :] for i in range(m)]
@@ -220,10 +155,10 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
         node_jacobian=node["jacobian"],
         node_hessian=node["hessian"],
         nodes=function("nodes", [w, share], [ca.densify(xi)]),
-        own=function("own", [w, share], [ca.densify(own), ca.densify(cost)]),
-        chain_jacobian=function("chain_jacobian", [w, share, J_nz], [_nonzeros(jacobian)]),
-        chain_gradient=function("chain_gradient", [w, share, values, value_gradients], [ca.densify(gradient)]),
-        chain_hessian=function("chain_hessian", [w, share, lam, sigma, g, H_nz, value_gradients], [_nonzeros(hessian)]),
+        own=function("own", [w, share, eta], [ca.densify(own), ca.densify(cost)]),
+        chain_jacobian=function("chain_jacobian", [w, share, eta, J_nz], [_nonzeros(jacobian)]),
+        chain_gradient=function("chain_gradient", [w, share, eta, values, value_gradients], [ca.densify(gradient)]),
+        chain_hessian=function("chain_hessian", [w, share, eta, lam, sigma, g, H_nz, value_gradients], [_nonzeros(hessian)]),
         jacobian_pattern=_triplets(jacobian),
         hessian_pattern=_triplets(hessian),
         n_own=own.numel(),
@@ -232,6 +167,7 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
         n_nodes=m,
         weights=np.array(weights),
         own_kinds=tuple(kinds),
+        own_items=tuple(items),
         node_kinds=system.kinds,
     )
 
@@ -282,39 +218,67 @@ class _Parts:
         return ca.horzcat(s, v, self.a, x, self.r, self.z, u).T
 
 
-def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows) -> tuple[ca.SX, list[str]]:
-    """Return the interval's own rows: continuity to the next state, then bounded Bernstein coefficients."""
+def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows, eta: ca.SX):
+    """Return the interval's own rows, the kind of each and its item: continuity, then bounded Bernstein coefficients."""
     h, matrix = parts.h, parts.matrix
     continuity = ca.horzcat(
         parts.s1 - parts.s0 - h * parts.v0 - h**2 * matrix["position_end"].T @ parts.a,
         parts.v1 - parts.v0 - h * matrix["velocity_end"].T @ parts.a,
         parts.x1 - parts.x0 - h * matrix["velocity_end"].T @ parts.r,
     ).T
-    own, kinds = [continuity], ["continuity"] * system.n_state
-    for column in rows.speed_columns:
-        coefficients = parts.v0[column] + h * (matrix["velocity_coefficients"] @ parts.a)[:, column]
+    own, kinds, items = [continuity], ["continuity"] * system.n_state, list(range(system.n_state))
+
+    def add(kind: str, item: int, coefficients: ca.SX) -> None:
         own.append(coefficients)
-        kinds += ["speed"] * coefficients.numel()
-    if rows.position_rows:
-        n = scheme.position_coefficients.shape[0]
-        tau = ca.DM(np.arange(n) / (n - 1))  # Bernstein coefficients of tau itself
-        coefficients = ca.repmat(parts.s0, n, 1) + h * tau @ parts.v0 + h**2 * matrix["position_coefficients"] @ parts.a
-        own.append(ca.vec(coefficients))
-        kinds += ["position"] * coefficients.numel()
-    return ca.densify(ca.vertcat(*own)), kinds
+        kinds.extend([kind] * coefficients.numel())
+        items.extend([item] * coefficients.numel())
 
+    def speed(column: int) -> ca.SX:
+        return parts.v0[column] + h * (matrix["velocity_coefficients"] @ parts.a)[:, column]
 
-def _own_cost(parts: _Parts, scheme: Scheme, rows: IntervalRows) -> ca.SX:
-    """Return the integrals of the squared effort and of its squared rate, exact for the effort's polynomial."""
+    for item, column in enumerate(rows.speed_columns):
+        add("speed", item, speed(column))
+    n = scheme.position_coefficients.shape[0]
+    tau = ca.DM(np.arange(n) / (n - 1))  # Bernstein coefficients of tau itself
+    for item, column in enumerate(rows.position_columns):
+        travelled = h * tau * parts.v0[column] + h**2 * (matrix["position_coefficients"] @ parts.a)[:, column]
+        add("position", item, parts.s0[column] + travelled)
+    for item, column in enumerate(rows.state_columns):
+        add("state", item, parts.x0[column] + h * (matrix["velocity_coefficients"] @ parts.r)[:, column])
     degree = scheme.effort_at.shape[1] - 1
-    cost = ca.SX(0)
-    gram = ca.DM(bernstein_gram(degree))
-    for j, weight in enumerate(rows.effort_weight):
-        if weight:
-            cost += weight * parts.h * (parts.u[:, j].T @ gram @ parts.u[:, j])
-    if rows.rate_weight and degree > 0:
-        gram, slope = ca.DM(bernstein_gram(degree - 1)), degree * (parts.u[1:, :] - parts.u[:-1, :])
-        cost += rows.rate_weight / parts.h * ca.trace(slope.T @ gram @ slope)
+    for item, column in enumerate(rows.rate_columns):
+        add("effort_rate", item, degree * (parts.u[1:, column] - parts.u[:-1, column]) / h)
+    lift = ca.DM(bernstein_elevation(degree, scheme.velocity_coefficients.shape[0] - 1))
+    first = eta.numel() - 2 * len(rows.motor_columns)
+    for item, (effort, column) in enumerate(rows.motor_columns):
+        alpha, beta = eta[first + 2 * item], eta[first + 2 * item + 1]
+        add("motor", item, alpha * (lift @ parts.u[:, effort]) + beta * speed(column))
+    return ca.densify(ca.vertcat(*own)), kinds, items
+
+
+def _own_cost(parts: _Parts, scheme: Scheme, rows: IntervalRows, eta: ca.SX) -> ca.SX:
+    """Return the interval's weighted costs, integrals of its effort's polynomial being exact."""
+    degree, n_u = scheme.effort_at.shape[1] - 1, parts.u.shape[1]
+    cost, at = ca.SX(0), 0
+    for name in rows.costs:
+        if name == "time":
+            cost += eta[at] * parts.h
+            at += 1
+            continue
+        if name == "effort":
+            gram, values, factor = ca.DM(bernstein_gram(degree)), parts.u, parts.h
+        elif degree > 0:
+            gram, values, factor = (
+                ca.DM(bernstein_gram(degree - 1)),
+                degree * (parts.u[1:, :] - parts.u[:-1, :]),
+                1 / parts.h,
+            )
+        else:
+            at += n_u
+            continue
+        for j in range(n_u):
+            cost += eta[at + j] * factor * (values[:, j].T @ gram @ values[:, j])
+        at += n_u
     return cost
 
 

@@ -8,9 +8,9 @@ from models.assembly import follow
 from models.contacts import contact_pairs
 from models.errors import AssemblyError, InfeasibleError
 from planner.certificate import Certificate
+from planner.collocation import Transcribed
 from planner.problem import PlanningProblem
 from planner.trajectory import Trajectory
-from planner.transcription import Transcribed
 
 # Poses along a motion at which geoms are looked at for contact.
 _CONTACT_SAMPLES = 61
@@ -21,6 +21,7 @@ class Step:
     """One solve on the way to a plan: what was tried, on how many intervals, and what came of it."""
 
     what: str
+    scheme: str
     intervals: int
     segments: int
     converged: bool
@@ -29,6 +30,7 @@ class Step:
     integration_error_deg: float | None
     build_s: float
     solve_s: float
+    integration_error: float | None = None  # of a user's differential equation, as a share of its states' sizes
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -60,6 +62,11 @@ class Plan:
         if self.status != "optimal":
             raise InfeasibleError(self.message, self)
         return self
+
+    @property
+    def scheme(self) -> str:
+        """The transcription of the final mesh (the problem's, where nothing was solved)."""
+        return self.problem.mesh.scheme if self.solved is None else self.solved.scheme.name
 
     @property
     def intervals(self) -> int:

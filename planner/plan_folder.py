@@ -2,8 +2,6 @@
 
 import csv
 import json
-import zipfile
-import zlib
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
@@ -15,15 +13,15 @@ from models.assembly import follow
 from models.errors import AssemblyError, LinkplanError, PlanFileError
 from planner.certificate import Certificate, certify
 from planner.folders import plain_record, write_json
+from planner.margins import Margin
 from planner.plan import Plan, not_honoured
 from planner.problem import PlanningProblem
 from planner.problem_file import problem_from_tables
 from planner.tables import apply_override
-from planner.trajectory import Trajectory
+from planner.trajectory_file import ARRAYS, read_trajectory
 
 FORMAT = 1
 STATUSES = ("optimal", "infeasible", "failed")
-_ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 _CSV_PER_INTERVAL = 10
 
 
@@ -44,13 +42,19 @@ def record(plan: Plan) -> dict:
             "status": plan.status,
             "message": plan.message,
             "objective": plan.objective,
-            "objective_kind": problem.objective,
+            "objective_kind": problem.objective.name,
             "duration_s": None if plan.trajectory is None else plan.trajectory.duration_s,
             "peak_effort": None if certificate is None else dict(zip(names, certificate.peak_effort, strict=True)),
+            "peak_power_w": None if certificate is None else dict(zip(names, certificate.peak_power, strict=True)),
+            "peak_closure_force_n": (
+                None
+                if certificate is None
+                else dict(zip(mechanism.closure_names, certificate.peak_closure_force, strict=True))
+            ),
             "effort_limit": dict(zip(names, problem.limits.effort, strict=True)),
             "effort_unit": {actuator.name: actuator.unit for actuator in mechanism.actuators},
             "certificate": None if certificate is None else certificate_record(problem, certificate),
-            "mesh": {"scheme": problem.mesh.scheme, "intervals": plan.intervals},
+            "mesh": {"scheme": plan.scheme, "intervals": plan.intervals},
             "time_s": {
                 "build": sum(step.build_s for step in plan.history),
                 "solve": sum(step.solve_s for step in plan.history),
@@ -84,8 +88,13 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
         "speed_margin_deg_s": {j.name: j.shown(m) for j, _, m in margins if j.kind == "hinge" and np.isfinite(m)},
         "speed_margin_m_s": {j.name: m for j, _, m in margins if j.kind == "slide" and np.isfinite(m)},
         "singularity_ratio": certificate.singularity_ratio,
+        "margins": [_margin_record(margin) for margin in certificate.margins],
         "worst_time_s": certificate.worst_time_s,
     }
+
+
+def _margin_record(margin: Margin) -> dict:
+    return {name: getattr(margin, name) for name in ("what", "name", "value", "limit", "left", "unit", "time_s")}
 
 
 def write_plan(plan: Plan, folder: Path) -> None:
@@ -98,7 +107,7 @@ def write_plan(plan: Plan, folder: Path) -> None:
         raise PlanFileError(f"nothing to save: {plan.message}")
     write_json(folder / "plan.json", record(plan))
     trajectory = plan.trajectory
-    arrays = {name: getattr(trajectory, name) for name in _ARRAYS}
+    arrays = {name: getattr(trajectory, name) for name in ARRAYS}
     np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)
     _write_csv(plan, folder / "trajectory.csv")
 
@@ -154,7 +163,7 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:
         raise PlanFileError(f"'{folder / 'plan.json'}' has details that are no table")
     if said["format"] != FORMAT:
         raise PlanFileError(f"'{folder / 'plan.json'}' has format {said['format']!r}; this linkplan reads {FORMAT}")
-    trajectory = _read_trajectory(folder / "trajectory.npz")
+    trajectory = read_trajectory(folder / "trajectory.npz")
     for override in overrides:
         apply_override(said["problem"], override)
     try:
@@ -201,19 +210,3 @@ def _read_json(path: Path) -> dict:
     if not isinstance(said, dict) or not isinstance(said.get("problem", {}), dict):
         raise PlanFileError(f"'{path}' is not a plan")
     return said
-
-
-def _read_trajectory(path: Path) -> Trajectory:
-    try:
-        stored = np.load(path, allow_pickle=False)
-        if not isinstance(stored, np.lib.npyio.NpzFile):
-            raise ValueError("it holds a single array")
-        with stored:
-            arrays = {name: stored[name] for name in _ARRAYS}
-            return Trajectory(**arrays, periodic=bool(stored["periodic"]))
-    except OSError as error:
-        raise PlanFileError(f"'{path}' cannot be read: {error.strerror or 'it is not an npz file'}") from error
-    except KeyError as error:
-        raise PlanFileError(f"'{path}' lacks an array: {error.args[0]}") from error
-    except (zipfile.BadZipFile, zlib.error, ValueError, TypeError, EOFError, IndexError, RuntimeError) as error:
-        raise PlanFileError(f"'{path}' is truncated or not a trajectory: {error}") from error

@@ -1,47 +1,31 @@
-"""From a planning problem to a certified plan: presolve, solve, find the switches, certify, refine, explain."""
+"""From a planning problem to a certified plan: presolve, starts in turn, refinement, and the reason where there is none."""
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
-from models.assembly import follow
-from models.errors import AssemblyError
-from planner.certificate import INTEGRATION_DEG, INTEGRATION_M, RANGE_SLACK, Certificate, certify
-from planner.guess import Guess, first_guess, motion_of, swinging_guesses
-from planner.infeasibility import effort_sentence, least_limit, overrun_sentence, tightened, without
-from planner.mesh import Mesh, halved, segmented, uniform
+from planner.certificate import certify
+from planner.guess import Guess, bent_guesses, closes, guesses, motion_of
+from planner.infeasibility import RELAXABLE, LeastLimit, effort_sentence, least_limit, violated_sentence, without
+from planner.mechanism_case import case_of
+from planner.mesh import Mesh, broken, segmented, uniform
 from planner.plan import Plan, Step, tracking_errors
 from planner.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
 from planner.presolve import plain_contradiction, start_pose_of
-from planner.problem import PlanningProblem
-from planner.solve import OUT_OF_TIME, Solution, solve
-from planner.switches import find_cuts, pinned_efforts
-from planner.trajectory import Trajectory
-from planner.transcription import trajectory_of, transcribe
+from planner.problem import PlanningProblem, SolverSettings
+from planner.refinement import Say, attempt, refine, silent
+from planner.solve import INVALID, OUT_OF_TIME
 
-# Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
-_ROUNDS = 8
-# A mesh that has grown by this factor without passing will not pass by growing on.
-_MOST = 120
-# What the integrated state is refined towards where no tolerance is asked for [deg], as far as a mesh of so many
-# intervals carries it; and how far below the worst interval's error another may be to be halved with it.
-_TARGET_DEG = 1e-6
-_COMFORTABLE = 100
-_WORST = 0.01
-_MARK = 0.5
-# A solve with cuts at its switches replaces the one before when it is no slower than the error of a mesh without cuts.
-_NO_WORSE = 1e-4
-# Cuts next to arcs within the limits settle in a few solves: until the objective gains less than this share, relative.
-_SETTLINGS = 4
-_SETTLED = 1e-9
+__all__ = ["Say", "finished", "plan_motion", "silent"]
 
-Say = Callable[[str], None]
-
-
-def silent(text: str) -> None:
-    """Say nothing: the default for progress."""
-    del text
+# A mesh so many times coarser, and no coarser than that, is solved first where the fine one is not found from any start.
+_COARSER = 4
+_COARSEST = 6
+# Iterations for solves that only look for the reason.
+_ITERATIONS = 200
+# Bends tried after the first failure, where the user asks for no further starts.
+_BENDS = 3
 
 
 def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
@@ -60,18 +44,77 @@ def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
     contradiction = plain_contradiction(problem)
     if contradiction is not None:
         return Plan(problem=problem, status="infeasible", message=contradiction)
-    guess = first_guess(problem, start_pose)
-    mesh, durations = uniform(_even(problem)), np.array([guess.duration_s])
     history: list[Step] = []
-    found = _solve(problem, guess, mesh, durations, "first solve", history, say)
-    if found is None:
-        return _explain(problem, guess, mesh, durations, history, say)
-    return _certified(problem, found, mesh, history, say)
+    starts = list(guesses(problem, start_pose))
+    if problem.solver.starts > 1:
+        plan = _best_of(problem, starts, start_pose, history, say)
+    else:
+        plan = _first_of(problem, _in_turn(problem, starts, start_pose), history, say)
+    return plan or _explain(problem, starts[0][1], history, say)
 
 
-def _even(problem: PlanningProblem) -> int:
-    n = problem.mesh.intervals
-    return n + n % 2 if problem.motion.kind == "periodic" else n
+def _in_turn(
+    problem: PlanningProblem, starts: list[tuple[str, Guess]], start_pose: np.ndarray
+) -> Iterator[tuple[str, Guess]]:
+    yield from starts
+    for _, (what, guess) in zip(range(_BENDS), bent_guesses(problem, start_pose), strict=False):
+        yield what, guess
+
+
+def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
+    """Return the first mesh of a problem and its segments' durations [s] in a guess."""
+    n = n_intervals or problem.mesh.intervals
+    if guess.knots_s is not None:
+        durations = np.diff(guess.knots_s)
+        return segmented(durations, n, leg=np.arange(len(durations))), durations
+    if problem.mesh.breaks is not None and n_intervals is None:
+        return broken(problem.mesh.breaks), np.array([guess.duration_s])
+    return uniform(n), np.array([guess.duration_s])
+
+
+def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], history: list[Step], say: Say) -> Plan | None:
+    """Return the first plan that a start leads to and that passes; else one that was found and does not; else None."""
+    failed = None
+    for number, (what, guess) in enumerate(starts):
+        if number >= 1 and (problem.motion.duration_s is not None or failed is not None) and what.startswith("bend"):
+            break  # what a fixed duration forbids, other starts forbid too: the reason is looked for first
+        if not closes(problem.mechanism, guess):
+            continue
+        mesh, durations = first_mesh(problem, guess)
+        word = "first solve" if number == 0 else f"start from {what}"
+        found = attempt(case_of(problem), guess, mesh, durations, word, history, say)
+        if found is None:
+            if history[-1].solver_status in (OUT_OF_TIME, INVALID):
+                return None
+            continue
+        plan = _certified(problem, found, mesh, history, say)
+        if plan.status == "optimal":
+            return plan
+        failed = failed or plan
+    return failed
+
+
+def _best_of(problem, starts: list[tuple[str, Guess]], start_pose: np.ndarray, history: list[Step], say: Say) -> Plan | None:
+    """Return the best plan of as many starts as the problem asks for; None where none leads to one."""
+    wanted, found = problem.solver.starts, []
+    bends = (bend for bend in bent_guesses(problem, start_pose) if closes(problem.mechanism, bend[1]))
+    for number in range(wanted):
+        what, guess = starts[number] if number < len(starts) else next(bends)
+        mesh, durations = first_mesh(problem, guess)
+        word = f"start {number + 1} of {wanted}, {what}"
+        solved = attempt(case_of(problem), guess, mesh, durations, word, history, say)
+        if solved is not None:
+            found.append((solved[1].objective, number, solved, mesh))
+    failed = None
+    for _, number, solved, mesh in sorted(found, key=lambda item: item[:2]):
+        say(f"refining start {number + 1}")
+        plan = _certified(problem, solved, mesh, history, say)
+        if plan.status == "optimal":
+            return replace(
+                plan, details={**plan.details, "starts": wanted, "starts_solved": len(found), "best_start": number + 1}
+            )
+        failed = failed or plan
+    return failed
 
 
 def _plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray, say: Say) -> Plan:
@@ -97,88 +140,21 @@ def _plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray, say: Say)
     return finished(problem, trajectory, certificate, 0.0, [], "the reference keeps every limit and is followed exactly")
 
 
-def _solve(
-    problem: PlanningProblem,
-    guess: Guess,
-    mesh: Mesh,
-    durations: np.ndarray,
-    what: str,
-    history: list[Step],
-    say: Say,
-    position_rows: bool = False,
-    pinned: np.ndarray | None = None,
-    warm: bool = False,
-) -> tuple[Trajectory, Solution] | None:
-    say(f"{what}: {problem.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
-    transcribed = transcribe(problem, guess, mesh, durations, position_rows=position_rows, pinned=pinned)
-    solution = solve(transcribed, warm=warm, max_time_s=problem.solver.max_time_s)
-    history.append(
-        Step(
-            what=what,
-            intervals=mesh.n_intervals,
-            segments=mesh.n_segments,
-            converged=solution.converged,
-            solver_status=solution.status,
-            objective=solution.objective,
-            integration_error_deg=None,
-            build_s=transcribed.build_s + solution.build_s,
-            solve_s=solution.solve_s,
-        )
-    )
-    if not solution.converged:
-        return None
-    try:
-        return trajectory_of(transcribed, solution.x, problem.limits.effort), solution
-    except AssemblyError:  # a start that the solver took to another branch
-        return None
-
-
-def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history: list[Step], say: Say) -> Plan:
-    """Return the plan of a solution: cuts at its switches, then finer meshes until the certificate passes."""
-    trajectory, solution = found
-    pinned = None
-    if problem.objective == "time":
-        trajectory, solution, mesh, pinned = _settle_switches(problem, trajectory, solution, mesh, history, say)
-    certificate = _try_certify(problem, trajectory, history)
-    position_rows, kept, finest = False, problem, _MOST * problem.mesh.intervals
-    passed = None  # the last that passed, to go back to where a finer one does not
-    for _ in range(_ROUNDS):
-        if certificate is not None and certificate.passed:
-            passed = trajectory, solution, certificate
-            if _exact_enough(problem, certificate):
-                break
-        position_rows = position_rows or certificate is None or bool(np.any(certificate.position_margin < 0))
-        marked = _marked(mesh, certificate, _strictness(problem))
-        if not marked.any() and certificate is not None and _overruns(certificate):
-            # Only a range or speed is left, between the nodes: ask the solver for a little less than the limit.
-            kept = replace(problem, limits=tightened(kept.limits, certificate))
-        elif not marked.any():
-            marked[:] = True
-        if _turns_at_the_middle(problem):
-            marked[:] = marked.any()  # keep the middle of the motion on a node
-        n_finer = mesh.n_intervals + int(marked.sum())
-        if n_finer > finest or (passed is not None and problem.mesh.tolerance_deg is None and n_finer > _COMFORTABLE):
-            break
-        mesh = halved(mesh, marked)
-        durations = np.bincount(mesh.segment, weights=_widths(trajectory, marked))
-        what = "finer mesh" if marked.any() else "limits kept between the nodes"
-        finer = _solve(kept, motion_of(trajectory), mesh, durations, what, history, say, position_rows, pinned)
-        if finer is None:
-            break
-        trajectory, solution = finer
-        certificate = _try_certify(problem, trajectory, history)
-    if passed is not None and (certificate is None or not certificate.passed):
-        trajectory, solution, certificate = passed
-    if certificate is None:
+def _certified(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say) -> Plan:
+    """Return the plan of a solution, refined until its certificate passes."""
+    case = case_of(problem)
+    refined = refine(case, found, mesh, history, say)
+    if refined is None:
         return Plan(
             problem=problem,
             status="failed",
             message="failed: the motion that the solver returned leaves the branch on which the mechanism was assembled",
             history=tuple(history),
         )
+    trajectory, solution, certificate = refined
     plan = finished(problem, trajectory, certificate, solution.objective, history, None)
     plan = replace(plan, solved=replace(solution.transcribed, start=solution.x))
-    if plan.status == "optimal" and problem.mesh.tolerance_deg is not None and not _exact_enough(problem, certificate):
+    if plan.status == "optimal" and case.tolerance_given and not case.exact(certificate):
         missed = (
             f"failed: the integrated model ends {certificate.integration_error_deg:.3g} deg from the plan on"
             f" {plan.intervals} intervals, more than mesh.tolerance_deg = {problem.mesh.tolerance_deg:g}"
@@ -187,96 +163,15 @@ def _certified(problem, found: tuple[Trajectory, Solution], mesh: Mesh, history:
     return plan
 
 
-def _strictness(problem: PlanningProblem) -> float:
-    """Return how many times more exact than a certificate demands the integrated state is to be."""
-    return INTEGRATION_DEG / (problem.mesh.tolerance_deg or _TARGET_DEG)
-
-
-def _exact_enough(problem: PlanningProblem, certificate: Certificate) -> bool:
-    strict = _strictness(problem)
-    return certificate.integration_error_deg * strict <= INTEGRATION_DEG and (
-        certificate.integration_error_m * strict <= INTEGRATION_M
-    )
-
-
-def _marked(mesh: Mesh, certificate: Certificate | None, strictness: float) -> np.ndarray:
-    """Return which intervals (n,) to halve: those with more than their share of an error that is too large."""
-    if certificate is None or not np.all(np.isfinite(certificate.growth)):
-        return np.ones(mesh.n_intervals, dtype=bool)
-    growth = certificate.growth * strictness
-    marked = np.zeros(mesh.n_intervals, dtype=bool)
-    if certificate.residual_share.max() > 1.0:
-        marked |= certificate.residual_share > _MARK
-    if growth.sum() > 1.0:
-        marked |= growth > _MARK * max(1.0, _WORST * growth.max() * mesh.n_intervals) / mesh.n_intervals
-    return marked
-
-
-def _overruns(certificate: Certificate) -> bool:
-    """Return whether a joint leaves its range or speed limit."""
-    return bool(min(certificate.position_margin.min(), certificate.speed_margin.min()) < -RANGE_SLACK)
-
-
-def _turns_at_the_middle(problem: PlanningProblem) -> bool:
-    """Return whether a periodic motion has to be at its goal after half of its duration."""
-    return problem.motion.kind == "periodic" and problem.motion.start is not None
-
-
-def _widths(trajectory: Trajectory, marked: np.ndarray) -> np.ndarray:
-    widths = np.diff(trajectory.breaks_s)
-    pieces = np.where(marked, 2, 1)
-    return np.repeat(widths / pieces, pieces)
-
-
-def _try_certify(problem: PlanningProblem, trajectory: Trajectory, history: list[Step]) -> Certificate | None:
-    """Return a motion's certificate, its error noted in the history; None where the motion leaves the branch."""
-    try:
-        certificate = certify(problem, trajectory)
-    except AssemblyError:
-        return None
-    history[-1] = replace(history[-1], integration_error_deg=certificate.integration_error_deg)
-    return certificate
-
-
-def _settle_switches(problem, trajectory, solution, mesh, history, say):
-    """Return a least-time solution with mesh cuts at its switches, its mesh, and the efforts held between them.
-
-    First with efforts held at the limits that the arcs showed, which leaves the cuts alone to be found; where that is
-    slower than the solution without cuts, the arcs were read wrongly and the efforts are set free again.
-    """
-    pinned, no_worse = None, _NO_WORSE
-    for _ in range(_SETTLINGS):
-        cuts = find_cuts(trajectory, problem.limits.effort)
-        if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6 or _turns_at_the_middle(problem):
-            break
-        durations = np.diff(np.concatenate([[0.0], cuts, [trajectory.duration_s]]))
-        finer, guess = segmented(durations, problem.mesh.intervals), motion_of(trajectory)
-        held = pinned_efforts(trajectory, problem.limits.effort, cuts)
-        better = None
-        for efforts, what in ((held, "cuts at the switches"), (None, "cuts at the switches, efforts free")):
-            found = _solve(problem, guess, finer, durations, what, history, say, pinned=efforts, warm=True)
-            if found is not None and found[1].objective <= solution.objective * (1 + no_worse):
-                better = found
-                break
-        if better is None:
-            break
-        settled = better[1].objective > solution.objective * (1 - _SETTLED)
-        (trajectory, solution), mesh, pinned = better, finer, efforts
-        no_worse = _SETTLED  # from now on both have cuts, and only a better one replaces the other
-        if settled or not np.any(np.isnan(held)):
-            break
-    return trajectory, solution, mesh, pinned
-
-
 def finished(problem, trajectory, certificate, objective, history, message: str | None) -> Plan:
     """Return the plan of a certified motion, its status by the certificate and its message in words."""
     plan = Plan(
         problem=problem, status="optimal", message="", objective=objective, trajectory=trajectory, certificate=certificate
     )
     details: dict[str, float] = {}
-    sentence = message or f"{problem.objective}-optimal motion of {trajectory.duration_s:.6g} s"
+    sentence = message or f"{problem.objective.name}-optimal motion of {trajectory.duration_s:.6g} s"
     errors = tracking_errors(plan)
-    if errors is not None and message is None and problem.objective == "tracking":
+    if errors is not None and message is None and problem.objective.has("tracking"):
         joint = problem.mechanism.independent_joints[0]
         details |= {
             f"tracking_rms_{joint.unit}": joint.shown(errors[0]),
@@ -301,69 +196,99 @@ def finished(problem, trajectory, certificate, objective, history, message: str 
     return replace(plan, message=sentence, history=tuple(history), details=details)
 
 
-def _explain(problem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: list[Step], say: Say) -> Plan:
-    """Return the plan of a problem whose first solve failed: another start where a motion exists, else the reason."""
-    if history[-1].solver_status == OUT_OF_TIME:
-        return Plan(
-            problem=problem,
-            status="failed",
-            message=f"failed: the solver ran out of its {problem.solver.max_time_s:g} s (solver.max_time_s)",
-            history=tuple(history),
-        )
-    for swing in swinging_guesses(problem, guess.start_pose):
-        found = _solve(problem, swing, mesh, np.array([swing.duration_s]), "start from a swing", history, say)
-        plan = None if found is None else _certified(problem, found, mesh, history, say)
+def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: Say) -> Plan:
+    """Return the plan of a problem that no start solved: by way of a coarse mesh or relaxed limits, else the reason."""
+    stopped = {
+        OUT_OF_TIME: f"the solver ran out of its {problem.solver.max_time_s:g} s (solver.max_time_s)",
+        INVALID: "the dynamics gave a number that is not finite (NaN) along the motion, or the solver could not begin",
+    }
+    if history and history[-1].solver_status in stopped:
+        reason = f"failed: {stopped[history[-1].solver_status]}"
+        return Plan(problem=problem, status="failed", message=reason, history=tuple(history))
+    # A motion that exists is found in tens of iterations; what forbids one is not worth a thousand.
+    asked, problem = problem, replace(problem, solver=_patient(problem.solver))
+    case, mesh = case_of(problem), first_mesh(problem, guess)[0]
+    if mesh.n_intervals > _COARSER * _COARSEST:
+        coarse, lengths = first_mesh(problem, guess, mesh.n_intervals // _COARSER)
+        found = attempt(case, guess, coarse, lengths, "a coarser mesh", history, say)
+        plan = None if found is None else _certified(problem, found, coarse, history, say)
         if plan is not None and plan.status == "optimal":
             return plan
     say("no motion found; looking for the limit that forbids one")
-    least = least_limit(problem, guess, mesh, durations)
+    for what in RELAXABLE:
+        plan = _without(problem, what, guess, history, say)
+        if plan is not None:
+            return plan
+    least = _least_limit(problem, guess, history)
     if least is not None and least.factor <= 1.0:
         start, what = motion_of(least.trajectory), "start from the motion of least peak effort"
-        found = _solve(problem, start, least.mesh, least.durations, what, history, say)
+        found = attempt(case, start, least.mesh, least.durations, what, history, say)
         if found is not None:
             return _certified(problem, found, least.mesh, history, say)
     if least is not None and least.factor > 1.0:
         sentence, details = effort_sentence(problem, least)
         return Plan(
-            problem=problem,
+            problem=asked,
             status="infeasible",
             message=f"infeasible: {sentence}{_shortest(problem, details, say)}",
             history=tuple(history),
             details=details,
         )
-    for what in ("speed", "position"):
-        relaxed = replace(problem, limits=without(problem.limits, what))
-        found = _solve(relaxed, guess, mesh, durations, f"without limits on {what}", history, say)
-        if found is not None:
-            sentence = _overrun(problem, found[0], what)
-            if sentence is not None:
-                return Plan(problem=problem, status="infeasible", message=f"infeasible: {sentence}", history=tuple(history))
-    status = history[-1].solver_status if history else "nothing tried"
+    plan = _without(problem, "position", guess, history, say)
+    if plan is not None:
+        return plan
+    status = history[-1].solver_status if history else "no start closes the loop"
     return Plan(
-        problem=problem,
+        problem=asked,
         status="failed",
         message=f"failed: the solver found neither a motion nor a limit that forbids one ({status})",
         history=tuple(history),
     )
 
 
-def _overrun(problem: PlanningProblem, trajectory: Trajectory, what: str) -> str | None:
-    """Return the sentence on what a motion without limits on "speed" or "position" overruns, or None."""
-    try:
-        poses = follow(problem.mechanism, trajectory.position_at(trajectory.dense_times(8)), trajectory.start_pose)
-    except AssemblyError:
+def _patient(settings: SolverSettings) -> SolverSettings:
+    """Return settings for solves that look for a reason: few iterations, and compiled, as there are many such solves."""
+    mode = "always" if settings.compile == "auto" else settings.compile
+    return replace(settings, max_iterations=_ITERATIONS, compile=mode)
+
+
+def _without(problem: PlanningProblem, what: str, guess: Guess, history: list[Step], say: Say) -> Plan | None:
+    """Return the plan that says by how much a motion made without a limit overruns it; None where it is not to blame."""
+    relaxed = without(problem, what)
+    if relaxed is None:
         return None
-    return overrun_sentence(problem, trajectory, poses, what)
+    mesh, durations = first_mesh(problem, guess)
+    found = attempt(case_of(relaxed), guess, mesh, durations, f"without limits on {what}", history, say)
+    sentence = None if found is None else violated_sentence(problem, found[0], what)
+    if sentence is None:
+        return None
+    details: dict[str, float] = {}
+    message = f"infeasible: {sentence}{_shortest(problem, details, say)}"
+    return Plan(problem=problem, status="infeasible", message=message, history=tuple(history), details=details)
+
+
+def _least_limit(problem: PlanningProblem, guess: Guess, history: list[Step]) -> LeastLimit | None:
+    """Return the least factor on the effort limits from several starts: what one start finds may be a local answer."""
+    others = (start for _, start in bent_guesses(problem, guess.start_pose) if closes(problem.mechanism, start))
+    best = None
+    for start in (guess, *(next(others) for _ in range(_BENDS - 1))):
+        found = least_limit(problem, start, *first_mesh(problem, start), history)
+        if found is not None and (best is None or found.factor < best.factor):
+            best = found
+        if best is None or best.factor <= 1.0:
+            break
+    return best
 
 
 def _shortest(problem: PlanningProblem, details: dict[str, float], say: Say) -> str:
     """Return the words on the shortest feasible duration of a motion between two states, where it can be found."""
-    if problem.motion.kind != "reach" or problem.motion.duration_s is None:
+    motion = problem.motion
+    if motion.kind != "reach" or motion.duration_s is None or any(w.time_s is not None for w in motion.waypoints):
+        return ""
+    if not np.all(np.isfinite(problem.limits.effort)):
         return ""
     say("looking for the shortest feasible duration")
-    quickest = plan_motion(
-        replace(problem, objective="time", motion=replace(problem.motion, duration_s=None, max_duration_s=None)), say
-    )
+    quickest = plan_motion(replace(problem, objective="time", motion=replace(motion, duration_s=None)), say)
     if quickest.status != "optimal":
         return ""
     details["shortest_duration_s"] = quickest.trajectory.duration_s

@@ -1,10 +1,20 @@
 """Before any solving: is the problem within what the mechanism can do at all, and is there a plain contradiction in it?"""
 
+import functools
+
 import numpy as np
 
 from models.assembly import Reach, close_at, reach
 from models.errors import ProblemError
+from models.mechanism import Mechanism
+from planner.margins import singularity_ratios
 from planner.problem import PlanningProblem
+
+
+@functools.lru_cache(maxsize=16)
+def _reach(mechanism: Mechanism) -> Reach:
+    """Return what a mechanism reaches: walked once, as planning again and again asks for it each time."""
+    return reach(mechanism)
 
 
 def start_pose_of(problem: PlanningProblem) -> np.ndarray:
@@ -14,13 +24,18 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
         ProblemError: when start, goal or reference lie outside what the mechanism reaches, with the interval.
     """
     mechanism, motion = problem.mechanism, problem.motion
-    can = reach(mechanism) if mechanism.dof == 1 else None
+    can = _reach(mechanism) if mechanism.dof == 1 else None
     for name in ("start", "goal"):
         value = getattr(motion, name)
         if value is not None:
             _check_reach(problem, f"motion.{name}_deg", value, can)
+    for k, waypoint in enumerate(motion.waypoints):
+        if not np.any(np.isnan(waypoint.position)):
+            _check_reach(problem, f"motion.waypoints[{k}].at_deg", waypoint.position, can)
     if motion.start is not None:
         return close_at(mechanism, motion.start)
+    if problem.reference is None:
+        return np.array(mechanism.home)
     first = problem.reference.derivative(np.zeros(1))[0]
     period = np.linspace(0.0, problem.reference.period_s, 181)
     values = problem.reference.derivative(period)
@@ -74,6 +89,9 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
                     f" {joint.shown(min(max(x, low), high)):.4g}"
                 )
+    contradiction = _singular(problem)
+    if contradiction is not None:
+        return contradiction
     if motion.kind == "reach" and motion.duration_s is not None:
         for column, joint in enumerate(mechanism.independent_joints):
             mean = (motion.goal[column] - motion.start[column]) / motion.duration_s
@@ -86,4 +104,20 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.shown(bound):.4g} {joint.unit}/s;"
                     f" that limit alone asks for {shortest:.4g} s"
                 )
+    return None
+
+
+def _singular(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a start or goal that is nearer to a singular pose than the problem admits, or None."""
+    margin, motion = problem.limits.singular_margin, problem.motion
+    for name in ("start", "goal"):
+        s = getattr(motion, name)
+        if s is None or not margin:
+            continue
+        ratio = float(singularity_ratios(problem, close_at(problem.mechanism, s)[None])[0])
+        if ratio < margin:
+            return (
+                f"infeasible: the {name} is at {ratio:.4g} of the distance from a singular pose that the home pose has,"
+                f" {margin - ratio:.3g} short of limits.singular_margin = {margin:g}"
+            )
     return None

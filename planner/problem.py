@@ -1,66 +1,33 @@
 """The continuous problem: which motion of which mechanism, best in which sense, within which limits."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from models.audit import audit
 from models.errors import ProblemError
 from models.mechanism import Mechanism
+from planner.limits import Limits, Motor
+from planner.motion import KINDS, Motion, Waypoint, frozen
+from planner.objective import Objective, objective_from
 from planner.reference import Sine
+from planner.trajectory import Trajectory
 
-KINDS = ("reach", "periodic", "track")
-OBJECTIVES = ("effort", "time", "tracking")
-
-
-def _frozen(value: object) -> np.ndarray:
-    array = np.array(value, dtype=float)
-    array.flags.writeable = False
-    return array
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Motion:
-    """Boundary conditions over the independent joints, (n_s,) each, [rad or m] and per second.
-
-    kind "reach" goes from start to goal; "periodic" returns to its own first state; "track" is the reference itself.
-    `duration_s` is None where it is free.
-    """
-
-    kind: str
-    start: np.ndarray | None = None
-    goal: np.ndarray | None = None
-    start_speed: np.ndarray | None = None
-    goal_speed: np.ndarray | None = None
-    duration_s: float | None = None
-    max_duration_s: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ProblemError(f"motion.kind is one of {', '.join(KINDS)}, got '{self.kind}'")
-        for name in ("start", "goal", "start_speed", "goal_speed"):
-            value = getattr(self, name)
-            if value is not None:
-                object.__setattr__(self, name, _frozen(value))
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Limits:
-    """Limits on every instant: `effort` (n_u, 2) [N.m or N], `position` and `speed` (n_q, 2) [rad or m, and per second].
-
-    Infinite where there is none. Dependent joints have their rows too.
-    """
-
-    effort: np.ndarray
-    position: np.ndarray
-    speed: np.ndarray
-
-    def __post_init__(self) -> None:
-        for name in ("effort", "position", "speed"):
-            value = _frozen(getattr(self, name))
-            if value.ndim != 2 or value.shape[1] != 2 or np.any(np.isnan(value)):
-                raise ProblemError(f"limits.{name} has one [low, high] a row, got shape {value.shape}")
-            object.__setattr__(self, name, value)
+__all__ = [
+    "COMPILE",
+    "KINDS",
+    "REFINE",
+    "SOLVERS",
+    "Limits",
+    "MeshSettings",
+    "Motion",
+    "Motor",
+    "PlanningProblem",
+    "Sketch",
+    "SolverSettings",
+    "Tracking",
+    "Waypoint",
+]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -71,19 +38,27 @@ class MeshSettings:
     intervals: int = 40
     effort: str = "polynomial"  # "constant", "linear" or "polynomial"
     tolerance_deg: float | None = None  # on the integrated state; None: refined towards 1e-6 while the mesh stays small
+    refine: str = "both"  # what is added where a mesh is too coarse: "intervals", "degree", or "both", each where it pays
+    breaks: np.ndarray | None = None  # of the first mesh, from 0 to 1, in place of `intervals` equal ones
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SolverSettings:
-    """How a program is solved: whether its functions are compiled, and how long the solver may take [s].
+    """How a program is solved: by which solver, compiled or not, in how many starts, and how long it may take [s].
 
-    `compile` is "auto" (compiled functions where the cache has them or the mesh is large), "always" or "never".
+    `compile` is "auto" (compiled functions where the cache has them or the mesh is large), "always" or "never". Of
+    `starts` motions to start from, the best answer is kept.
     """
 
+    name: str = "ipopt"
     compile: str = "auto"
     max_time_s: float = 600.0
+    starts: int = 1
+    max_iterations: int | None = None  # None: as many as a hard problem takes
 
 
+REFINE = ("both", "intervals", "degree")
+SOLVERS = ("ipopt", "fatrop")
 COMPILE = ("auto", "always", "never")
 
 
@@ -105,6 +80,20 @@ class Tracking:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Sketch:
+    """A user's guess of a motion: independent positions (n, n_s) [rad or m] at equal times, and its duration or None."""
+
+    path: np.ndarray
+    duration_s: float | None = None
+
+    def __post_init__(self) -> None:
+        path = frozen(self.path)
+        if path.ndim != 2 or len(path) < 2 or not np.all(np.isfinite(path)):
+            raise ProblemError(f"a guess's path is two or more finite positions, got shape {path.shape}")
+        object.__setattr__(self, "path", path)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class PlanningProblem:
     """A mechanism, a motion, an objective and limits: all that a planner needs, and how the plan will be tracked.
 
@@ -114,62 +103,108 @@ class PlanningProblem:
     name: str
     mechanism: Mechanism
     motion: Motion
-    objective: str
+    objective: Objective  # a term's name or a mapping of weights will do
     limits: Limits
+    motors: tuple[Motor | None, ...] = ()
     reference: Sine | None = None
+    guess: Sketch | Trajectory | None = None
     mesh: MeshSettings = field(default_factory=MeshSettings)
     solver: SolverSettings = field(default_factory=SolverSettings)
     tracking: Tracking = field(default_factory=Tracking)
     source: dict = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        motion, n_s = self.motion, self.mechanism.dof
+        object.__setattr__(self, "objective", objective_from(self.objective))
+        object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)
+        motion, objective = self.motion, self.objective
         falsifying = [item.text for item in audit(self.mechanism.model) if item.falsifies]
         if falsifying:
             raise ProblemError(
                 f"mechanism '{self.mechanism.name}' cannot be planned truly, its model has what the planner does not honour:"
                 f" {'; '.join(falsifying)}"
             )
-        if self.objective not in OBJECTIVES:
-            raise ProblemError(f"objective.minimize is one of {', '.join(OBJECTIVES)}, got '{self.objective}'")
         if self.mechanism.n_u == 0:
             raise ProblemError(
                 f"mechanism '{self.mechanism.name}' has no usable actuator (a motor on a hinge or slide); a plan needs one"
             )
+        self._check_objective()
         if motion.kind == "reach" and (motion.start is None or motion.goal is None):
             raise ProblemError("motion.kind 'reach' needs motion.start_deg and motion.goal_deg")
-        if self.objective == "time" and not np.all(np.isfinite(self.limits.effort)):
-            raise ProblemError("objective.minimize 'time' needs finite limits.effort: without them no time is the least")
-        if self.objective == "tracking" and self.reference is None:
-            raise ProblemError("objective.minimize 'tracking' needs a [reference]")
         if motion.kind == "track" and self.reference is None:
             raise ProblemError("motion.kind 'track' needs a [reference]")
-        if motion.kind == "track" and self.objective != "tracking":
-            raise ProblemError(f"motion.kind 'track' prescribes the motion: minimize is 'tracking', got '{self.objective}'")
-        if motion.kind == "periodic" and self.reference is None and (motion.start is None or motion.goal is None):
-            raise ProblemError("motion.kind 'periodic' needs a [reference], or motion.start_deg and motion.goal_deg")
-        if motion.kind == "periodic" and self.objective != "tracking" and (motion.start is None or motion.goal is None):
+        if motion.kind == "track" and list(objective.weights) != ["tracking"]:
+            raise ProblemError(f"motion.kind 'track' prescribes the motion: minimize is 'tracking', got '{objective.name}'")
+        if motion.kind == "periodic" and motion.waypoints and motion.goal is not None:
             raise ProblemError(
-                f"motion.kind 'periodic' with minimize '{self.objective}' needs motion.start_deg and motion.goal_deg to move"
-                " between: without them, standing still is best"
+                "motion.kind 'periodic' with motion.waypoints ends where it starts: it takes no motion.goal_deg"
             )
+        if motion.kind == "periodic" and not motion.waypoints and (motion.start is None) != (motion.goal is None):
+            raise ProblemError("motion.kind 'periodic' takes motion.start_deg and motion.goal_deg together, or neither")
+        moves = motion.goal is not None or bool(motion.waypoints)
+        if motion.kind == "periodic" and self.reference is None and not moves:
+            raise ProblemError(
+                "motion.kind 'periodic' needs a [reference], or motion.start_deg and motion.goal_deg, or motion.waypoints"
+            )
+        if motion.kind == "periodic" and not objective.has("tracking") and not moves:
+            raise ProblemError(
+                f"motion.kind 'periodic' with minimize '{objective.name}' needs motion.start_deg and motion.goal_deg to move"
+                " between, or motion.waypoints: without them, standing still is best"
+            )
+        self._check_shapes()
+
+    def _check_objective(self) -> None:
+        """Refuse an objective that the motion or the actuators do not go with."""
+        motion, objective = self.motion, self.objective
+        if list(objective.weights) == ["time"] and not np.all(np.isfinite(self.limits.effort)):
+            raise ProblemError("objective.minimize 'time' needs finite limits.effort: without them no time is the least")
+        if objective.has("tracking") and self.reference is None:
+            raise ProblemError("objective.minimize 'tracking' needs a [reference]")
         same = motion.start is not None and motion.goal is not None and np.array_equal(motion.start, motion.goal)
-        if self.objective == "time" and motion.kind == "reach" and same:
+        if list(objective.weights) == ["time"] and motion.kind == "reach" and same and not motion.waypoints:
             raise ProblemError("motion.start_deg is motion.goal_deg: a motion of least time between them takes no time")
-        if self.objective == "time" and motion.duration_s is not None:
+        if objective.has("time") and motion.duration_s is not None:
             raise ProblemError(f"objective.minimize 'time' needs motion.duration_s = \"free\", got {motion.duration_s:g}")
-        if self.objective == "tracking" and motion.duration_s is None:
+        if objective.has("tracking") and motion.duration_s is None:
             raise ProblemError("objective.minimize 'tracking' needs a fixed motion.duration_s, got 'free'")
-        if motion.duration_s is not None and not (np.isfinite(motion.duration_s) and motion.duration_s > 0):
-            raise ProblemError(f'motion.duration_s is a positive number or "free", got {motion.duration_s!r}')
+        lacking = [
+            actuator.name
+            for actuator, motor in zip(self.mechanism.actuators, self.motors, strict=False)
+            if motor is None or motor.torque_constant is None
+        ]
+        if objective.has("copper_loss") and lacking:
+            raise ProblemError(
+                "objective.minimize 'copper_loss' needs motors.NAME.torque_constant and resistance_ohm of every actuator;"
+                f" missing for {', '.join(lacking)}"
+            )
+        rated = np.any(np.isfinite(self.limits.effort_rate))
+        if (objective.has("effort_rate") or rated) and self.mesh.effort == "constant":
+            raise ProblemError(
+                "limits.effort_rate and minimize 'effort_rate' need mesh.effort linear or polynomial, got constant"
+            )
+
+    def _check_shapes(self) -> None:
+        motion, mechanism = self.motion, self.mechanism
+        n_s = mechanism.dof
         for name in ("start", "goal", "start_speed", "goal_speed"):
             value = getattr(motion, name)
             if value is not None and (value.shape != (n_s,) or not np.all(np.isfinite(value))):
                 raise ProblemError(f"motion.{name} has one finite value for each of {n_s} independent joints, got {value}")
-        rows = {"effort": self.mechanism.n_u, "position": self.mechanism.n_q, "speed": self.mechanism.n_q}
+        for k, waypoint in enumerate(motion.waypoints):
+            if waypoint.position.shape != (n_s,) or waypoint.speed.shape != (n_s,):
+                raise ProblemError(f"motion.waypoints[{k}] has one value for each of {n_s} independent joints")
+        if len(self.limits.closure_force) == 0:
+            limits = replace(self.limits, closure_force=np.full(len(mechanism.closure_names), np.inf))
+            object.__setattr__(self, "limits", limits)
+        rows = {"effort": mechanism.n_u, "position": mechanism.n_q, "speed": mechanism.n_q}
+        rows |= {"effort_rate": mechanism.n_u, "power": mechanism.n_u, "closure_force": len(mechanism.closure_names)}
         for name, n_rows in rows.items():
             if len(getattr(self.limits, name)) != n_rows:
                 raise ProblemError(f"limits.{name} needs {n_rows} rows, got {len(getattr(self.limits, name))}")
+        guessed = self.guess.path.shape[1] if isinstance(self.guess, Sketch) else getattr(self.guess, "n_s", n_s)
+        if guessed != n_s:
+            raise ProblemError(f"the guess moves {guessed} joints, '{mechanism.name}' has {n_s} independent ones")
+        if len(self.motors) != mechanism.n_u:
+            raise ProblemError(f"motors needs one entry for each of {mechanism.n_u} actuators, got {len(self.motors)}")
 
     @property
     def not_honoured(self) -> tuple[str, ...]:

@@ -15,45 +15,42 @@ from models.audit import audit
 from models.errors import AssemblyError, ProblemError
 from models.library import is_file
 from models.mechanism import Mechanism, load_mechanism
-from models.names import choose, nearest
+from models.names import nearest
 from planner.certificate import INTEGRATION_DEG
-from planner.prescribed import is_whole
+from planner.joint_values import joint_values
+from planner.limits_file import KEYS as LIMIT_KEYS
+from planner.limits_file import limits_of, motors_of
+from planner.motion_file import KEYS as MOTION_KEYS
+from planner.motion_file import motion_of
+from planner.objective import TERMS, Objective, objective_from
 from planner.problem import (
     COMPILE,
     KINDS,
-    OBJECTIVES,
-    Limits,
+    REFINE,
+    SOLVERS,
     MeshSettings,
-    Motion,
     PlanningProblem,
+    Sketch,
     SolverSettings,
     Tracking,
 )
 from planner.reference import Sine
 from planner.schemes import scheme
 from planner.tables import Tables, apply_override, read_tables
-from planner.values import interval, number, word
+from planner.trajectory import Trajectory
+from planner.trajectory_file import read_trajectory
+from planner.values import number, whole, word
 
 KEYS: Mapping[str, tuple[str, ...]] = {
     "mechanism": ("model", "payload", "home_deg", "home_m", "independent"),
-    "motion": (
-        "kind",
-        "start_deg",
-        "start_m",
-        "goal_deg",
-        "goal_m",
-        "start_speed_deg_s",
-        "start_speed_m_s",
-        "goal_speed_deg_s",
-        "goal_speed_m_s",
-        "duration_s",
-        "max_duration_s",
-    ),
+    "motion": MOTION_KEYS,
     "reference": ("amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg", "frequency_hz"),
     "objective": ("minimize",),
-    "limits": ("effort", "range_deg", "range_m", "speed_deg_s", "speed_m_s"),
-    "mesh": ("scheme", "intervals", "effort", "tolerance_deg"),
-    "solver": ("compile", "max_time_s"),
+    "limits": LIMIT_KEYS,
+    "motors": (),
+    "guess": ("plan", "path_deg", "path_m", "duration_s"),
+    "mesh": ("scheme", "intervals", "effort", "tolerance_deg", "refine", "breaks"),
+    "solver": ("name", "compile", "max_time_s", "starts"),
     "tracking": (
         "kp",
         "kd",
@@ -66,6 +63,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 }
 # The integration that judges is good to about a tenth of this.
 _TIGHTEST_DEG = 1e-9
+# Starts beyond this take minutes without finding more.
+MAX_STARTS = 1000
 # Meshes beyond this take minutes; a typing slip of a zero should not.
 MAX_INTERVALS = 20_000
 # A dependent joint named in start_deg or goal_deg must stand this near to where the closed loop has it.
@@ -99,15 +98,17 @@ def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -
         )
     kind = word(section["motion"], "motion.kind", KINDS)
     default = "tracking" if kind == "track" or (kind == "periodic" and section["reference"]) else "effort"
-    objective = word(section["objective"], "objective.minimize", OBJECTIVES, default)
+    objective = _objective(section["objective"], default)
     reference = _reference(section["reference"], mechanism) if section["reference"] else None
     problem = PlanningProblem(
         name=name,
         mechanism=mechanism,
-        motion=_motion(section["motion"], kind, mechanism, reference),
+        motion=motion_of(section["motion"], kind, mechanism, reference),
         objective=objective,
-        limits=_limits(section["limits"], mechanism),
+        limits=limits_of(section["limits"], mechanism),
+        motors=motors_of(section["motors"], mechanism),
         reference=reference,
+        guess=_guess(section["guess"], mechanism, folder),
         mesh=_mesh(section["mesh"]),
         solver=_solver(section["solver"]),
         tracking=_tracking(section["tracking"]),
@@ -139,7 +140,7 @@ def _check_keys(tables: Tables) -> None:
         if not isinstance(content, dict):
             raise ProblemError(f"'{section}' is a table ([{section}]), got {content!r}")
         for key in content:
-            if key not in KEYS[section]:
+            if section != "motors" and key not in KEYS[section]:
                 raise ProblemError(
                     f"unknown key '{section}.{key}'{nearest(key, KEYS[section])}; keys are {', '.join(KEYS[section])}"
                 )
@@ -157,7 +158,7 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
     mechanism = load_mechanism(
         model, payload=section.get("payload"), home=_home(section), independent=section.get("independent")
     )
-    _joint_values(section, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
+    joint_values(section, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
     return mechanism
 
 
@@ -172,73 +173,9 @@ def _home(section: dict) -> dict[str, float]:
     return home
 
 
-def _joint_values(section: dict, key: str, table_name: str, mechanism: Mechanism) -> dict[int, object]:
-    """Return {joint index: raw value} of `key`_deg and `key`_m (before any _s), units checked against the joints."""
-    found: dict[int, object] = {}
-    stem, rate = (key[: -len("_s")], "_s") if key.endswith("_s") else (key, "")
-    for unit, kind, other in (("deg", "hinge", "m"), ("m", "slide", "deg")):
-        name = f"{stem}_{unit}{rate}"
-        table = section.get(name, {})
-        if not isinstance(table, dict):
-            raise ProblemError(f"{table_name}.{name} is a table of joint = value, got {table!r}")
-        for joint, value in table.items():
-            index = mechanism.joint_index(joint, ProblemError)
-            if mechanism.joints[index].kind != kind:
-                raise ProblemError(
-                    f"joint '{joint}' is a {mechanism.joints[index].kind}; use {table_name}.{stem}_{other}{rate}, not {name}"
-                )
-            found[index] = value
-    return found
-
-
-def _state(section: dict, key: str, mechanism: Mechanism, default: float | None) -> np.ndarray | None:
-    """Return the independent joints' values (n_s,) of a boundary condition, or None where nothing is said."""
-    values = _joint_values(section, key, "motion", mechanism)
-    if not values:
-        return None
-    result = []
-    for index in mechanism.independent:
-        joint = mechanism.joints[index]
-        if index not in values and default is None:
-            raise ProblemError(f"motion.{key}_{joint.unit} names no value for joint {joint.name}, which moves on its own")
-        value = values.get(int(index), default)
-        result.append(joint.read(number(value, f"motion.{key} of joint {joint.name}")))
-    if key.endswith("_s"):
-        for index in values:
-            if index not in mechanism.independent:
-                raise ProblemError(
-                    f"motion.{key} of joint {mechanism.joints[index].name}: its speed follows from"
-                    f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
-                )
-    return np.array(result)
-
-
-def _motion(section: dict, kind: str, mechanism: Mechanism, reference: Sine | None) -> Motion:
-    duration = section.get("duration_s", "free" if reference is None else reference.period_s)
-    if isinstance(duration, str) and duration != "free":
-        raise ProblemError(f'motion.duration_s is a positive number or "free", got {duration!r}')
-    duration = None if duration == "free" else number(duration, "motion.duration_s", positive=True)
-    longest = section.get("max_duration_s")
-    repeats = kind == "periodic" and reference is not None and duration is not None
-    if repeats and not is_whole(duration * reference.frequency_hz):
-        raise ProblemError(
-            f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
-            f" {reference.period_s:g} s, got {duration:g}"
-        )
-    return Motion(
-        kind=kind,
-        start=_state(section, "start", mechanism, None),
-        goal=_state(section, "goal", mechanism, None),
-        start_speed=_state(section, "start_speed_s", mechanism, 0.0),
-        goal_speed=_state(section, "goal_speed_s", mechanism, 0.0),
-        duration_s=duration,
-        max_duration_s=None if longest is None else number(longest, "motion.max_duration_s", positive=True),
-    )
-
-
 def _reference(section: dict, mechanism: Mechanism) -> Sine:
     def values(key: str, default: float | None) -> np.ndarray:
-        found = _joint_values(section, key, "reference", mechanism)
+        found = joint_values(section, key, "reference", mechanism)
         for index in found:
             if index not in mechanism.independent:
                 names = ", ".join(j.name for j in mechanism.independent_joints)
@@ -266,46 +203,45 @@ def _reference(section: dict, mechanism: Mechanism) -> Sine:
     )
 
 
-def _limits(section: dict, mechanism: Mechanism) -> Limits:
-    effort = np.array(mechanism.effort_limit)
-    table = section.get("effort", {})
-    if not isinstance(table, dict):
-        raise ProblemError(f"limits.effort is a table of actuator = [low, high], got {table!r}")
-    names = [actuator.name for actuator in mechanism.actuators]
-    for name, value in table.items():
-        effort[names.index(choose("actuator in limits.effort", name, names, ProblemError))] = interval(
-            value, f"limits.effort.{name}"
-        )
-    position = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
-    for index, value in _joint_values(section, "range", "limits", mechanism).items():
-        joint = mechanism.joints[index]
-        low, high = (joint.read(end) for end in interval(value, f"limits.range_{joint.unit}.{joint.name}"))
-        if low < joint.lower or high > joint.upper:
-            raise ProblemError(
-                f"limits.range_{joint.unit}.{joint.name} = {value!r} is wider than the model's own range"
-                f" [{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}], where its stops act"
-            )
-        position[index] = low, high
-    speed = np.tile([-np.inf, np.inf], (mechanism.n_q, 1))
-    for index, value in _joint_values(section, "speed_s", "limits", mechanism).items():
-        joint = mechanism.joints[index]
-        key = f"limits.speed_{joint.unit}_s.{joint.name}"
-        if isinstance(value, list):
-            ends = interval(value, key)
-        else:
-            ends = (-number(value, key, positive=True), number(value, key, positive=True))
-        if not ends[0] <= 0 <= ends[1]:
-            raise ProblemError(f"{key} admits rest, low <= 0 <= high, got {value!r}")
-        speed[index] = [joint.read(end) for end in ends]
-    return Limits(effort=effort, position=position, speed=speed)
+def _objective(section: dict, default: str) -> Objective:
+    wanted = section.get("minimize", default)
+    if isinstance(wanted, dict):
+        return objective_from({term: number(weight, f"objective.minimize.{term}") for term, weight in wanted.items()})
+    return objective_from(word(section, "objective.minimize", tuple(TERMS), default))
+
+
+def _guess(section: dict, mechanism: Mechanism, folder: Path | None) -> Sketch | Trajectory | None:
+    """Return the user's own start: a saved plan's motion, or positions at equal times."""
+    plan, duration = section.get("plan"), section.get("duration_s")
+    duration = None if duration is None else number(duration, "guess.duration_s", positive=True)
+    paths = joint_values(section, "path", "guess", mechanism)
+    if plan is not None and paths:
+        raise ProblemError("guess.plan and guess.path_deg are two guesses; keep one")
+    if plan is not None:
+        if not isinstance(plan, str) or not plan:
+            raise ProblemError(f"guess.plan is a saved plan's folder, got {plan!r}")
+        place = Path(plan) if Path(plan).is_dir() or folder is None else folder / plan
+        if not place.is_dir():
+            raise ProblemError(f"guess.plan '{plan}' is not a folder; it is where a plan was saved")
+        section["plan"] = str(place.resolve())
+        return read_trajectory(place / "trajectory.npz")
+    if not paths:
+        return None
+    columns = []
+    for index, joint in zip(mechanism.independent, mechanism.independent_joints, strict=True):
+        values = paths.get(int(index))
+        if not isinstance(values, list) or len(values) < 2:
+            raise ProblemError(f"guess.path_{joint.unit}.{joint.name} is a list of two or more positions, got {values!r}")
+        columns.append([joint.read(number(value, f"guess.path_{joint.unit}.{joint.name}")) for value in values])
+    if len({len(column) for column in columns}) > 1:
+        raise ProblemError("guess.path_deg has equally many positions for every independent joint")
+    return Sketch(path=np.array(columns).T, duration_s=duration)
 
 
 def _mesh(section: dict) -> MeshSettings:
     default = MeshSettings()
     name = section.get("scheme", default.scheme)
-    intervals = section.get("intervals", default.intervals)
-    if not isinstance(intervals, int) or isinstance(intervals, bool) or not 2 <= intervals <= MAX_INTERVALS:
-        raise ProblemError(f"mesh.intervals is a whole number from 2 to {MAX_INTERVALS}, got {intervals!r}")
+    intervals = whole(section.get("intervals", default.intervals), "mesh.intervals", 2, MAX_INTERVALS)
     effort = section.get("effort", default.effort)
     tolerance = section.get("tolerance_deg")
     if tolerance is not None:
@@ -314,22 +250,42 @@ def _mesh(section: dict) -> MeshSettings:
             raise ProblemError(
                 f"mesh.tolerance_deg is from {_TIGHTEST_DEG:g} to the certificate's {INTEGRATION_DEG:g}, got {tolerance:g}"
             )
-    return MeshSettings(scheme=scheme(name, effort).name, intervals=intervals, effort=effort, tolerance_deg=tolerance)
+    breaks = section.get("breaks")
+    if breaks is not None:
+        if "intervals" in section:
+            raise ProblemError("mesh.breaks and mesh.intervals both say how many intervals there are; keep one")
+        breaks = np.array([number(x, "mesh.breaks") for x in breaks] if isinstance(breaks, list) else [])
+        if not 3 <= len(breaks) <= MAX_INTERVALS + 1 or breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) <= 0):
+            raise ProblemError(
+                "mesh.breaks is three or more increasing numbers from 0 to 1, the ends of the intervals as shares of the"
+                f" duration, got {section['breaks']!r}"
+            )
+        intervals = len(breaks) - 1
+    return MeshSettings(
+        scheme=scheme(name, effort).name,
+        intervals=intervals,
+        effort=effort,
+        tolerance_deg=tolerance,
+        # A transcription that was named is kept, unless its degree is given free in so many words.
+        refine=word(section, "mesh.refine", REFINE, "intervals" if "scheme" in section else default.refine),
+        breaks=breaks,
+    )
 
 
 def _solver(section: dict) -> SolverSettings:
     default = SolverSettings()
     return SolverSettings(
+        name=word(section, "solver.name", SOLVERS, default.name),
         compile=word(section, "solver.compile", COMPILE, default.compile),
         max_time_s=number(section.get("max_time_s", default.max_time_s), "solver.max_time_s", positive=True),
+        starts=whole(section.get("starts", default.starts), "solver.starts", 1, MAX_STARTS),
     )
 
 
 def _tracking(section: dict) -> Tracking:
     default = Tracking()
     delay = section.get("delay_periods", 0)
-    if not isinstance(delay, int) or isinstance(delay, bool) or not 0 <= delay <= 1000:
-        raise ProblemError(f"tracking.delay_periods is a whole number from 0 to 1000, got {delay!r}")
+    whole(delay, "tracking.delay_periods", 0, 1000)
     duration = section.get("duration_s")
 
     def angle(key: str, value: float) -> float:
@@ -350,7 +306,7 @@ def _check_poses(section: dict, problem: PlanningProblem) -> None:
     """Refuse a start or goal whose dependent joints do not stand where the closed loop has them."""
     mechanism = problem.mechanism
     for key, s in (("start", problem.motion.start), ("goal", problem.motion.goal)):
-        named = _joint_values(section, key, "motion", mechanism)
+        named = joint_values(section, key, "motion", mechanism)
         extra = [index for index in named if index not in mechanism.independent]
         if s is None or not extra:
             continue

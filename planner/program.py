@@ -13,15 +13,17 @@ import casadi as ca
 import numpy as np
 import scipy.sparse as sp
 
-from planner.interval import IntervalFunctions, Layout
+from planner.interval import IntervalFunctions
+from planner.layout import Layout
 from planner.mesh import Mesh
+from planner.system import Endpoint
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Program:
     """A program that is built: CasADi functions of all unknowns x and parameters p, ready for a solver.
 
-    Parameters are, per interval, its share of the segment and the parameters of its nodes.
+    Parameters are, per interval, its share of the segment, its own parameters and those of its nodes; then the endpoint's.
     """
 
     layout: Layout
@@ -32,7 +34,14 @@ class Program:
     linear: sp.csr_matrix
 
 
-def build_program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linear: sp.spmatrix, cost: np.ndarray) -> Program:
+def build_program(
+    layout: Layout,
+    mesh: Mesh,
+    interval: IntervalFunctions,
+    linear: sp.spmatrix,
+    cost: np.ndarray,
+    endpoint: Endpoint | None = None,
+) -> Program:
     """Return the program over a mesh.
 
     Args:
@@ -40,31 +49,35 @@ def build_program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linea
         mesh: intervals and segments.
         interval: from `build_interval`.
         linear: appended rows (n_linear, n) that are linear in the unknowns.
-        cost: gradient (n,) of the objective's linear part, which durations enter.
+        cost: gradient (n,) of the objective's linear part.
+        endpoint: rows, appended last, and cost of the motion's ends.
     """
     n, m, n_f = mesh.n_intervals, interval.n_nodes, interval.n_equations + interval.n_path
     n_xi, n_theta = interval.node_value.size1_in(0), interval.node_value.size1_in(1)
+    n_eta = interval.own.size1_in(2)
     gather = _gather(layout, mesh)  # (n, n_w) index of each interval's unknowns
-    x, p = ca.MX.sym("x", layout.size), ca.MX.sym("p", (1 + m * n_theta) * n)
+    size = (1 + n_eta + m * n_theta) * n
+    x, p = ca.MX.sym("x", layout.size), ca.MX.sym("p", size + (endpoint.n_parameters if endpoint else 0))
     w = ca.reshape(x[gather.ravel().tolist()], gather.shape[1], n)
-    P = ca.reshape(p, 1 + m * n_theta, n)
-    share, theta = P[0, :], ca.reshape(P[1:, :], n_theta, m * n)
+    P = ca.reshape(p[:size], size // n, n)
+    share, eta, theta = P[0, :], P[1 : 1 + n_eta, :], ca.reshape(P[1 + n_eta :, :], n_theta, m * n)
+    ends = _Ends(endpoint, layout, x, p[size:]) if endpoint else None
     linear = sp.csr_matrix(linear)
     A, c = _casadi_sparse(linear), ca.DM(cost)
     xi = ca.reshape(interval.nodes.map(n)(w, share), n_xi, m * n)
 
     node_rows = interval.node_value.map(m * n)(xi, theta)
-    own_rows, own_costs = interval.own.map(n)(w, share)
+    own_rows, own_costs = interval.own.map(n)(w, share, eta)
     g_nodes = ca.reshape(node_rows[:n_f, :], m * n_f, n)
-    g = ca.vertcat(ca.vec(ca.vertcat(own_rows, g_nodes)), A @ x)
+    g = ca.vertcat(ca.vec(ca.vertcat(own_rows, g_nodes)), A @ x, *([ends.rows] if ends else []))
     running = ca.reshape(node_rows[n_f, :], m, n)
     h = share * x[layout.durations()[mesh.segment].tolist()].T
-    f = ca.sum2(own_costs) + ca.dot(h, ca.DM(interval.weights).T @ running) + ca.dot(c, x)
+    f = ca.sum2(own_costs) + ca.dot(h, ca.DM(interval.weights).T @ running) + ca.dot(c, x) + (ends.cost if ends else 0)
 
     # CasADi's map deals columns out in order: nodes k m to (k + 1) m - 1 are interval k's.
     # Jacobian: nonzeros of the intervals' Jacobians side by side, then the linear rows', permuted into column order.
     node_jacobian, running_gradient = interval.node_jacobian.map(m * n)(xi, theta)
-    values = interval.chain_jacobian.map(n)(w, share, node_jacobian)
+    values = interval.chain_jacobian.map(n)(w, share, eta, node_jacobian)
     rows, columns = interval.jacobian_pattern
     extra = sp.coo_matrix(linear)
     global_rows = (rows[None, :] + interval.n_rows * np.arange(n)[:, None]).ravel()
@@ -72,10 +85,17 @@ def build_program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linea
     global_columns = np.concatenate([gather[:, columns].ravel(), extra.col])
     n_rows = n * interval.n_rows + linear.shape[0]
     nonzeros = ca.vertcat(ca.vec(values), ca.DM(extra.data))
+    if ends:
+        nonzeros = ca.vertcat(nonzeros, ends.jacobian)
+        global_rows = np.concatenate([global_rows, n_rows + ends.jacobian_places[0]])
+        global_columns = np.concatenate([global_columns, ends.jacobian_places[1]])
+        n_rows += endpoint.n_rows
     jacobian = _assemble(nonzeros, global_rows, global_columns, (n_rows, layout.size))
 
-    gradients = interval.chain_gradient.map(n)(w, share, node_rows[n_f, :], running_gradient)
+    gradients = interval.chain_gradient.map(n)(w, share, eta, node_rows[n_f, :], running_gradient)
     gradient = _scatter(gather.ravel(), layout.size) @ ca.vec(gradients) + c
+    if ends:
+        gradient += _scatter(ends.gradient_places, layout.size) @ ends.gradient
 
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)
     lam = ca.reshape(lam_g[: n * interval.n_rows], interval.n_rows, n)
@@ -85,6 +105,7 @@ def build_program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linea
     hess_values = interval.chain_hessian.map(n)(
         w,
         share,
+        eta,
         lam[: interval.n_own, :],
         ca.repmat(lam_f, 1, n),
         node_gradient,
@@ -94,7 +115,12 @@ def build_program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linea
     rows, columns = interval.hessian_pattern
     first, second = gather[:, rows].ravel(), gather[:, columns].ravel()
     shape = (layout.size, layout.size)
-    hessian = _assemble(ca.vec(hess_values), np.minimum(first, second), np.maximum(first, second), shape)
+    hess_values = ca.vec(hess_values)
+    if ends:
+        hess_values = ca.vertcat(hess_values, ends.hessian(lam_f, lam_g[n_rows - endpoint.n_rows :]))
+        first = np.concatenate([first, ends.hessian_places[0]])
+        second = np.concatenate([second, ends.hessian_places[1]])
+    hessian = _assemble(hess_values, np.minimum(first, second), np.maximum(first, second), shape)
     signature = ["x", "p", "lam_f", "lam_g"]
     functions = {
         "nlp": ca.Function("nlp", [x, p], [f, g], ["x", "p"], ["f", "g"]),
@@ -103,6 +129,61 @@ def build_program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linea
         "hess_lag": ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian], signature, ["triu_hess_gamma_x_x"]),
     }
     return Program(layout=layout, interval=interval, mesh=mesh, functions=functions, n_rows=n_rows, linear=linear)
+
+
+class _Ends:
+    """The endpoint's rows and cost with their derivatives, and where those stand in the whole program's.
+
+    Its local unknowns are e = [first state; last state; duration]; the duration is the sum of the segments'.
+    """
+
+    def __init__(self, endpoint: Endpoint, layout: Layout, x: ca.MX, parameters: ca.MX) -> None:
+        n = layout.n_state
+        e, q = ca.SX.sym("e", 2 * n + 1), ca.SX.sym("q", endpoint.n_parameters)
+        F = ca.densify(endpoint.function(e[:n], e[n : 2 * n], e[2 * n], q))
+        # CasADi makes a row of an empty slice of a column.
+        rows, cost = ca.reshape(F[: endpoint.n_rows], endpoint.n_rows, 1), F[endpoint.n_rows]
+        places = [*layout.state(0), *layout.state(layout.n_intervals)]
+        at = ca.vertcat(x[[int(i) for i in places]], ca.sum1(x[layout.durations().tolist()]))
+        # Each local unknown stands at one place, the duration at as many as there are segments.
+        self._where = [np.array([i]) for i in places] + [layout.durations()]
+        value = ca.Function("ends", [e, q], [rows, cost])(at, parameters)
+        self.rows, self.cost = value
+        J, dense = ca.jacobian(rows, e), ca.densify(ca.gradient(cost, e))
+        row, column, order = self._spread(*J.sparsity().get_triplet(), second_is_place=True)
+        self.jacobian_places = row, column
+        self.jacobian = ca.Function("ends_jacobian", [e, q], [_column(J.nz[:])])(at, parameters)[order]
+        everything = list(range(2 * n + 1))
+        _, self.gradient_places, order = self._spread([0] * len(everything), everything, second_is_place=True)
+        self.gradient = ca.Function("ends_gradient", [e, q], [dense])(at, parameters)[order]
+        lam = ca.SX.sym("lam", 1 + endpoint.n_rows)
+        H = ca.hessian(lam[0] * cost + ca.dot(_column(lam[1:]), rows), e)[0]
+        i, j = H.sparsity().get_triplet()
+        first, second, order = self._spread(i, j, second_is_place=False)
+        upper = first <= second
+        self.hessian_places = first[upper], second[upper]
+        chosen = [value for value, kept in zip(order, upper, strict=True) if kept]
+        self._hessian = ca.Function("ends_hessian", [e, q, lam], [_column(_column(H.nz[:])[chosen])])
+        self._at = at, parameters
+
+    def hessian(self, lam_f: ca.MX, lam_rows: ca.MX) -> ca.MX:
+        """Return the Hessian's values at `hessian_places`."""
+        return self._hessian(*self._at, ca.vertcat(lam_f, lam_rows))
+
+    def _spread(self, rows, columns, *, second_is_place: bool):
+        """Return triplets with local unknowns at their places, and which value stands at each."""
+        first, second, order = [], [], []
+        for value, (i, j) in enumerate(zip(rows, columns, strict=True)):
+            for a in [i] if second_is_place else self._where[i]:
+                for b in self._where[j]:
+                    first.append(int(a))
+                    second.append(int(b))
+                    order.append(value)
+        return np.array(first, dtype=int), np.array(second, dtype=int), order
+
+
+def _column(values: ca.SX) -> ca.SX:
+    return ca.reshape(values, values.numel(), 1)
 
 
 def _gather(layout: Layout, mesh: Mesh) -> np.ndarray:

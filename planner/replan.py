@@ -4,9 +4,9 @@
     for goal in goals:
         plan = planner.plan(replace(problem, motion=replace(problem.motion, goal=goal)))
 
-Boundary states, limits, durations and references are numbers of a program and cost no building. Where a problem is of
-another structure (mechanism or payload, kind, objective, mesh, which limits are finite), or where the warm solve does not
-lead to a motion that its certificate passes, it is planned from the beginning.
+Payload, boundary states, waypoints, limits, durations, references and weights are numbers of a program and cost no building.
+Where a problem is of another structure (mechanism, kind, terms of the objective, mesh, which limits are finite), or
+where the warm solve does not lead to a motion that its certificate passes, it is planned from the beginning.
 """
 
 from dataclasses import replace
@@ -16,13 +16,15 @@ import numpy as np
 
 from models.errors import AssemblyError
 from planner.certificate import certify
+from planner.collocation import Transcribed
 from planner.plan import Plan, Step
-from planner.planning import Say, finished, plan_motion, silent
+from planner.planning import finished, plan_motion
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem
 from planner.program import Program
+from planner.refinement import Say, silent
 from planner.solve import Solution, build_solver, run_solver
-from planner.transcription import Transcribed, renumbered, trajectory_of
+from planner.transcription import renumbered, trajectory_of
 
 # A segment within this share of its bounds counts as stopped by them.
 _ROOM = 1e-6
@@ -50,7 +52,8 @@ class Planner:
             if plan is not None:
                 return plan
         plan = plan_motion(problem, self._say)
-        self._keep(problem, plan.solved if plan.status == "optimal" else None)
+        if plan.status == "optimal" and plan.solved is not None:
+            self._keep(problem, plan.solved)
         return plan
 
     def solve_again(self, problem: PlanningProblem) -> Solution | None:
@@ -77,6 +80,7 @@ class Planner:
             return None
         step = Step(
             what="solved again",
+            scheme=solution.transcribed.scheme.name,
             intervals=solution.transcribed.program.mesh.n_intervals,
             segments=solution.transcribed.program.mesh.n_segments,
             converged=True,
@@ -89,11 +93,11 @@ class Planner:
         self._last = replace(solution.transcribed, start=solution.x)
         return finished(problem, trajectory, certificate, solution.objective, [step], None)
 
-    def _keep(self, problem: PlanningProblem, solved: Transcribed | None) -> None:
-        self._last, self._key = solved, structure(problem) if solved is not None else None
-        if solved is not None and solved.program is not self._program:
+    def _keep(self, problem: PlanningProblem, solved: Transcribed) -> None:
+        self._last, self._key = solved, structure(problem)
+        if solved.program is not self._program:
             self._program = solved.program
-            self._solver = build_solver(solved.program, warm=True, max_time_s=problem.solver.max_time_s)
+            self._solver = build_solver(solved.program, problem.solver, warm=True)
 
 
 def _at_the_end_of_its_room(solution: Solution) -> bool:
@@ -103,13 +107,26 @@ def _at_the_end_of_its_room(solution: Solution) -> bool:
     if len(place) == 1:
         return False
     low, high, at = transcribed.lower[place], transcribed.upper[place], solution.x[place]
-    return bool(np.any(np.minimum(at - low, high - at) < _ROOM * at))
+    return bool(np.any((np.minimum(at - low, high - at) < _ROOM * at) & (high > low)))
 
 
 def structure(problem: PlanningProblem) -> tuple:
     """Return what a program is built on: problems with equal structures differ in numbers only."""
     limits, motion = problem.limits, problem.motion
-    finite = tuple(np.isfinite(limit).tobytes() for limit in (limits.effort, limits.position, limits.speed))
+    limited = (limits.effort, limits.position, limits.speed, limits.effort_rate, limits.power, limits.closure_force)
+    finite = (*(np.isfinite(limit).tobytes() for limit in limited), limits.singular_margin > 0)
     given = tuple(x is None for x in (motion.start, motion.goal, motion.duration_s, motion.max_duration_s))
-    mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort)
-    return (problem.mechanism.fingerprint(), motion.kind, problem.objective, problem.reference is None, finite, given, mesh)
+    via = tuple((np.isnan(w.position).tobytes(), np.isnan(w.speed).tobytes(), w.time_s is None) for w in motion.waypoints)
+    lines = tuple(motor is not None and motor.has_line for motor in problem.motors)
+    mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
+    terms = tuple(problem.objective.weights)
+    payload = problem.mechanism.payload
+    of = (
+        problem.mechanism.fingerprint(payload_apart=True),
+        payload is None or payload.body,
+        motion.kind,
+        terms,
+        problem.reference is None,
+        problem.solver.name,
+    )
+    return (*of, finite, given, motion.min_duration_s is None, via, lines, mesh)

@@ -155,3 +155,9 @@ def bernstein_gram(degree: int) -> np.ndarray:
 def bernstein_integral(degree: int) -> np.ndarray:
     """Return the matrix (degree + 2, degree + 1) from Bernstein coefficients to those of the integral from 0."""
     return np.tril(np.ones((degree + 2, degree + 1)), -1) / (degree + 1)
+
+
+def bernstein_elevation(degree: int, higher: int) -> np.ndarray:
+    """Return the matrix (higher + 1, degree + 1) from a curve's Bernstein coefficients to those at a higher degree."""
+    i, k = np.meshgrid(np.arange(degree + 1), np.arange(higher + 1))
+    return np.asarray(comb(degree, i) * comb(higher - degree, k - i) / comb(higher, k))

@@ -11,14 +11,16 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from planner.collocation import Transcribed
+from planner.problem import SolverSettings
 from planner.program import Program
-from planner.transcription import Transcribed
 
 # Feasibility and optimality of the scaled program; the certificate then judges the motion itself.
 TOLERANCE = 1e-10
-MAX_ITERATIONS = 1000
+MAX_ITERATIONS = 500
 # IPOPT's word for it.
 OUT_OF_TIME = "Maximum_WallTime_Exceeded"
+INVALID = "Invalid_Number_Detected"
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -35,8 +37,10 @@ class Solution:
     solve_s: float
 
 
-def build_solver(program: Program, *, warm: bool = False, max_time_s: float = 600.0) -> ca.Function:
+def build_solver(program: Program, settings: SolverSettings | None = None, *, warm: bool = False) -> ca.Function:
     """Return IPOPT for a program; a warm one begins next to the point and multipliers that it is given."""
+    settings = settings or SolverSettings()
+    iterations = MAX_ITERATIONS if settings.max_iterations is None else settings.max_iterations
     functions = program.functions
     options = {
         "print_time": False,
@@ -44,8 +48,8 @@ def build_solver(program: Program, *, warm: bool = False, max_time_s: float = 60
         "ipopt.sb": "yes",
         "ipopt.tol": TOLERANCE,
         "ipopt.constr_viol_tol": TOLERANCE,
-        "ipopt.max_iter": MAX_ITERATIONS,
-        "ipopt.max_wall_time": max_time_s,
+        "ipopt.max_iter": iterations,
+        "ipopt.max_wall_time": settings.max_time_s,
         # Limits are promises: IPOPT may not relax them by its customary 1e-8.
         "ipopt.bound_relax_factor": 0.0,
         "ipopt.honor_original_bounds": "yes",
@@ -61,10 +65,10 @@ def build_solver(program: Program, *, warm: bool = False, max_time_s: float = 60
     return ca.nlpsol("solver", "ipopt", functions["nlp"], options)
 
 
-def solve(transcribed: Transcribed, *, warm: bool = False, max_time_s: float = 600.0) -> Solution:
+def solve(transcribed: Transcribed, settings: SolverSettings | None = None, *, warm: bool = False) -> Solution:
     """Return the solver's answer; never raises for a problem that has none."""
     begin = time.perf_counter()
-    solver = build_solver(transcribed.program, warm=warm, max_time_s=max_time_s)
+    solver = build_solver(transcribed.program, settings, warm=warm)
     return run_solver(solver, transcribed, build_s=time.perf_counter() - begin)
 
 

@@ -1,10 +1,9 @@
 """Where a least-time motion switches: cuts for a mesh whose segments then settle on them."""
 
 import itertools
+from typing import Protocol
 
 import numpy as np
-
-from planner.trajectory import Trajectory
 
 # A coefficient within this share of the limits' span counts as at its limit; the solver leaves 1e-8.
 _AT_LIMIT = 1e-3
@@ -12,12 +11,24 @@ _AT_LIMIT = 1e-3
 _SMEARED = 3
 
 
-def find_cuts(trajectory: Trajectory, limit: np.ndarray) -> np.ndarray:
+class Efforts(Protocol):
+    """What is looked at of a motion: its intervals' ends and its efforts' Bernstein coefficients (degree + 1, n, n_u)."""
+
+    breaks_s: np.ndarray
+    effort: np.ndarray
+
+    def effort_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return efforts (n, n_u) at times (n,)."""
+        ...
+
+
+def find_cuts(trajectory: Efforts, limit: np.ndarray, knots_s: np.ndarray | None = None) -> np.ndarray:
     """Return the times (n,) [s] at which efforts jump between their limits or leave them, increasing.
 
     Args:
         trajectory: a solution on a fixed mesh.
         limit: (n_u, 2) of the efforts.
+        knots_s: instants [s] at which the mesh is cut already; its ends by default.
 
     A switch inside an interval shows as one smeared interval; its time follows from the impulse, which the smeared
     interval keeps: u_before (t - t_0) + u_after (t_1 - t) = int u dt.
@@ -48,7 +59,7 @@ def find_cuts(trajectory: Trajectory, limit: np.ndarray) -> np.ndarray:
             elif before * after < 0:
                 u_before, u_after = (high, low) if before > 0 else (low, high)
                 cuts.append(_cut_in(breaks[a : b + 1], coefficients[:, a:b], u_before, u_after))
-    return _spread(cuts, breaks)
+    return _spread(cuts, breaks, breaks[[0, -1]] if knots_s is None else knots_s)
 
 
 def _cut_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:
@@ -60,13 +71,13 @@ def _cut_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_aft
     return float(np.clip((impulse + u_before * breaks[0] - u_after * breaks[-1]) / jump, breaks[0], breaks[-1]))
 
 
-def pinned_efforts(trajectory: Trajectory, limit: np.ndarray, cuts: np.ndarray) -> np.ndarray:
+def pinned_efforts(trajectory: Efforts, limit: np.ndarray, cuts: np.ndarray) -> np.ndarray:
     """Return the efforts (n_cuts + 1, n_u) that segments between cuts hold throughout: a limit, or NaN where they vary.
 
     Looked at away from the cuts, next to which the fixed mesh smears the switch.
     """
     ends = np.concatenate([trajectory.breaks_s[:1], cuts, trajectory.breaks_s[-1:]])
-    pinned = np.full((len(ends) - 1, trajectory.n_u), np.nan)
+    pinned = np.full((len(ends) - 1, trajectory.effort.shape[2]), np.nan)
     for k, (begin, end) in enumerate(itertools.pairwise(ends)):
         effort = trajectory.effort_at(begin + np.linspace(0.15, 0.85, 50) * (end - begin))
         for j, (low, high) in enumerate(limit):
@@ -77,11 +88,11 @@ def pinned_efforts(trajectory: Trajectory, limit: np.ndarray, cuts: np.ndarray) 
     return pinned
 
 
-def _spread(cuts: list[float], breaks: np.ndarray) -> np.ndarray:
-    """Return the cuts in order, those dropped that stand closer to another or to an end than half an interval."""
+def _spread(cuts: list[float], breaks: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Return the cuts in order, those dropped that stand closer to another or to a knot than half an interval."""
     apart = 0.5 * float(np.diff(breaks).min())
     kept: list[float] = []
     for cut in sorted(cuts):
-        if cut - breaks[0] > apart and breaks[-1] - cut > apart and (not kept or cut - kept[-1] > apart):
+        if np.abs(cut - knots).min() > apart and (not kept or cut - kept[-1] > apart):
             kept.append(cut)
     return np.array(kept)

@@ -70,3 +70,19 @@ def node_symbols(n_s: int, n_x: int, n_z: int, n_u: int) -> NodeSymbols:
     """Return fresh symbols for a node's unknowns."""
     sizes = {"s": n_s, "v": n_s, "a": n_s, "x": n_x, "r": n_x, "z": n_z, "u": n_u}
     return NodeSymbols(**{name: ca.SX.sym(name, size) for name, size in sizes.items()})
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Endpoint:
+    """What is asked of a motion's two ends together: rows, and a cost.
+
+    `function` maps (first state, last state, duration, parameters), all scaled, to a column [rows (n_rows,); cost].
+    """
+
+    function: ca.Function
+    n_rows: int
+
+    @property
+    def n_parameters(self) -> int:
+        """The number of parameters."""
+        return int(self.function.size1_in(3))

@@ -46,3 +46,10 @@ def interval(value: object, key: str) -> tuple[float, float]:
     if not low < high:
         raise ProblemError(f"{key} is [low, high] with low < high, got {value!r}")
     return low, high
+
+
+def whole(value: object, key: str, low: int, high: int) -> int:
+    """Return a whole number from `low` to `high`."""
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise ProblemError(f"{key} is a whole number from {low} to {high}, got {value!r}")
+    return value

@@ -1,4 +1,4 @@
-"""The command line: `linkplan list | check | plan | track | compare | bode | view | demo`.
+"""The command line: `linkplan list | check | plan | batch | track | compare | bode | view | demo`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
 problems found), said in a sentence; 2 bad input, one line. Heavy imports wait for the command that needs them.
@@ -59,6 +59,9 @@ def build_parser() -> argparse.ArgumentParser:
 
     plan = command("plan", "plan a motion and certify it between the nodes")
     plan.add_argument("problem", metavar="PROBLEM", help="a built-in problem or a TOML file")
+
+    batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
+    batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
 
     track = command("track", "run one tracker on a plan in MuJoCo")
     track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")

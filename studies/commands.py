@@ -169,6 +169,16 @@ def run_plan(arguments: argparse.Namespace) -> int:
     return DONE if plan.status == "optimal" else NO
 
 
+def run_batch(arguments: argparse.Namespace) -> int:
+    """Plan the cases of a batch file; 1 where one of them has no plan."""
+    from studies.batch import run_batch as run
+
+    _output(arguments)
+    said, text, whole = run(arguments)
+    _show(arguments, said, text)
+    return DONE if whole else NO
+
+
 def save_plan(plan: Plan, place: Path) -> None:
     """Write a plan and its figure into an empty folder."""
     from studies.draw_plan import plan_figure

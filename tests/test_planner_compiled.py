@@ -9,7 +9,7 @@ from models.mechanism import load_mechanism
 from planner import compiled as module
 from planner.compiled import cache_folder, cached, compiled, compiler, key_of
 from planner.interval import NAMES, IntervalRows, build_interval
-from planner.mechanics import mechanism_system
+from planner.mechanics import Asked, mechanism_system
 from planner.planning import plan_motion
 from planner.problem_file import load_problem
 from planner.schemes import scheme
@@ -20,7 +20,7 @@ needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has
 
 def built():
     mechanism = load_mechanism("optimus-knee", payload="shank")
-    return build_interval(mechanism_system(mechanism, False, ()), scheme("radau-2"), IntervalRows(effort_weight=(1.0,)))
+    return build_interval(mechanism_system(mechanism, Asked()), scheme("radau-2"), IntervalRows(costs=("effort",)))
 
 
 @pytest.fixture

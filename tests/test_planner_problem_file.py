@@ -302,7 +302,7 @@ def test_a_built_in_problem_is_a_file_like_any_other(name, tmp_path):
     built_in, read = load_problem(name), load_problem(path)
     assert read.name == built_in.name == name
     assert read.source == built_in.source
-    assert read.objective == built_in.objective
+    assert read.objective.weights == built_in.objective.weights
     np.testing.assert_array_equal(read.limits.effort, built_in.limits.effort)
 
 
@@ -330,7 +330,8 @@ def test_a_model_s_path_is_taken_from_its_problem_s_folder(tmp_path):
 
 
 def test_a_periodic_motion_with_a_reference_is_for_tracking_by_default():
-    assert load_problem("knee-sine-shank").objective == load_problem("knee-sine").objective == "tracking"
+    for name in ("knee-sine-shank", "knee-sine"):
+        assert load_problem(name).objective.name == "tracking"
 
 
 def test_a_start_that_names_a_dependent_joint_where_it_is_may_do_so():

@@ -40,9 +40,16 @@ def test_switches_that_move_far_are_looked_for_from_the_beginning():
 
 
 @pytest.mark.parametrize(
-    "overrides", [["motion.duration_s=0.2"], ["limits.effort.act_O=[-90, 95]"], ["motion.start_speed_deg_s={ O = 30.0 }"]]
+    "overrides",
+    [
+        ["motion.duration_s=0.2"],
+        ["limits.effort.act_O=[-90, 95]"],
+        ["motion.start_speed_deg_s={ O = 30.0 }"],
+        ["mechanism.payload.mass_kg=4.4", "mechanism.payload.inertia_kgm2=[0.06, 0.05, 0.05]"],
+        ["mechanism.payload.com_m=[-0.10, 0.0, -0.15]"],
+    ],
 )
-def test_durations_limits_and_boundary_states_are_numbers(overrides):
+def test_durations_limits_boundary_states_and_payloads_are_numbers(overrides):
     planner = Planner()
     planner.plan(load_problem("knee-reach", ["motion.start_speed_deg_s={ O = 0.0 }"]))
     changed = load_problem("knee-reach", ["motion.start_speed_deg_s={ O = 0.0 }", *overrides])
@@ -62,7 +69,9 @@ def test_nothing_is_built_for_new_numbers(monkeypatch):
 @pytest.mark.parametrize(
     "overrides",
     [
-        ["mechanism.payload.mass_kg=5"],
+        ["mechanism.payload=none"],
+        ["mechanism.payload.body=rocker"],
+        ["limits.power_w.act_O=2000"],
         ["mesh.intervals=30"],
         ["mesh.scheme=gauss-3"],
         ["limits.speed_deg_s.O=1500"],
@@ -78,6 +87,27 @@ def test_another_structure_is_planned_from_the_beginning(overrides):
     plan = planner.plan(second)
     assert plan.history[0].what == "first solve"
     assert plan.objective == pytest.approx(plan_motion(second).objective, rel=SAME_FIGURE)
+
+
+@pytest.mark.parametrize(
+    ("settings", "changes"),
+    [
+        (["limits.power_w.act_O=620"], ["limits.power_w.act_O=580"]),
+        (["limits.closure_force.B=1.9"], ["limits.closure_force.B=1.8"]),
+        (["objective.minimize={effort=1.0,effort_rate=1e-6}"], ["objective.minimize={effort=1.0,effort_rate=1e-5}"]),
+        (
+            ["motion.duration_s=0.2", "motion.waypoints=[{at_deg={O=10}, time_s=0.1}]"],
+            ["motion.duration_s=0.21", "motion.waypoints=[{at_deg={O=5}, time_s=0.098}]"],
+        ),
+    ],
+)
+def test_further_limits_weights_and_waypoints_are_numbers(settings, changes):
+    planner = Planner()
+    planner.plan(load_problem("knee-reach", settings))
+    changed = load_problem("knee-reach", changes)
+    fresh, again = plan_motion(changed), planner.solve_again(changed)
+    assert again is not None
+    assert again.objective == pytest.approx(fresh.objective, rel=1e-4)  # a limit that binds is drawn in after certifying
 
 
 def test_an_infeasible_problem_is_explained_and_does_not_spoil_the_next():

@@ -1,0 +1,57 @@
+"""Limits drawn in where a motion overran them between the nodes: there, and by that much, not everywhere."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from planner.margins import Margin
+
+# A little more than the overrun is taken off, so that the next motion keeps the limit and does not creep towards it.
+_MORE = 1.1
+# The limits that are rows of nodes, and so can be overrun between them.
+AT_NODES = ("motor", "power", "closure_force", "singular_margin")
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Inset:
+    """How far one limit is drawn in, as a share (n,) of itself; `breaks` (n + 1,) are shares of the duration."""
+
+    what: str
+    item: int
+    breaks: np.ndarray
+    share: np.ndarray
+
+
+def insets_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[Inset, ...]:
+    """Return what limits are to be drawn in by after a motion with breaks (n + 1,) [s]."""
+    relative = (breaks_s - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
+    found = []
+    for margin in margins:
+        if margin.what in AT_NODES and not margin.kept:
+            found.append(Inset(what=margin.what, item=margin.item, breaks=relative, share=_MORE * margin.overrun))
+    return tuple(found)
+
+
+def drawn_in(
+    insets: tuple[Inset, ...], rows: list[tuple[str, int]], path: np.ndarray
+) -> Callable[[np.ndarray], np.ndarray] | None:
+    """Return a function from breaks (n + 1,) [s] to how far (n, n_path) the bounds `path` (n_path, 2) are drawn in.
+
+    `rows` say for each path quantity which limit it is; the row of a closure's force is the force squared.
+    """
+    if not insets:
+        return None
+    size = np.where(np.isfinite(path), np.abs(path), 0.0).max(axis=1)
+
+    def inset(breaks_s: np.ndarray) -> np.ndarray:
+        middle = (0.5 * (breaks_s[1:] + breaks_s[:-1]) - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
+        drawn = np.zeros((len(middle), len(path)))
+        for one in insets:
+            if (one.what, one.item) in rows:
+                column = rows.index((one.what, one.item))
+                share = one.share[np.clip(np.searchsorted(one.breaks, middle, side="right") - 1, 0, len(one.share) - 1)]
+                drawn[:, column] += size[column] * (2 * share if one.what == "closure_force" else share)
+        return drawn
+
+    return inset

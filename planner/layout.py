@@ -1,0 +1,78 @@
+"""Where the unknowns of a program stand: interval by interval, then the last state, the durations, and what is extra."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Layout:
+    """Where the unknowns of each interval stand in the whole vector."""
+
+    n_s: int
+    n_z: int
+    n_u: int
+    n_nodes: int
+    n_intervals: int
+    n_segments: int
+    n_x: int = 0
+    n_effort: int = 0  # Bernstein coefficients of each effort; as many as nodes where 0
+    n_extra: int = 0  # unknowns of the whole program beyond its last state and durations
+
+    @property
+    def n_state(self) -> int:
+        """The number of states at an interval's end."""
+        return 2 * self.n_s + self.n_x
+
+    @property
+    def effort_coefficients(self) -> int:
+        """The number of Bernstein coefficients of an effort on an interval."""
+        return self.n_effort or self.n_nodes
+
+    @property
+    def block(self) -> int:
+        """The number of unknowns that belong to one interval, its left state included."""
+        inner = self.n_nodes * (self.n_s + self.n_x + self.n_z) + self.effort_coefficients * self.n_u
+        return self.n_state + inner
+
+    @property
+    def size(self) -> int:
+        """The number of unknowns."""
+        return self.n_intervals * self.block + self.n_state + self.n_segments + self.n_extra
+
+    def state(self, k: int) -> np.ndarray:
+        """Return the indices (n_state,) of state k, 0 to n_intervals."""
+        return k * self.block + np.arange(self.n_state)
+
+    def states(self) -> np.ndarray:
+        """Return indices (n_intervals + 1, n_state): s, v, x."""
+        return np.array([self.state(k) for k in range(self.n_intervals + 1)])
+
+    def acceleration(self) -> np.ndarray:
+        """Return indices (n_intervals, n_nodes, n_s)."""
+        return self._inner(self.n_state, self.n_nodes, self.n_s)
+
+    def rate(self) -> np.ndarray:
+        """Return indices (n_intervals, n_nodes, n_x) of the first-order states' rates."""
+        return self._inner(self.n_state + self.n_nodes * self.n_s, self.n_nodes, self.n_x)
+
+    def dependent(self) -> np.ndarray:
+        """Return indices (n_intervals, n_nodes, n_z)."""
+        return self._inner(self.n_state + self.n_nodes * (self.n_s + self.n_x), self.n_nodes, self.n_z)
+
+    def effort(self) -> np.ndarray:
+        """Return indices (n_intervals, n_coefficients, n_u) of Bernstein coefficients."""
+        start = self.n_state + self.n_nodes * (self.n_s + self.n_x + self.n_z)
+        return self._inner(start, self.effort_coefficients, self.n_u)
+
+    def durations(self) -> np.ndarray:
+        """Return the indices (n_segments,) of the segments' durations."""
+        return self.size - self.n_extra - self.n_segments + np.arange(self.n_segments)
+
+    def extra(self) -> np.ndarray:
+        """Return the indices (n_extra,) of the whole program's further unknowns."""
+        return self.size - self.n_extra + np.arange(self.n_extra)
+
+    def _inner(self, start: int, count: int, width: int) -> np.ndarray:
+        inner = np.arange(count * width).reshape(count, width)
+        return start + self.block * np.arange(self.n_intervals)[:, None, None] + inner

@@ -1,0 +1,121 @@
+"""A mechanism's planning problem as refinement sees it."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from models.errors import AssemblyError
+from planner.certificate import INTEGRATION_DEG, INTEGRATION_M, RANGE_SLACK, Certificate, certify
+from planner.collocation import Transcribed
+from planner.guess import Guess, motion_of
+from planner.infeasibility import tightened
+from planner.insets import Inset, insets_of
+from planner.mesh import Mesh
+from planner.plan import Step
+from planner.problem import MeshSettings, PlanningProblem, SolverSettings
+from planner.solve import Solution
+from planner.trajectory import Trajectory
+from planner.transcription import trajectory_of, transcribe
+
+# What the integrated state is refined towards where no tolerance is asked for [deg].
+_TARGET_DEG = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MechanismCase:
+    """A `planner.refinement.Case` of a planning problem; certificates are against `asked`, solves within `problem`."""
+
+    problem: PlanningProblem
+    asked: PlanningProblem
+    insets: tuple[Inset, ...] = ()
+
+    @property
+    def mesh(self) -> MeshSettings:
+        """The problem's mesh settings."""
+        return self.problem.mesh
+
+    @property
+    def solver(self) -> SolverSettings:
+        """The problem's solver settings."""
+        return self.problem.solver
+
+    @property
+    def effort_limit(self) -> np.ndarray:
+        """The effort limits (n_u, 2)."""
+        return self.asked.limits.effort
+
+    @property
+    def least_time(self) -> bool:
+        """Whether switches are looked for: the objective is nothing but time, and no limit but effort shapes its arcs."""
+        return self.problem.objective.has("time") and not self.problem.objective.has("effort_rate")
+
+    @property
+    def tolerance_given(self) -> bool:
+        """Whether the problem asks for a tolerance."""
+        return self.asked.mesh.tolerance_deg is not None
+
+    @property
+    def objective_tolerance(self) -> float | None:
+        """None: a mechanism's mesh is judged by its motion."""
+        return None
+
+    def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
+        """Return the program from a guess."""
+        return transcribe(self.problem, start, mesh, durations, insets=self.insets, **options)
+
+    def motion(self, solution: Solution, limit: np.ndarray) -> Trajectory | None:
+        """Return a solution's trajectory; None where the solver took it to another branch."""
+        try:
+            return trajectory_of(solution.transcribed, solution.x, limit)
+        except AssemblyError:
+            return None
+
+    def start_from(self, motion: Trajectory) -> Guess:
+        """Return a trajectory as a guess."""
+        return motion_of(motion)
+
+    def certify(self, motion: Trajectory) -> Certificate | None:
+        """Return a trajectory's certificate; None where it leaves the branch."""
+        try:
+            return certify(self.asked, motion)
+        except AssemblyError:
+            return None
+
+    def strictness(self) -> float:
+        """Return how many times more exact than a certificate demands the integrated state is to be."""
+        return INTEGRATION_DEG / (self.asked.mesh.tolerance_deg or _TARGET_DEG)
+
+    def exact(self, certificate: Certificate) -> bool:
+        """Return whether the integrated state is within the tolerance."""
+        strict = self.strictness()
+        return certificate.integration_error_deg * strict <= INTEGRATION_DEG and (
+            certificate.integration_error_m * strict <= INTEGRATION_M
+        )
+
+    def noted(self, step: Step, certificate: Certificate) -> Step:
+        """Return a step with the certificate's integration error."""
+        return replace(step, integration_error_deg=certificate.integration_error_deg)
+
+    def leaves_positions(self, certificate: Certificate) -> bool:
+        """Return whether a joint leaves its range."""
+        return bool(np.any(certificate.position_margin < 0))
+
+    def overruns(self, certificate: Certificate) -> bool:
+        """Return whether a joint leaves its range or speed limit, or another limit is overrun between the nodes."""
+        least = min(certificate.position_margin.min(), certificate.speed_margin.min())
+        return bool(least < -RANGE_SLACK) or not all(margin.kept for margin in certificate.margins)
+
+    def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
+        """Return the case with limits drawn in by what the motion overran them."""
+        further = insets_of(certificate.margins, motion.breaks_s)
+        return replace(self, problem=tightened(self.problem, certificate), insets=self.insets + further)
+
+    def with_scheme(self, name: str) -> "MechanismCase":
+        """Return the case with another transcription."""
+        return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
+
+
+def case_of(problem: PlanningProblem) -> MechanismCase:
+    """Return the case of a problem."""
+    return MechanismCase(problem, problem)

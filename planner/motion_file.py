@@ -1,0 +1,104 @@
+"""The [motion] table of a problem file."""
+
+import numpy as np
+
+from models.errors import ProblemError
+from models.mechanism import Mechanism
+from models.names import nearest
+from planner.joint_values import joint_values
+from planner.motion import Motion, Waypoint
+from planner.prescribed import is_whole
+from planner.reference import Sine
+from planner.values import number
+
+KEYS = (
+    "kind",
+    "start_deg",
+    "start_m",
+    "goal_deg",
+    "goal_m",
+    "start_speed_deg_s",
+    "start_speed_m_s",
+    "goal_speed_deg_s",
+    "goal_speed_m_s",
+    "duration_s",
+    "min_duration_s",
+    "max_duration_s",
+    "waypoints",
+)
+WAYPOINT_KEYS = ("at_deg", "at_m", "speed_deg_s", "speed_m_s", "time_s")
+
+
+def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | None) -> Motion:
+    """Return the motion of a [motion] table."""
+    duration = section.get("duration_s", "free" if reference is None else reference.period_s)
+    if isinstance(duration, str) and duration != "free":
+        raise ProblemError(f'motion.duration_s is a positive number or "free", got {duration!r}')
+    duration = None if duration == "free" else number(duration, "motion.duration_s", positive=True)
+    repeats = kind == "periodic" and reference is not None and duration is not None
+    if repeats and not is_whole(duration * reference.frequency_hz):
+        raise ProblemError(
+            f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
+            f" {reference.period_s:g} s, got {duration:g}"
+        )
+    return Motion(
+        kind=kind,
+        start=_state(section, "start", mechanism, None),
+        goal=_state(section, "goal", mechanism, None),
+        start_speed=_state(section, "start_speed_s", mechanism, 0.0),
+        goal_speed=_state(section, "goal_speed_s", mechanism, 0.0),
+        duration_s=duration,
+        min_duration_s=_optional(section, "min_duration_s"),
+        max_duration_s=_optional(section, "max_duration_s"),
+        waypoints=_waypoints(section, mechanism),
+    )
+
+
+def _state(section: dict, key: str, mechanism: Mechanism, default: float | None, where="motion") -> np.ndarray | None:
+    """Return the independent joints' values (n_s,) of a boundary condition, or None where nothing is said."""
+    values = joint_values(section, key, where, mechanism)
+    if not values:
+        return None
+    result = []
+    for index in mechanism.independent:
+        joint = mechanism.joints[index]
+        if index not in values and default is None:
+            raise ProblemError(f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which moves on its own")
+        value = values.get(int(index), default)
+        result.append(joint.read(number(value, f"{where}.{key} of joint {joint.name}")))
+    if key.endswith("_s"):
+        for index in values:
+            if index not in mechanism.independent:
+                raise ProblemError(
+                    f"{where}.{key} of joint {mechanism.joints[index].name}: its speed follows from"
+                    f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
+                )
+    return np.array(result)
+
+
+def _optional(section: dict, key: str) -> float | None:
+    value = section.get(key)
+    return None if value is None else number(value, f"motion.{key}", positive=True)
+
+
+def _waypoints(section: dict, mechanism: Mechanism) -> tuple[Waypoint, ...]:
+    given = section.get("waypoints", [])
+    if not isinstance(given, list) or not all(isinstance(item, dict) for item in given):
+        raise ProblemError(f"motion.waypoints is a list of tables with keys {', '.join(WAYPOINT_KEYS)}, got {given!r}")
+    waypoints = []
+    for k, item in enumerate(given):
+        where = f"motion.waypoints[{k}]"
+        for key in item:
+            if key not in WAYPOINT_KEYS:
+                raise ProblemError(
+                    f"unknown key '{where}.{key}'{nearest(key, WAYPOINT_KEYS)}; keys are {', '.join(WAYPOINT_KEYS)}"
+                )
+        nothing = np.full(mechanism.dof, np.nan)
+        states = []
+        for key in ("at", "speed_s"):
+            state = _state(item, key, mechanism, np.nan, where)
+            states.append(nothing if state is None else state)
+        time = item.get("time_s", "free")
+        time = None if time == "free" else number(time, f"{where}.time_s", positive=True)
+        waypoints.append(Waypoint(position=states[0], speed=states[1], time_s=time))
+    return tuple(waypoints)

@@ -1,0 +1,275 @@
+"""From a first solution to a certified one: cuts at its switches, finer meshes and higher degrees until it passes.
+
+What is planned for stands behind `Case`: a mechanism's problem and a user's differential equation are refined by the
+same code.
+"""
+
+import re
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from planner.collocation import Transcribed
+from planner.mesh import Mesh, halved, segmented
+from planner.plan import Step
+from planner.problem import MeshSettings, SolverSettings
+from planner.schemes import MAX_DEGREE
+from planner.solve import Solution, solve
+from planner.switches import find_cuts, pinned_efforts
+
+# Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
+_ROUNDS = 10
+# A mesh that has grown by this factor without passing will not pass by growing on.
+_MOST = 120
+# Where no tolerance is asked for, the target is followed as far as a mesh of so many intervals carries it; how far below the
+# worst interval's error another may be to be halved with it.
+_COMFORTABLE = 100
+_WORST = 0.01
+_MARK = 0.5
+# The degree is raised where at least this share of the intervals asks for more, and none stands out by more than this
+# factor: the motion is smooth there, and nodes are worth more than intervals.
+_EVERYWHERE = 0.5
+_STANDS_OUT = 30.0
+# Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
+_ROUGH = 0.01
+# A solve with cuts at its switches replaces the one before when it is no slower than the error of a mesh without cuts.
+NO_WORSE = 1e-4
+# Cuts next to arcs within the limits settle in a few solves: until the objective gains less than this share, relative.
+_SETTLINGS = 4
+_SETTLED = 1e-9
+
+Say = Callable[[str], None]
+
+
+def silent(text: str) -> None:
+    """Say nothing: the default for progress."""
+    del text
+
+
+class Case(Protocol):
+    """A problem as refinement sees it. Motions, starts and certificates are its own."""
+
+    mesh: MeshSettings
+    solver: SolverSettings
+    effort_limit: np.ndarray  # (n_u, 2)
+    least_time: bool  # whether time is in the objective: switches are then looked for
+    tolerance_given: bool  # whether the user asked for a tolerance
+    objective_tolerance: float | None  # on the objective's change from mesh to mesh, relative
+
+    def transcribe(self, start: Any, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
+        """Return the program from a start; options are position_rows, pinned and least_limit."""
+        ...
+
+    def motion(self, solution: Solution, limit: np.ndarray) -> Any | None:
+        """Return the motion of a solution, efforts cut at `limit`; None where it is none."""
+        ...
+
+    def start_from(self, motion: Any) -> Any:
+        """Return a motion as a start."""
+        ...
+
+    def certify(self, motion: Any) -> Any | None:
+        """Return a motion's certificate: passed, growth, residual_share; None where it has none."""
+        ...
+
+    def strictness(self) -> float:
+        """Return how many times more exact than a certificate demands the integrated state is to be."""
+        ...
+
+    def exact(self, certificate: Any) -> bool:
+        """Return whether a certificate's integration error is within the tolerance."""
+        ...
+
+    def noted(self, step: Step, certificate: Any) -> Step:
+        """Return a step with the certificate's error in it."""
+        ...
+
+    def leaves_positions(self, certificate: Any) -> bool:
+        """Return whether states leave their bounds between the nodes."""
+        ...
+
+    def overruns(self, certificate: Any) -> bool:
+        """Return whether a limit is left between the nodes that tightening mends."""
+        ...
+
+    def tightened(self, certificate: Any, motion: Any) -> "Case":
+        """Return the case with limits drawn in by what a motion overran them."""
+        ...
+
+    def with_scheme(self, name: str) -> "Case":
+        """Return the case with another transcription."""
+        ...
+
+
+def attempt(
+    case: Case, start: Any, mesh: Mesh, durations, what: str, history: list[Step], say: Say, *, warm=False, **options: Any
+) -> tuple[Any, Solution] | None:
+    """Return the motion and solution of one solve, noted in the history; None where it found none."""
+    say(f"{what}: {case.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
+    transcribed = case.transcribe(start, mesh, durations, **options)
+    solution = solve(transcribed, case.solver, warm=warm)
+    history.append(step_of(what, transcribed, solution))
+    if not solution.converged:
+        return None
+    motion = case.motion(solution, case.effort_limit)
+    return None if motion is None else (motion, solution)
+
+
+def step_of(what: str, transcribed: Transcribed, solution: Solution) -> Step:
+    """Return the record of one solve."""
+    mesh = transcribed.program.mesh
+    return Step(
+        what=what,
+        scheme=transcribed.scheme.name,
+        intervals=mesh.n_intervals,
+        segments=mesh.n_segments,
+        converged=solution.converged,
+        solver_status=solution.status,
+        objective=solution.objective,
+        integration_error_deg=None,
+        build_s=transcribed.build_s + solution.build_s,
+        solve_s=solution.solve_s,
+    )
+
+
+def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[Step], say: Say):
+    """Return the best motion towards the tolerance: (motion, solution, certificate), or None where none can be certified.
+
+    The certificate may not pass: then the motion is the last one tried.
+    """
+    motion, solution = found
+    pinned = None
+    if case.least_time:
+        motion, solution, mesh, pinned = settle_switches(case, motion, solution, mesh, history, say)
+    certificate = _certify(case, motion, history)
+    position_rows, kept, finest = False, case, _MOST * case.mesh.intervals
+    passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
+    for _ in range(_ROUNDS):
+        settled = True
+        if certificate is not None and certificate.passed:
+            passed = motion, solution, certificate
+            wanted = case.objective_tolerance
+            settled = wanted is None or abs(solution.objective - before) <= wanted * abs(solution.objective)
+            if case.exact(certificate) and settled:
+                break
+            before = solution.objective
+        begun = position_rows
+        position_rows = position_rows or certificate is None or case.leaves_positions(certificate)
+        marked = _marked(mesh, certificate, case.strictness())
+        if not settled and not marked.any():
+            marked = _rough(motion)
+        higher = _higher(kept, certificate, marked)
+        what = "finer mesh"
+        if position_rows and not begun and certificate is not None:
+            what, marked = "states kept within their limits at every instant", np.zeros(mesh.n_intervals, dtype=bool)
+        elif higher is not None:
+            kept, what, marked = kept.with_scheme(higher), f"higher degree, {higher}", np.zeros(mesh.n_intervals, dtype=bool)
+        elif not marked.any() and certificate is not None and case.overruns(certificate):
+            # Only a limit is left, between the nodes: ask the solver for a little less than it.
+            kept, what = kept.tightened(certificate, motion), "limits kept between the nodes"
+        elif not marked.any():
+            marked[:] = True
+        n_finer = mesh.n_intervals + int(marked.sum())
+        if n_finer > finest or (passed is not None and not case.tolerance_given and n_finer > _COMFORTABLE):
+            break
+        mesh = halved(mesh, marked)
+        durations = np.bincount(mesh.segment, weights=_widths(motion, marked))
+        finer = attempt(
+            kept, kept.start_from(motion), mesh, durations, what, history, say, position_rows=position_rows, pinned=pinned
+        )
+        if finer is None:
+            break
+        motion, solution = finer
+        certificate = _certify(case, motion, history)
+    if passed is not None and (certificate is None or not certificate.passed):
+        motion, solution, certificate = passed
+    return None if certificate is None else (motion, solution, certificate)
+
+
+def _certify(case: Case, motion: Any, history: list[Step]) -> Any | None:
+    """Return a motion's certificate, its error noted in the history."""
+    certificate = case.certify(motion)
+    if certificate is not None:
+        history[-1] = case.noted(history[-1], certificate)
+    return certificate
+
+
+def _marked(mesh: Mesh, certificate: Any | None, strictness: float) -> np.ndarray:
+    """Return which intervals (n,) to halve: those with more than their share of an error that is too large."""
+    if certificate is None or not np.all(np.isfinite(certificate.growth)):
+        return np.ones(mesh.n_intervals, dtype=bool)
+    growth = certificate.growth * strictness
+    marked = np.zeros(mesh.n_intervals, dtype=bool)
+    if certificate.residual_share.max() > 1.0:
+        marked |= certificate.residual_share > _MARK
+    if growth.sum() > 1.0:
+        marked |= growth > _MARK * max(1.0, _WORST * growth.max() * mesh.n_intervals) / mesh.n_intervals
+    return marked
+
+
+def _rough(motion: Any) -> np.ndarray:
+    """Return the intervals (n,) on which the efforts' polynomials bend most in their highest degree: next to kinks."""
+    widths, degree = np.diff(motion.breaks_s), motion.effort.shape[0] - 1
+    bend = np.abs(np.diff(motion.effort, n=degree, axis=0)[0]) if degree else np.abs(motion.effort[0])
+    size = np.maximum(np.abs(motion.effort).max(axis=(0, 1)), np.finfo(float).tiny)
+    rough = widths * (bend / size).max(axis=1)
+    return rough >= _ROUGH * rough.max()
+
+
+def _higher(case: Case, certificate: Any | None, marked: np.ndarray) -> str | None:
+    """Return the transcription of higher degree that is worth more than a finer mesh, or None."""
+    family = re.fullmatch(r"(radau|gauss)-(\d)", case.mesh.scheme)
+    if family is None or case.mesh.refine == "intervals" or certificate is None or not marked.any():
+        return None
+    degree = min(int(family[2]) + 2, MAX_DEGREE)
+    growth = certificate.growth[marked]
+    even = marked.mean() >= _EVERYWHERE and growth.max() <= _STANDS_OUT * max(float(np.median(growth)), 1e-300)
+    if degree == int(family[2]) or not (even or case.mesh.refine == "degree"):
+        return None
+    return f"{family[1]}-{degree}"
+
+
+def _widths(motion: Any, marked: np.ndarray) -> np.ndarray:
+    widths = np.diff(motion.breaks_s)
+    pieces = np.where(marked, 2, 1)
+    return np.repeat(widths / pieces, pieces)
+
+
+def settle_switches(case: Case, motion: Any, solution: Solution, mesh: Mesh, history: list[Step], say: Say):
+    """Return a solution with mesh cuts at its switches: motion, solution, mesh, and the efforts held between the cuts.
+
+    First with efforts held at the limits that the arcs showed, which leaves the cuts alone to be found; where that is
+    slower than the solution without cuts, the arcs were read wrongly and the efforts are set free again.
+    """
+    pinned, no_worse = None, NO_WORSE
+    for _ in range(_SETTLINGS):
+        knots = motion.breaks_s[mesh.knots()]
+        cuts = find_cuts(motion, case.effort_limit, knots)
+        if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6:
+            break
+        finer, durations = cut_mesh(knots, cuts, case.mesh.intervals)
+        ends = np.concatenate([[knots[0]], np.cumsum(durations) + knots[0]])
+        held, start = pinned_efforts(motion, case.effort_limit, ends[1:-1]), case.start_from(motion)
+        better = None
+        for efforts, what in ((held, "cuts at the switches"), (None, "cuts at the switches, efforts free")):
+            found = attempt(case, start, finer, durations, what, history, say, pinned=efforts, warm=True)
+            if found is not None and found[1].objective <= solution.objective + no_worse * abs(solution.objective):
+                better = found
+                break
+        if better is None:
+            break
+        settled = better[1].objective > solution.objective - _SETTLED * abs(solution.objective)
+        (motion, solution), mesh, pinned = better, finer, efforts
+        no_worse = _SETTLED  # from now on both have cuts, and only a better one replaces the other
+        if settled or not np.any(np.isnan(held)):
+            break
+    return motion, solution, mesh, pinned
+
+
+def cut_mesh(knots_s: np.ndarray, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh with movable cuts (n_cuts,) [s] between knots (n_knots,) [s], and its segments' durations [s]."""
+    ends = np.sort(np.concatenate([knots_s, cuts_s]))
+    leg = np.searchsorted(knots_s, ends[:-1], side="right") - 1
+    durations = np.diff(ends)
+    return segmented(durations, n_intervals, leg=leg), durations

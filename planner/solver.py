@@ -1,0 +1,24 @@
+"""What a solver is to the planner: called with a program's numbers, it answers; and its words for why it stopped."""
+
+from typing import Any, Protocol
+
+# Feasibility and optimality of the scaled program; the certificate then judges the motion itself.
+TOLERANCE = 1e-10
+MAX_ITERATIONS = 500
+# IPOPT's words, which the others borrow.
+SUCCEEDED = "Solve_Succeeded"
+OUT_OF_TIME = "Maximum_WallTime_Exceeded"
+OUT_OF_ITERATIONS = "Maximum_Iterations_Exceeded"
+INVALID = "Invalid_Number_Detected"
+
+
+class Solver(Protocol):
+    """A solver built for one program, as `casadi.nlpsol` makes them."""
+
+    def __call__(self, **numbers: Any) -> Any:
+        """Return the answer, "x" and "f", from x0, p, lbx, ubx, lbg and ubg."""
+        ...
+
+    def stats(self) -> dict[str, Any]:
+        """Return what there is to say of the last answer: success, return_status, iter_count."""
+        ...
