@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from models.closure import Closure
-from models.elimination import block_determinants, determinant, factorise
+from models.elimination import block_determinants, determinant, factorise, solve_positive
 from models.tree import Tree
 
 
@@ -92,7 +92,7 @@ def reduce_tree(
     effort_map = gamma_map.T @ B
     inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
     reduced_bias = gamma_map.T @ tree_effort(q, rates, gamma, *further)
-    acceleration = _solve(inertia, effort_map @ u - reduced_bias)
+    acceleration = solve_positive(inertia, effort_map @ u - reduced_bias)
 
     force = ca.SX.zeros(phi.numel())
     if chosen:
