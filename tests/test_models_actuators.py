@@ -7,6 +7,7 @@ import pytest
 
 from models.actuators import Actuator
 from models.audit import audit
+from models.controls import control_excess, needed_controls
 from models.mechanism import Mechanism, load_mechanism
 from models.tree import build_tree
 from tests.linkages import GRIPPER
@@ -189,6 +190,20 @@ def test_a_servos_ctrl_is_cut_at_its_range():
     actuator = only('<position joint="crank" kp="5" ctrlrange="-0.4 0.4"/>')
     assert actuator.control(100.0, 0.1, 0.0) == 0.4
     assert abs(actuator.effort(7.0, 0.1, 0.0) - 5 * (0.4 - 0.1)) < 1e-12
+
+
+def test_the_ctrl_that_efforts_need_is_mujocos_and_its_excess_is_counted():
+    limited = '<position joint="crank" kp="5" kv="0.3" ctrlrange="-0.4 0.4"/><motor joint="rod" ctrlrange="-3 3"/>'
+    mechanism = bench(limited)
+    rng = np.random.default_rng(0)
+    q, v, u = rng.uniform(-0.5, 0.5, (10, 3)), rng.normal(size=(10, 3)), rng.uniform(-4, 4, (10, 2))
+    controls = needed_controls(mechanism, q, v, u)
+    assert np.abs(controls[:, 0] - (u[:, 0] + 5 * q[:, 0] + 0.3 * v[:, 0]) / 5).max() < 1e-12
+    assert np.abs(controls[:, 1] - u[:, 1]).max() < 1e-12
+    excess = control_excess(mechanism, q, v, u)
+    assert np.abs(excess - (np.abs(controls) - [0.4, 3.0])).max() < 1e-12
+    assert np.any(excess > 0)
+    assert np.any(excess < 0)
 
 
 def test_a_servo_is_named_with_what_its_ctrl_is_for():
