@@ -118,7 +118,7 @@ def _where(mechanism: Mechanism, s: np.ndarray) -> str:
 
 
 def _step_sizes(mechanism: Mechanism) -> np.ndarray:
-    extent = float(mechanism.model.stat.extent)
+    extent = mechanism.extent_m
     return np.array([_STEP if joint.kind == "hinge" else _STEP * extent for joint in mechanism.joints])
 
 
@@ -224,7 +224,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
     index = int(mechanism.independent[coordinate])
     joint = mechanism.joints[index]
     step = _step_sizes(mechanism)[index] / 2
-    turn = 2 * np.pi if joint.kind == "hinge" else 20 * float(mechanism.model.stat.extent)
+    turn = 2 * np.pi if joint.kind == "hinge" else 20 * mechanism.extent_m
     home = mechanism.home
     limit = joint.upper if sign > 0 else joint.lower
     last = limit if abs(limit - home[index]) <= turn else home[index] + sign * turn

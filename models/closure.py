@@ -5,7 +5,7 @@ length to be a quartic polynomial of another (one row). The residuals are MuJoCo
 zeros where they are:
 
 * All rows are lengths [m]. A weld's rotation rows are 2 sin(theta / 2) axis, the angle where it is small, times `lever_m`,
-  the model's extent; so is the row of a joint equality on a hinge. An angle then counts by what it moves, forces on all
+  the mechanism's extent; so is the row of a joint equality on a hinge. An angle then counts by what it moves, forces on all
   rows are newtons, and one tolerance serves all.
 * A loop that rides on a moving body is closed in that body's frame: two points tied within a leg have their rows along the
   leg's axes and not the world's, so that a planar loop keeps its two independent rows however the leg turns.
@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 
 from models.errors import ModelError
+from models.size import extent_m
 from models.tendons import is_fixed, tendon_label
 from models.ties import tied_points
 from models.tree import HINGE, Frame, Tree, common_ancestor, frame_in, product
@@ -105,10 +106,6 @@ def equality_name(model: mujoco.MjModel, index: int) -> str:
     return "-".join(element(i).name or str(i) for i in tied)
 
 
-def _lever(model: mujoco.MjModel) -> float:
-    return float(model.stat.extent)
-
-
 def _seen(model: mujoco.MjModel, tree: Tree, bodies: list[int]) -> tuple[int, list[Frame]]:
     ancestor = common_ancestor(model, *bodies)
     return ancestor, [frame_in(tree, ancestor, body) for body in bodies]
@@ -135,7 +132,7 @@ def _weld(model: mujoco.MjModel, tree: Tree, index: int):
         turns = [model.eq_data[index, 6:10] / np.linalg.norm(model.eq_data[index, 6:10]), np.array([1.0, 0, 0, 0])]
     q_1, q_2 = (product(f.quaternion, ca.SX(ca.DM(turn))) for f, turn in zip((first, second), turns, strict=True))
     apart = product(ca.vertcat(q_2[0], -q_2[1:]), q_1)
-    lever = _lever(model)
+    lever = extent_m(model)
     # Rows of MuJoCo's: torquescale times the vector part. Its scalar part is one where the weld holds, or minus one.
     yield "orientation", 2 * lever * apart[1:], bodies[1], 2 * lever / torquescale, lever
 
@@ -149,7 +146,7 @@ def _polynomial(model: mujoco.MjModel, index: int, y: ca.SX, x: ca.SX | None) ->
 def _joint(model: mujoco.MjModel, tree: Tree, index: int):
     joints = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
     travels = [tree.q[int(model.jnt_dofadr[i])] - float(model.qpos0[model.jnt_qposadr[i]]) for i in joints]
-    lever = _lever(model) if int(model.jnt_type[joints[0]]) == HINGE else None
+    lever = extent_m(model) if int(model.jnt_type[joints[0]]) == HINGE else None
     residual = _polynomial(model, index, travels[0], travels[1] if len(joints) > 1 else None)
     yield "joint", residual * (lever or 1.0), 0, lever or 1.0, lever
 

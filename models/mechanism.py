@@ -22,6 +22,7 @@ from models.newton import Loop
 from models.payload import BODY_NAME, Payload, payload_from
 from models.rank import dependent_columns, independent_rows, numerical_rank, weak_rank
 from models.reduction import ReducedDynamics, reduce_tree
+from models.size import extent_m
 from models.tendons import is_fixed, tendon_joints
 from models.transmission import TRN_TENDON
 from models.tree import Inertial, build_tree
@@ -55,6 +56,7 @@ class Mechanism:
     home: np.ndarray
     reference: np.ndarray
     home_gap_m: float
+    extent_m: float  # of what moves: a length to compare lengths with
     dynamics: ReducedDynamics
     coordinates: Coordinates
     idle: tuple[int, ...]
@@ -204,7 +206,7 @@ def load_mechanism(
     reference = tree.coordinates.q_of(reference_qpos)
     pose = assemble_home(name, joints, loop, reference, asked_home(name, joints, home))
     _refuse_beyond_charts(name, tree.coordinates, pose)
-    extent = float(model.stat.extent)
+    extent = extent_m(model)
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])  # what counts as a radian
     about = poses_about(loop, pose, unit)
     jacobians = [loop.residual(q)[1] * unit for q in (pose, *about)]
@@ -247,6 +249,7 @@ def load_mechanism(
         home=pose,
         reference=reference,
         home_gap_m=loop.gap(loop.residual(reference)[0]),
+        extent_m=extent,
         dynamics=dynamics,
         coordinates=tree.coordinates,
         idle=idle,

@@ -371,6 +371,19 @@ def test_a_singular_reference_pose_is_reported_where_home_is_another():
     assert "2 at home" in note
 
 
+@pytest.mark.parametrize("world", ['<geom type="box" size="50 50 0.1" pos="0 0 -3"/>', ""])
+def test_a_floor_or_the_viewers_extent_changes_no_assembly(world):
+    text = replaced(PRESS, "<worldbody>", f"<worldbody>{world}")
+    if not world:
+        text = replaced(text, "<worldbody>", '<statistic extent="1e-4"/><worldbody>')
+    mechanism, plain = load_mechanism(text), load("press")
+    assert abs(np.log10(mechanism.model.stat.extent / plain.model.stat.extent)) > 1, "it says something else"
+    assert 0.3 < mechanism.extent_m / plain.extent_m < 3
+    first, second = reach(mechanism), reach(plain)
+    assert abs(first.upper.position - second.upper.position) < 1e-8
+    assert abs(first.lower.position - second.lower.position) < 1e-8
+
+
 def test_light_bodies_change_no_rank():
     heavy = GRIPPER.replace('mass="1e-4"', 'mass="10"')
     assert heavy != GRIPPER
