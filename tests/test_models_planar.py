@@ -24,6 +24,7 @@ from tests.tolerances import MOMENT, POWER_RATE, RANDOM_LIMIT, RANDOM_ORDER, TRE
 N_SEEDS = int(os.environ.get("LINKPLAN_PLANAR", "30"))
 N_POSES = 2
 SOFTNESS = (1e-5, 1e-6)
+ROUNDING = 2e-12  # of MuJoCo's acceleration and ours, relative
 on_every_seed = pytest.mark.parametrize("seed", range(N_SEEDS))
 
 
@@ -160,9 +161,13 @@ def test_mujocos_acceleration_approaches_ours_as_the_loops_harden(seed):
     c = case(seed)
     for k, (q, v, _, u) in enumerate(c.samples()):
         actual = np.array(c.mechanism.dynamics.acceleration(q, v, u)).ravel()
-        soft = [hardened(c, k, softness).acceleration[c.mechanism.independent] for softness in SOFTNESS]
-        errors = [relative_error(actual, expected) for expected in soft]
-        order = np.diff(np.log(errors)) / np.diff(np.log(SOFTNESS))
+        for pair in (SOFTNESS, (1e-3, 1e-4), (1.0, 0.1)):  # the hardest at which more than rounding is left
+            soft = [hardened(c, k, softness).acceleration[c.mechanism.independent] for softness in pair]
+            errors = [relative_error(actual, expected) for expected in soft]
+            if errors[1] > ROUNDING:
+                break
+        assert errors[1] > ROUNDING, "softness shows"
+        order = np.diff(np.log(errors)) / np.diff(np.log(pair))
         assert abs(float(order[0]) - 1) < RANDOM_ORDER, errors
 
 
