@@ -5,8 +5,10 @@ loops' gap, every joint's range and speed, the distance to a singular pose; and 
 is integrated under the carried effort, against the planned state.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -227,22 +229,17 @@ def _integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float) -> tu
     interval and on both sides of every break.
     """
     n_q, independent = mechanism.n_q, mechanism.independent
-    flow, breaks = mechanism.dynamics.flow, trajectory.breaks_s
+    rate, breaks = _rate(mechanism, trajectory), trajectory.breaks_s
     start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
     state = np.concatenate([start, trajectory.velocity[0, 0]])
     n = len(breaks) - 1
     errors, velocity_error = np.zeros((n, mechanism.dof)), 0.0
     for k in range(n):
         width = breaks[k + 1] - breaks[k]
-        coefficients = trajectory.effort[:, k]
-
-        def rate(t: float, x: np.ndarray, coefficients=coefficients, width=width) -> np.ndarray:
-            q_rate, v_rate = flow(x[:n_q], x[n_q:], _bezier(coefficients, t / width))
-            return np.concatenate([q_rate.full().ravel(), v_rate.full().ravel()])
-
+        on_interval = rate(trajectory.effort[:, k], width)
         atol = _ATOL * np.maximum(1.0, np.abs(state))
         looks = np.array([0.0, 0.5, 1.0])
-        result = solve_ivp(rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=looks * width)
+        result = solve_ivp(on_interval, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=looks * width)
         if not result.success or result.y.shape[1] != len(looks):
             errors[k:], velocity_error = np.inf, np.inf
             break
@@ -255,6 +252,39 @@ def _integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float) -> tu
     with np.errstate(invalid="ignore"):  # beyond a failed integration, infinity less infinity
         growth = np.abs(np.diff(np.vstack([np.zeros(mechanism.dof), errors]), axis=0) / tolerance).max(axis=1)
     return errors.max(axis=0), velocity_error, np.nan_to_num(growth, nan=np.inf)
+
+
+def _rate(mechanism: Mechanism, trajectory: Trajectory) -> Callable[[np.ndarray, float], Callable]:
+    """Return a maker of the right-hand side on an interval, from its effort's coefficients (degree + 1, n_u) and width [s].
+
+    It is called some thousand times per motion: CasADi reads and writes numpy's memory without copies.
+    """
+    n, shape = mechanism.n_q + mechanism.dof, trajectory.effort[:, 0].shape
+    x, coefficients, tau = ca.SX.sym("x", n), ca.SX.sym("u", *shape), ca.SX.sym("tau")
+    points = coefficients
+    for left in range(shape[0] - 1, 0, -1):
+        points = points[:left, :] + tau * (points[1:, :] - points[:left, :])
+    flow = mechanism.dynamics.flow(x[: mechanism.n_q], x[mechanism.n_q :], points.T)
+    function = ca.Function("rate", [x, coefficients, tau], [ca.vertcat(*flow)], {"cse": True})
+    buffer, evaluate = function.buffer()
+    # All of these live as long as the right-hand sides: CasADi keeps addresses only.
+    state, flat, at, result = np.zeros(n), np.zeros(shape[0] * shape[1]), np.zeros(1), np.zeros(n)
+    effort = flat.reshape(shape, order="F")
+    for index, array in enumerate((state, flat, at)):
+        buffer.set_arg(index, memoryview(array))
+    buffer.set_res(0, memoryview(result))
+    kept = function, buffer, flat
+
+    def on_interval(values: np.ndarray, width: float) -> Callable[[float, np.ndarray], np.ndarray]:
+        def rate(t: float, y: np.ndarray, kept=kept) -> np.ndarray:
+            del kept
+            state[:], effort[...], at[0] = y, values, t / width
+            evaluate()
+            return np.array(result)
+
+        return rate
+
+    return on_interval
 
 
 def _bezier(coefficients: np.ndarray, tau: float) -> np.ndarray:

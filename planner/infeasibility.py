@@ -5,11 +5,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.along import joint_rates
-from models.assembly import follow
-from models.errors import AssemblyError
-from planner.certificate import Certificate, certify
+from planner.certificate import Certificate
 from planner.guess import Guess, motion_of
-from planner.limits import free
 from planner.mesh import Mesh
 from planner.plan import Step
 from planner.problem import PlanningProblem
@@ -18,9 +15,6 @@ from planner.solve import solve
 from planner.switches import find_cuts, pinned_efforts
 from planner.trajectory import Trajectory
 from planner.transcription import trajectory_of, transcribe
-
-# What may be taken away to see whether it is what forbids a motion, in this order, before the efforts' limits are looked at.
-RELAXABLE = ("speed", "power", "closure_force", "motor", "effort_rate", "singular_margin")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -90,23 +84,6 @@ def effort_sentence(problem: PlanningProblem, least: LeastLimit) -> tuple[str, d
     return sentence, {"needed_effort": abs(needed), "needed_limit_factor": least.factor}
 
 
-def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
-    """Return a problem with one of its `RELAXABLE` limits, or "position", taken away; None where it has no such limit."""
-    limits = problem.limits
-    if what == "motor":
-        if not any(motor is not None and motor.has_line for motor in problem.motors):
-            return None
-        bare = tuple(m and replace(m, stall_effort=None, no_load_speed=None) for m in problem.motors)
-        return replace(problem, motors=bare)
-    value = getattr(limits, what)
-    if what == "singular_margin":
-        return replace(problem, limits=replace(limits, singular_margin=0.0)) if value else None
-    if not np.any(np.isfinite(value)):
-        return None
-    freed = np.full(len(value), np.inf) if what == "closure_force" else free(len(value))
-    return replace(problem, limits=replace(limits, **{what: freed}))
-
-
 def tightened(problem: PlanningProblem, certificate: Certificate) -> PlanningProblem:
     """Return a problem with ranges, speeds and effort rates drawn in by what a motion overran them by, and a tenth more."""
     limits = problem.limits
@@ -119,23 +96,6 @@ def tightened(problem: PlanningProblem, certificate: Certificate) -> PlanningPro
         if margin.what == "effort_rate" and not margin.kept and np.isfinite(margin.left):
             rate[margin.item] += 1.1 * -margin.left * np.array([1.0, -1.0])
     return replace(problem, limits=replace(limits, effort_rate=rate, **changed))
-
-
-def violated_sentence(problem: PlanningProblem, trajectory: Trajectory, what: str) -> str | None:
-    """Return the sentence on what a motion made without a limit comes to, against that limit; None where it keeps it."""
-    if what in ("speed", "position"):
-        try:
-            time = trajectory.dense_times(8)
-            poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
-        except AssemblyError:
-            return None
-        return overrun_sentence(problem, trajectory, poses, what)
-    try:
-        found = certify(problem, trajectory).margins
-    except AssemblyError:
-        return None
-    over = [margin for margin in found if margin.what == what and not margin.kept]
-    return over[0].sentence("would have to come to") if over else None
 
 
 def overrun_sentence(problem: PlanningProblem, trajectory: Trajectory, poses: np.ndarray, what: str) -> str | None:

@@ -36,19 +36,23 @@ class Margin:
         """Whether the limit is kept, but for rounding."""
         return self.left >= -SLACK * max(1.0, abs(self.limit))
 
-    def sentence(self, verb: str = "comes to") -> str:
-        """Return what the limit comes to, in words."""
-        said = {
+    @property
+    def title(self) -> str:
+        """What is limited, in words."""
+        return {
             "effort_rate": f"the effort rate of {self.name}",
             "power": f"the power of {self.name}",
             "motor": f"the torque-speed line of {self.name}",
             "closure_force": f"the closure force of {self.name}",
             "singular_margin": "the distance from a singular pose",
         }[self.what]
+
+    def sentence(self, verb: str = "comes to") -> str:
+        """Return what the limit comes to, in words."""
         beyond = "short of" if self.what == "singular_margin" else "beyond"
         amount = f"{abs(self.value):.4g} {self.unit}".rstrip()
         off = f"{abs(self.left):.3g} {self.unit}".rstrip()
-        return f"{said} {verb} {amount} at t = {self.time_s:.4g} s, {off} {beyond} its limit of {abs(self.limit):.4g}"
+        return f"{self.title} {verb} {amount} at t = {self.time_s:.4g} s, {off} {beyond} its limit of {abs(self.limit):.4g}"
 
 
 def actuator_speeds(problem: PlanningProblem, q: np.ndarray, v: np.ndarray) -> np.ndarray:

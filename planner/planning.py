@@ -1,13 +1,14 @@
 """From a planning problem to a certified plan: presolve, starts in turn, refinement, and the reason where there is none."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from planner.certificate import certify
-from planner.guess import Guess, bent_guesses, closes, guesses, motion_of
-from planner.infeasibility import RELAXABLE, LeastLimit, effort_sentence, least_limit, violated_sentence, without
+from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of
+from planner.infeasibility import LeastLimit, effort_sentence, least_limit
 from planner.mechanism_case import case_of
 from planner.mesh import Mesh, broken, segmented, uniform
 from planner.plan import Plan, Step, tracking_errors
@@ -15,6 +16,7 @@ from planner.prescribed import highest_frequency, prescribe, reference_demand, r
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem, SolverSettings
 from planner.refinement import Say, attempt, refine, silent
+from planner.relaxation import RELAXABLE, least_of, violated_sentence, without
 from planner.solve import INVALID, OUT_OF_TIME
 
 __all__ = ["Say", "finished", "plan_motion", "silent"]
@@ -26,6 +28,8 @@ _COARSEST = 6
 _ITERATIONS = 200
 # Bends tried after the first failure, where the user asks for no further starts.
 _BENDS = 3
+# Bends looked at for one that closes the loops, per one that is wanted.
+_LOOKED_AT = 20
 
 
 def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
@@ -97,9 +101,9 @@ def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], his
 def _best_of(problem, starts: list[tuple[str, Guess]], start_pose: np.ndarray, history: list[Step], say: Say) -> Plan | None:
     """Return the best plan of as many starts as the problem asks for; None where none leads to one."""
     wanted, found = problem.solver.starts, []
-    bends = (bend for bend in bent_guesses(problem, start_pose) if closes(problem.mechanism, bend[1]))
-    for number in range(wanted):
-        what, guess = starts[number] if number < len(starts) else next(bends)
+    bends = itertools.islice(bent_guesses(problem, start_pose), _LOOKED_AT * wanted)
+    closed = (start for start in itertools.chain(starts, bends) if closes(problem.mechanism, start[1]))
+    for number, (what, guess) in enumerate(itertools.islice(closed, wanted)):
         mesh, durations = first_mesh(problem, guess)
         word = f"start {number + 1} of {wanted}, {what}"
         solved = attempt(case_of(problem), guess, mesh, durations, word, history, say)
@@ -213,18 +217,18 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         found = attempt(case, guess, coarse, lengths, "a coarser mesh", history, say)
         plan = None if found is None else _certified(problem, found, coarse, history, say)
         if plan is not None and plan.status == "optimal":
-            return plan
+            return replace(plan, problem=asked)
     say("no motion found; looking for the limit that forbids one")
     for what in RELAXABLE:
         plan = _without(problem, what, guess, history, say)
         if plan is not None:
-            return plan
+            return replace(plan, problem=asked)
     least = _least_limit(problem, guess, history)
     if least is not None and least.factor <= 1.0:
         start, what = motion_of(least.trajectory), "start from the motion of least peak effort"
         found = attempt(case, start, least.mesh, least.durations, what, history, say)
         if found is not None:
-            return _certified(problem, found, least.mesh, history, say)
+            return replace(_certified(problem, found, least.mesh, history, say), problem=asked)
     if least is not None and least.factor > 1.0:
         sentence, details = effort_sentence(problem, least)
         return Plan(
@@ -236,7 +240,7 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         )
     plan = _without(problem, "position", guess, history, say)
     if plan is not None:
-        return plan
+        return replace(plan, problem=asked)
     status = history[-1].solver_status if history else "no start closes the loop"
     return Plan(
         problem=asked,
@@ -259,7 +263,13 @@ def _without(problem: PlanningProblem, what: str, guess: Guess, history: list[St
         return None
     mesh, durations = first_mesh(problem, guess)
     found = attempt(case_of(relaxed), guess, mesh, durations, f"without limits on {what}", history, say)
-    sentence = None if found is None else violated_sentence(problem, found[0], what)
+    if found is None:
+        return None
+    motion = found[0]
+    if what in RELAXABLE and violated_sentence(problem, motion, what) is not None:
+        say(f"looking for the least that {what} has to be")
+        motion = least_of(problem, what, motion, mesh, np.bincount(mesh.segment, np.diff(motion.breaks_s)), history)
+    sentence = violated_sentence(problem, motion, what)
     if sentence is None:
         return None
     details: dict[str, float] = {}
@@ -269,9 +279,10 @@ def _without(problem: PlanningProblem, what: str, guess: Guess, history: list[St
 
 def _least_limit(problem: PlanningProblem, guess: Guess, history: list[Step]) -> LeastLimit | None:
     """Return the least factor on the effort limits from several starts: what one start finds may be a local answer."""
-    others = (start for _, start in bent_guesses(problem, guess.start_pose) if closes(problem.mechanism, start))
+    bends = itertools.islice(bent_guesses(problem, guess.start_pose), _LOOKED_AT)
+    others = (start for _, start in bends if closes(problem.mechanism, start))
     best = None
-    for start in (guess, *(next(others) for _ in range(_BENDS - 1))):
+    for start in (guess, *itertools.islice(others, _BENDS - 1)):
         found = least_limit(problem, start, *first_mesh(problem, start), history)
         if found is not None and (best is None or found.factor < best.factor):
             best = found
@@ -288,8 +299,10 @@ def _shortest(problem: PlanningProblem, details: dict[str, float], say: Say) -> 
     if not np.all(np.isfinite(problem.limits.effort)):
         return ""
     say("looking for the shortest feasible duration")
-    quickest = plan_motion(replace(problem, objective="time", motion=replace(motion, duration_s=None)), say)
-    if quickest.status != "optimal":
+    free = replace(problem, objective="time", motion=replace(motion, duration_s=None))
+    start_pose = start_pose_of(free)
+    quickest = _first_of(free, iter([("a smooth path", first_guess(free, start_pose))]), [], say)
+    if quickest is None or quickest.status != "optimal":
         return ""
     details["shortest_duration_s"] = quickest.trajectory.duration_s
     return f"; the shortest feasible duration is {quickest.trajectory.duration_s:.5g} s"

@@ -4,6 +4,8 @@ from typing import Any, Protocol
 
 # Feasibility and optimality of the scaled program; the certificate then judges the motion itself.
 TOLERANCE = 1e-10
+# Feasibility with which a solver may stop that cannot come nearer to its tolerance.
+ACCEPTABLE = 1e-8
 MAX_ITERATIONS = 500
 # IPOPT's words, which the others borrow.
 SUCCEEDED = "Solve_Succeeded"

@@ -20,8 +20,8 @@ from planner.system import Endpoint
 class Stages:
     """Where a program's unknowns x stand among the stages' y.
 
-    `source` (n_y,) is the unknown that each y is, or is a copy of, `stage` (n_y,) its stage; `home` (n_x,) the y that is each
-    unknown itself; `copies` the y of (unknown, stage); `carried` the unknowns copied into each stage. `n_states` and
+    `source` (n_y,) is the unknown that each y is, or is a copy of, `stage` (n_y,) its stage; `home` (n_x,) the y that is
+    each unknown itself; `copies` the y of (unknown, stage); `carried` the unknowns copied into each stage. `n_states` and
     `n_controls` (n_stages,) count. `linear` (n_linear,) is the stage of each linear row.
     """
 

@@ -1,7 +1,8 @@
 """The command line: `linkplan list | check | plan | batch | track | compare | bode | view | demo`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
-problems found), said in a sentence; 2 bad input, one line. Heavy imports wait for the command that needs them.
+problems found), said in a sentence; 2 bad input or a disk that refuses, one line. Heavy imports wait for the command
+that needs them.
 """
 
 import argparse
@@ -14,7 +15,7 @@ from models.errors import LinkplanError, one_line
 DONE, NO, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), said in a sentence;
-2 bad input, one line on stderr; 130 interrupted"""
+2 bad input, or a file that cannot be read or written (a full disk), one line on stderr; 130 interrupted"""
 
 
 class _Parser(argparse.ArgumentParser):

@@ -60,7 +60,8 @@ def plan_text(plan: Plan) -> str:
     ]
     if trajectory is None or certificate is None:
         return "\n".join(lines)
-    lines.append(f"duration {trajectory.duration_s:.8g} s, {problem.mesh.scheme}, {plan.intervals} intervals")
+    lines.append(f"duration {trajectory.duration_s:.8g} s, {plan.scheme}, {plan.intervals} intervals")
+    lines += _history_lines(plan)
     for actuator, peak, (low, high) in zip(
         problem.mechanism.actuators, certificate.peak_effort, problem.limits.effort, strict=True
     ):
@@ -78,6 +79,14 @@ def plan_text(plan: Plan) -> str:
     for joint, margin in zip(problem.mechanism.joints, certificate.position_margin, strict=True):
         if np.isfinite(margin):
             rows.append([f"margin to the range of {joint.name}", joint.shown(margin), joint.unit])
+    for joint, margin in zip(problem.mechanism.joints, certificate.speed_margin, strict=True):
+        if np.isfinite(margin):
+            rows.append([f"margin to the speed limit of {joint.name}", joint.shown(margin), f"{joint.unit}/s"])
+    rows += [[f"left of {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
+    forces = zip(problem.mechanism.closure_names, certificate.peak_closure_force, strict=True)
+    rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]
+    powers = zip(problem.mechanism.actuators, certificate.peak_power, strict=True)
+    rows += [[f"largest power of {actuator.name}", power, "W"] for actuator, power in powers]
     lines += [
         "",
         f"certificate: {'passed' if certificate.passed else 'NOT passed'}",
@@ -85,6 +94,18 @@ def plan_text(plan: Plan) -> str:
     ]
     lines += [f"not honoured: {text}" for text in not_honoured(plan)]
     return "\n".join(lines)
+
+
+def _history_lines(plan: Plan) -> list[str]:
+    """Return a line for each solve that led to a plan, where it took more than one."""
+    if len(plan.history) < 2:
+        return []
+    lines = ["solves:"]
+    for step in plan.history:
+        error = "" if step.integration_error_deg is None else f", {step.integration_error_deg:.2g} deg after integration"
+        answer = f"objective {step.objective:.9g}" if step.converged else f"not solved ({step.solver_status})"
+        lines.append(f"  {step.what}: {step.scheme}, {step.intervals} intervals, {answer}{error}, {step.solve_s:.2g} s")
+    return lines
 
 
 def comparison_text(comparison: Comparison) -> str:

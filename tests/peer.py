@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from scipy.integrate import solve_ivp
 
 L1, L2, L3, L4 = 0.057, 0.0741, 0.0855, 0.057
 GRAVITY = 9.81
@@ -111,3 +112,20 @@ def build_peer(intervals: int, start: float, goal: float, duration: float | None
     opti.solver("ipopt", options)
     opti.set_value(target, goal)
     return Peer(opti, target, q, u, T)
+
+
+def drift(peer: Peer, solution: ca.OptiSol) -> float:
+    """Return how far [rad] the mechanism goes from the plan's nodes under the plan's torque: quadratics, integrated."""
+    f, start = acceleration_function(), float(solution.value(peer.angle)[0])
+    angle, torque = (np.array(solution.value(part)).ravel() for part in (peer.angle, peer.effort))
+    h = float(solution.value(peer.duration)) / (len(angle) // 2)
+    state, furthest = np.array([start, 0.0]), 0.0
+    for k in range(0, len(angle) - 2, 2):
+        bend = np.polyfit([0.0, h / 2, h], torque[k : k + 3], 2)
+
+        def rate(t: float, x: np.ndarray, bend=bend) -> list[float]:
+            return [x[1], float(f(x[0], x[1], np.polyval(bend, t)))]
+
+        state = solve_ivp(rate, (0.0, h), state, method="DOP853", rtol=1e-11, atol=1e-12).y[:, -1]
+        furthest = max(furthest, abs(state[0] - angle[k + 2]))
+    return furthest

@@ -1,7 +1,10 @@
 """The command line as its users meet it: what it prints, its JSON keys, its exit codes, what it leaves on disk."""
 
+import errno
 import json
+import os
 
+import numpy as np
 import pytest
 
 from studies.cli import main
@@ -195,6 +198,23 @@ def test_bode_says_which_loop_is_stable_and_mujoco_agrees(ask_json, kd, period, 
         assert point["reduced_inertia_kgm2"] > 0
 
 
+def test_a_full_disk_is_one_line_and_leaves_the_earlier_result_alone(tmp_path, ask, monkeypatch):
+    target = tmp_path / "reach"
+    assert ask("plan", "knee-reach", "-o", str(target))[0] == 0
+    before = {path.name: path.read_bytes() for path in target.iterdir()}
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(np, "savez", full)
+    code, out, err = ask("plan", "knee-reach", "-o", str(target))
+    assert code == 2
+    assert out == ""
+    assert err.splitlines()[-1] == f"linkplan plan: cannot write '{target}': No space left on device"
+    assert {path.name: path.read_bytes() for path in target.iterdir()} == before
+    assert [path.name for path in tmp_path.iterdir()] == ["reach"]
+
+
 def test_set_takes_toml_and_bare_words(ask_json):
     code, said = ask_json("plan", "knee-reach", "--set", "mesh.scheme=radau-2", "--set", "limits.effort.act_O=[-95, 95.0]")
     assert code == 0
@@ -207,8 +227,8 @@ def test_progress_goes_to_stderr_and_results_to_stdout(ask):
     code, out, err = ask("plan", "knee-sprint")
     assert code == 0
     assert "certificate: passed" in out
-    assert "cuts at the switches" in err
-    assert "cuts at the switches" not in out
+    assert "  plan: cuts at the switches" in err
+    assert "  plan: " not in out
 
 
 def test_version_and_help_are_not_refused(ask):

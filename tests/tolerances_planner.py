@@ -97,3 +97,36 @@ OPEN_LOOP_DEG = 0.1
 
 # An extreme between a certificate's samples by the parabola through three of them: a third-order remainder, measured 2e-6.
 EXTREME = 1e-5
+
+# Optimal control of a user's differential equation. An optimum against its closed form, relative: the solver's 1e-10, and
+# radau polynomials on smooth motions with cuts at switches. Measured 3e-12.
+ODE_CLOSED_FORM = 1e-9
+# Against figures published to nine digits, relative: half of the last digit. Measured 2e-10.
+ODE_PUBLISHED = 5e-9
+# The same published to six digits from a finite mesh, relative. Measured 2e-6.
+ODE_FOUR_DIGITS = 3e-6
+# Against solve_bvp on Pontryagin's conditions, relative: kinks in the effort cost both routes some, the asked change is
+# 1e-8.
+ODE_COSTATES = 5e-8
+# Where a state's limit is touched or held, the effort's kink falls between nodes: the objective's tolerance of 1e-7.
+ODE_BOUND_BY_A_STATE = 1e-7
+# States and efforts against a closed form, absolute, of order one.
+ODE_STATE = 1e-7
+# Instants of switches [s], of motions of order one to ten: cuts settle to the solver's 1e-10. Measured 1e-9.
+ODE_SWITCH = 1e-6
+# The objective against that along the integrated motion, relative: the tolerance on states, to first order. Measured 1e-12.
+ODE_INTEGRATED = 1e-8
+# A state's or path quantity's limit between nodes, relative: the certificate's slack, what the solver leaves of its rows.
+ODE_LIMIT = 1e-8
+# Arcs along a path limit and others meet in kinks of the effort, relative: the objective's tolerance of 1e-7. 
+ODE_KINKED = 1e-6
+# Singular arcs: the cost is flat in the effort, which may chatter; the cost itself is met to its second order.
+ODE_SINGULAR = 1e-6
+# Positive work, relative: the small weight on effort rates that keeps it from chattering, and its kink where power changes sign.
+LEAST_WORK = 1e-3
+SMOOTHED = 1e-3
+WORK_INTEGRAL = 2e-3
+# A term of the objective against Gauss's rule along the motion, relative: both exact for the effort's polynomials.
+TERM_INTEGRAL = 1e-9
+# MuJoCo's pin at impedance 0.9999, relative: 1e-4 in the constraint's acceleration, squared forces.
+SOFT_PIN = 2e-3
