@@ -42,7 +42,7 @@ from planner.trajectory_file import read_trajectory
 from planner.values import number, whole, word
 
 KEYS: Mapping[str, tuple[str, ...]] = {
-    "mechanism": ("model", "payload", "home_deg", "home_m"),
+    "mechanism": ("model", "payload", "home_deg", "home_m", "independent"),
     "motion": MOTION_KEYS,
     "reference": ("amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg", "frequency_hz"),
     "objective": ("minimize",),
@@ -155,7 +155,9 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
     if is_file(Path(model)):
         model = str(Path(model).resolve())
     section["model"] = model
-    mechanism = load_mechanism(model, payload=section.get("payload"), home=_home(section))
+    mechanism = load_mechanism(
+        model, payload=section.get("payload"), home=_home(section), independent=section.get("independent")
+    )
     joint_values(section, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
     return mechanism
 
