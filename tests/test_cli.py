@@ -76,8 +76,8 @@ def ask_json(ask):
 def test_list_names_every_built_in(ask_json):
     code, said = ask_json("list")
     assert code == 0
-    assert set(said["models"]) == {"optimus-knee", "optimus-knee-source"}
-    assert set(said["problems"]) == {"knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare"}
+    assert set(said["models"]) == {path.stem for path in Path("models/mjcf").glob("*.xml")}
+    assert set(said["problems"]) == {path.stem for path in Path("planner/problems").glob("*.toml")}
 
 
 def test_check_of_the_mended_knee_finds_one_freedom_rank_two_and_no_problem(ask_json):
