@@ -31,7 +31,7 @@ def play(mechanism: Mechanism, rollout: Rollout, slowness: float, seconds: float
     import mujoco.viewer
 
     data = mujoco.MjData(mechanism.model)
-    data.qpos[:] = rollout.pose[0]
+    data.qpos[:] = mechanism.qpos_of(rollout.pose[0])
     mujoco.mj_forward(mechanism.model, data)
     try:
         window = mujoco.viewer.launch_passive(mechanism.model, data)
@@ -43,7 +43,7 @@ def play(mechanism: Mechanism, rollout: Rollout, slowness: float, seconds: float
         while window.is_running() and (seconds is None or time.monotonic() - begin < seconds):
             at = ((time.monotonic() - begin) / slowness) % (span + 0.5)
             k = min(int(np.searchsorted(rollout.time_s, at)), len(rollout.time_s) - 1)
-            data.qpos[:] = rollout.pose[k]
+            data.qpos[:] = mechanism.qpos_of(rollout.pose[k])
             data.time = float(rollout.time_s[k])
             mujoco.mj_forward(mechanism.model, data)
             window.sync()

@@ -2,7 +2,8 @@
 
 The only file that holds MjData. A run starts from an assembled pose with joint rates consistent with the loop (q' =
 Gamma v). At every control instant the independent joints are read, the tracker is asked, its command is delayed by whole
-periods, cut at the actuators' limits and held while MuJoCo steps.
+periods, cut at the actuators' limits and held while MuJoCo steps. What is held is the effort: a servo's ctrl is worked out
+anew at every step, so that gain times ctrl plus bias is that effort where the mechanism stands then.
 """
 
 import copy
@@ -14,7 +15,8 @@ import numpy as np
 
 from controllers.reference import SampledReference
 from controllers.tracker import Tracker
-from models.along import sampled
+from models.actuators import Actuator, constant_arms
+from models.errors import LinkplanError
 from models.mechanism import Mechanism
 from models.payload import BODY_NAME
 
@@ -107,14 +109,13 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
     model.opt.timestep = reference.period_s / substeps
     limit = loop.effort_limit
     actuators = mechanism.actuators
-    channels = np.array([actuator.index for actuator in actuators], dtype=int)
-    gains = np.array([actuator.gain for actuator in actuators])
     for actuator, (low, high) in zip(actuators, limit, strict=True):
         _admit(model, actuator, low, high)
 
     data = mujoco.MjData(model)
-    data.qpos[:] = reference.pose[0]
-    data.qvel[:] = np.array(mechanism.dynamics.velocity_map(reference.pose[0])) @ reference.velocity[0]
+    rates = np.array(mechanism.dynamics.velocity_map(reference.pose[0])) @ reference.velocity[0]
+    data.qpos[:] = mechanism.qpos_of(reference.pose[0])
+    data.qvel[:] = mechanism.qvel_of(reference.pose[0], rates)
     independent = mechanism.independent
     n = reference.n
     poses, velocities = np.empty((n, mechanism.n_q)), np.empty((n, mechanism.dof))
@@ -123,15 +124,15 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
     mujoco.set_mju_user_warning(_ignore)  # a blow-up is this function's answer, not a line in a log file
     try:
         for k in range(n):
-            poses[k], velocities[k] = data.qpos, data.qvel[independent]
+            poses[k] = mechanism.q_of(data.qpos)
+            velocities[k] = mechanism.rates_of(poses[k], data.qvel)[independent]
             commanded[k] = tracker.effort(k, poses[k][independent], velocities[k])
             # Before the first command arrives, the first one acts: the loop is taken to have been at work already.
             applied[k] = np.clip(commanded[max(0, k - loop.delay_periods)], limit[:, 0], limit[:, 1])
             if not np.all(np.isfinite(applied[k])):  # MuJoCo would take it for zero and go on
                 done, finite = k + 1, False
                 break
-            data.ctrl[channels] = applied[k] / gains
-            mujoco.mj_step(model, data, substeps)
+            applied[k] = _step(model, data, actuators, applied[k], substeps)
             contacts = max(contacts, data.ncon)
             if _blew_up(data):
                 done, finite = k + 1, False
@@ -139,7 +140,6 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
     finally:
         mujoco.set_mju_user_warning(None)
     kept = slice(0, done)
-    phi = sampled(mechanism.dynamics.closure, poses[kept]).reshape(done, -1, 3)
     return Rollout(
         tracker=tracker.name,
         time_s=reference.time_s[kept],
@@ -149,7 +149,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
         pose=poses[kept],
         commanded=commanded[kept],
         applied=applied[kept],
-        gap_m=np.linalg.norm(phi, axis=2).max(axis=1, initial=0.0),
+        gap_m=mechanism.gaps_m(poses[kept]),
         contacts=contacts,
         finite=finite,
         effort_limit=np.array(limit),
@@ -166,30 +166,34 @@ def run_as_it_stands(
 ) -> Rollout:
     """Return the log of a model run as its file stands: from its own reference pose, open loops, contacts and all.
 
+    Raises:
+        LinkplanError: when the first actuator drives no joint.
+
     Args:
         mechanism: for its model, joints and first actuator; its assembly is not used.
         law: (time, position, velocity) of the first actuator's joint to a command, every step.
         reference: desired positions (n,) of that joint at times (n,).
         duration_s: how long [s].
-        idle_ctrl: constant controls of other actuators, by MuJoCo's index.
+        idle_ctrl: constant controls of other actuators, by MuJoCo's index of the control.
     """
     model = copy.deepcopy(mechanism.model)
     actuator = mechanism.actuators[0]
     data = mujoco.MjData(model)
     step = float(model.opt.timestep)
     n, joint = round(duration_s / step), actuator.joint
+    if joint is None:
+        raise LinkplanError(f"the first actuator, {actuator.name}, is to drive a joint; it acts on {actuator.target}")
     poses, velocities = np.empty((n, mechanism.n_q)), np.empty((n, 1))
     commanded, contacts = np.empty((n, 1)), np.zeros(n, dtype=int)
     for index, value in idle_ctrl.items():
         data.ctrl[index] = value
     for k in range(n):
-        poses[k], velocities[k] = data.qpos, data.qvel[joint]
-        commanded[k] = law(data.time, float(data.qpos[joint]), float(data.qvel[joint]))
-        data.ctrl[actuator.index] = commanded[k, 0] / actuator.gain
+        poses[k], velocities[k] = mechanism.q_of(data.qpos), data.qvel[joint]
+        commanded[k] = law(data.time, float(poses[k, joint]), float(data.qvel[joint]))
+        data.ctrl[actuator.channel] = commanded[k, 0] / actuator.gain
         mujoco.mj_step(model, data)
         contacts[k] = data.ncon
     time = step * np.arange(n)
-    phi = sampled(mechanism.dynamics.closure, poses).reshape(n, -1, 3)
     limit = mechanism.effort_limit[:1]
     return Rollout(
         tracker="pd",
@@ -200,7 +204,7 @@ def run_as_it_stands(
         pose=poses,
         commanded=commanded,
         applied=np.clip(commanded, limit[:, 0], limit[:, 1]),
-        gap_m=np.linalg.norm(phi, axis=2).max(axis=1, initial=0.0),
+        gap_m=mechanism.gaps_m(poses),
         contacts=int(contacts.max()),
         finite=bool(np.all(np.isfinite(poses))),
         effort_limit=limit,
@@ -224,19 +228,59 @@ def conditions(mechanism: Mechanism, model: mujoco.MjModel, reference: SampledRe
     }
 
 
-def _admit(model: mujoco.MjModel, actuator, low: float, high: float) -> None:
-    """Let MuJoCo's own clamps admit the loop's limits: the problem's limits stand in for the file's."""
-    index, joint = actuator.index, int(model.actuator_trnid[actuator.index, 0])
-    ends = sorted((low / actuator.gain, high / actuator.gain))
-    if np.all(np.isfinite(ends)):
-        model.actuator_ctrlrange[index] = ends
-    else:
-        model.actuator_ctrllimited[index] = False
-    if model.actuator_forcelimited[index]:
+def _step(model, data: mujoco.MjData, actuators: tuple[Actuator, ...], effort: np.ndarray, substeps: int) -> np.ndarray:
+    """Step MuJoCo under held efforts (n_u,), and return the efforts that acted in the first step.
+
+    They are the same but where a servo's ctrl meets the end of its range, or its gain vanishes.
+    """
+    if not any(actuator.is_servo for actuator in actuators):
+        for actuator, u in zip(actuators, effort, strict=True):
+            data.ctrl[actuator.channel] = (u - actuator.biases[0]) / actuator.gain
+        mujoco.mj_step(model, data, substeps)
+        return effort
+    acted = effort
+    runge_kutta = int(model.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_RK4)
+    for step in range(substeps):
+        mujoco.mj_step1(model, data)  # length and velocity of every actuator, where the mechanism stands now
+        for actuator, u in zip(actuators, effort, strict=True):
+            length, velocity = data.actuator_length[actuator.output], data.actuator_velocity[actuator.output]
+            data.ctrl[actuator.channel] = actuator.control(float(u), float(length), float(velocity))
+        if runge_kutta:  # which MuJoCo has no second half for
+            mujoco.mj_step(model, data)
+        else:
+            mujoco.mj_step2(model, data)
+        if step == 0:
+            acted = np.array([data.actuator_force[actuator.output] for actuator in actuators])
+    return acted
+
+
+def _admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) -> None:
+    """Let MuJoCo's own clamps admit the loop's limits: the problem's limits stand in for the file's.
+
+    A servo keeps the range of its ctrl, which is one of positions or speeds.
+    """
+    index, on = actuator.index, int(model.actuator_trnid[actuator.index, 0])
+    if not actuator.is_servo:
+        ends = sorted((end - actuator.biases[0]) / actuator.gain for end in (low, high))
+        if np.all(np.isfinite(ends)):
+            model.actuator_ctrlrange[actuator.channel] = ends
+        else:
+            model.actuator_ctrllimited[actuator.channel] = False
+    if model.actuator_forcelimited[index] or actuator.is_servo:
+        model.actuator_forcelimited[index] = True
         model.actuator_forcerange[index] = (low, high) if np.all(np.isfinite((low, high))) else (-1e30, 1e30)
-    if model.jnt_actfrclimited[joint]:
+    kind = int(model.actuator_trntype[index])
+    if actuator.joint is not None and model.jnt_actfrclimited[on]:
         forces = sorted((low * actuator.gear, high * actuator.gear))
-        model.jnt_actfrcrange[joint] = forces if np.all(np.isfinite(forces)) else (-1e30, 1e30)
+        model.jnt_actfrcrange[on] = forces if np.all(np.isfinite(forces)) else (-1e30, 1e30)
+    if kind == int(mujoco.mjtTrn.mjTRN_TENDON):
+        if model.tendon_actfrclimited[on]:
+            model.tendon_actfrcrange[on] = (low, high) if np.all(np.isfinite((low, high))) else (-1e30, 1e30)
+        for dof, arm in constant_arms(model, index).items():
+            joint = int(model.dof_jntid[dof])
+            if model.jnt_actfrclimited[joint] and arm:
+                # The joint's clamp is what narrowed this actuator's limit, which is held already.
+                model.jnt_actfrclimited[joint] = False
 
 
 def _blew_up(data: mujoco.MjData) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 import scipy.optimize
 
 from models.errors import AssemblyError
+from models.joints import where
 from models.mechanism import Mechanism
 from models.newton import CLOSED_M
 
@@ -32,8 +33,19 @@ def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = No
         start: a closed pose (n_q,); home by default.
 
     Raises:
-        AssemblyError: naming the joint's position at which the loop opens.
+        AssemblyError: naming the joint's position at which the loop opens, or the ball joint whose chart the motion leaves.
     """
+    poses = _followed(mechanism, path, start)
+    left = mechanism.coordinates.left(poses)
+    if left is not None:
+        raise AssemblyError(
+            f"mechanism '{mechanism.name}' turns ball joint '{left}' further from its reference orientation than its"
+            " coordinates go (218 deg about one axis)"
+        )
+    return poses
+
+
+def _followed(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None) -> np.ndarray:
     q = np.array(mechanism.home if start is None else start, dtype=float)
     path = np.asarray(path, dtype=float)
     if len(path) > _FEWEST_AT_ONCE:
@@ -99,8 +111,7 @@ def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = Non
 
 
 def _where(mechanism: Mechanism, s: np.ndarray) -> str:
-    joints = mechanism.independent_joints
-    return ", ".join(f"{j.name} = {j.shown(x):.6g} {j.unit}" for j, x in zip(joints, s, strict=True))
+    return where(mechanism.joints, dict(zip(mechanism.independent.tolist(), s.tolist(), strict=True)))
 
 
 def _step_sizes(mechanism: Mechanism) -> np.ndarray:

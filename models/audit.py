@@ -2,11 +2,17 @@
 
 from dataclasses import dataclass
 
+import casadi as ca
 import mujoco
 import numpy as np
 
-from models.actuators import is_motor
-from models.tree import JOINT_TRANSMISSIONS
+from models.actuators import is_idle_at_zero, label, read_actuators, shared_clamps, why_not
+from models.closure import equality_name
+from models.coordinates import BALL, FREE, joint_label
+from models.passive import disabled, spans_branches, tendon_armatures
+from models.tendons import tendon_label, wraps
+from models.transmission import attachment
+from models.tree import build_tree
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -19,53 +25,97 @@ class Unhonoured:
 
 def audit(model: mujoco.MjModel) -> tuple[Unhonoured, ...]:
     """Return every element of a model that the reduced dynamics leave out (contacts are for the pose to show)."""
-    found: list[Unhonoured] = []
+    false = [*_joints(model), *_tendons(model), *_surroundings(model), *shared_clamps(model)]
+    found = [Unhonoured(text=text, falsifies=True) for text in false]
+    return (*found, *_actuators(model), *_equalities(model))
 
-    def add(text: str, falsifies: bool = True) -> None:
-        found.append(Unhonoured(text=text, falsifies=falsifies))
 
+def _joints(model: mujoco.MjModel):
     for joint in range(model.njnt):
-        name, dof = model.joint(joint).name or f"joint{joint}", int(model.jnt_dofadr[joint])
+        name, dof, kind = joint_label(model, joint), int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
         if model.dof_frictionloss[dof] > 0:
-            add(f"frictionloss {model.dof_frictionloss[dof]:g} of joint {name}")
+            yield f"frictionloss {model.dof_frictionloss[dof]:g} of joint {name}"
         if model.jnt_springyield[joint] > 0:
-            add(f"springyield of joint {name}")
+            yield f"springyield of joint {name}"
+        if kind in (BALL, FREE):
+            if model.jnt_stiffness[joint] or np.any(model.jnt_stiffnesspoly[joint]):
+                yield f"stiffness of ball joint {name}"
+            if np.any(model.dof_dampingpoly[dof]):
+                yield f"quadratic or cubic damping of ball joint {name}"
+            if model.jnt_limited[joint] and not disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT):
+                yield f"range of ball joint {name}"
+
+
+def _tendons(model: mujoco.MjModel):
+    lengths, q = _tendon_lengths(model)
+    armatures = tendon_armatures(model)
     for tendon in range(model.ntendon):
-        name = model.tendon(tendon).name or f"tendon {tendon}"
-        forces = [
-            ("stiffness", model.tendon_stiffness[tendon] > 0),
-            ("damping", model.tendon_damping[tendon] > 0),
+        name = tendon_label(model, tendon)
+        beyond = [
             ("frictionloss", model.tendon_frictionloss[tendon] > 0),
-            ("armature", model.tendon_armature[tendon] > 0),
-            ("limit", bool(model.tendon_limited[tendon])),
+            ("limit", bool(model.tendon_limited[tendon]) and not disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT)),
+            ("springyield", model.tendon_springyield[tendon] > 0),
         ]
-        for what, present in forces:
-            if present:
-                add(f"{what} of tendon {name}")
+        yield from (f"{what} of tendon {name}" for what, present in beyond if present)
+        if wraps(model, tendon):
+            forces = [
+                ("stiffness", model.tendon_stiffness[tendon] or np.any(model.tendon_stiffnesspoly[tendon])),
+                ("damping", model.tendon_damping[tendon] or np.any(model.tendon_dampingpoly[tendon])),
+                ("armature", armatures[tendon] > 0),
+            ]
+            yield from (f"{what} of tendon {name}, which wraps around a geom" for what, present in forces if present)
+        elif armatures[tendon] > 0 and spans_branches(model, lengths[tendon], q):
+            yield f"armature of tendon {name}: it couples two branches of the tree, which the simulator's inertia leaves out"
+
+
+def _tendon_lengths(model: mujoco.MjModel) -> tuple[tuple[ca.SX | None, ...], ca.SX]:
+    if not any(tendon_armatures(model)):
+        return (None,) * model.ntendon, ca.SX(0, 1)
+    tree = build_tree(model)
+    return tree.tendon_lengths, tree.q
+
+
+def _surroundings(model: mujoco.MjModel):
     for body in range(1, model.nbody):
         if model.body_gravcomp[body] != 0:
-            add(f"gravcomp of body {model.body(body).name or body}")
+            yield f"gravcomp of body {model.body(body).name or body}"
     if model.opt.density > 0 or model.opt.viscosity > 0 or np.any(model.opt.wind != 0):
-        add("fluid forces (option density, viscosity or wind)")
+        yield "fluid forces (option density, viscosity or wind)"
     if model.nflex:
-        add(f"{model.nflex} flex")
+        yield f"{model.nflex} flex"
     if model.nplugin:
-        add(f"{model.nplugin} plugin instance(s)")
-    for index in range(model.nu):
-        if is_motor(model, index):
+        yield f"{model.nplugin} plugin instance(s)"
+
+
+def _actuators(model: mujoco.MjModel):
+    for index in range(model.nactuator):
+        reason = why_not(model, index)
+        if reason is None:
             continue
-        name = model.actuator(index).name or f"actuator {index}"
-        passive = [model.actuator_damping[index], *model.actuator_dampingpoly[index], model.actuator_armature[index]]
-        on_joint = int(model.actuator_trntype[index]) in JOINT_TRANSMISSIONS  # whose passive part the tree carries
-        idle = int(model.actuator_biastype[index]) == int(mujoco.mjtBias.mjBIAS_NONE) and (on_joint or not np.any(passive))
-        transmission = mujoco.mjtTrn(int(model.actuator_trntype[index])).name.removeprefix("mjTRN_").lower()
-        gain = mujoco.mjtGain(int(model.actuator_gaintype[index])).name.removeprefix("mjGAIN_").lower()
-        add(
-            f"actuator {name} ({transmission} transmission, {gain} gain) is not a motor at work on a joint: plans leave it"
-            f" {'idle at zero control' if idle else 'out, though it acts at zero control too'}",
+        idle = is_idle_at_zero(model, index)
+        kind = mujoco.mjtTrn(int(model.actuator_trntype[index])).name.removeprefix("mjTRN_").lower()
+        yield Unhonoured(
+            text=f"actuator {label(model, index)} on {attachment(model, index).target} ({kind} transmission): {reason};"
+            f" plans leave it {'idle at zero control' if idle else 'out, though it acts at zero control too'}",
             falsifies=not idle,
         )
+    for actuator in read_actuators(model):
+        if not actuator.is_servo:
+            continue
+        limits = "" if np.isfinite([actuator.lower, actuator.upper]).all() else ", which no forcerange limits"
+        within = ""
+        if np.isfinite([actuator.control_lower, actuator.control_upper]).any():
+            within = f", cut at its ctrlrange {actuator.control_lower:g} to {actuator.control_upper:g}"
+        yield Unhonoured(
+            text=f"servo of actuator {actuator.name}: plans command its effort{limits}; its ctrl is what gives that effort"
+            f" against its gain and bias{within}",
+            falsifies=False,
+        )
+
+
+def _equalities(model: mujoco.MjModel):
     for index in range(model.neq):
         if not model.eq_active0[index]:
-            add(f"equality constraint {model.equality(index).name or index} is inactive and stays so", falsifies=False)
-    return tuple(found)
+            yield Unhonoured(
+                text=f"equality constraint {equality_name(model, index)} is inactive and stays so", falsifies=False
+            )

@@ -1,8 +1,14 @@
-"""Loop closure: the equations phi(q) = 0 of a model's `connect` constraints, and which of them are independent.
+"""Loop closure: the equations phi(q) = 0 of a model's equality constraints.
 
-A connect asks two body-fixed points to coincide: phi = p_world_1 - p_world_2, three rows, MuJoCo's own residual. A
-planar loop has rank 2 in them, and repeated pins add rows without rank; rank and rows come from pivoted QR
-(Golub & Van Loan, Matrix Computations, 5.4.2), never from counting.
+A connect asks two points to coincide (three rows), a weld two frames (six), a joint or tendon equality asks a position or
+length to be a quartic polynomial of another (one row). The residuals are MuJoCo's own, with two changes that leave their
+zeros where they are:
+
+* All rows are lengths [m]. A weld's rotation rows are 2 sin(theta / 2) axis, the angle where it is small, times `lever_m`,
+  the model's extent; so is the row of a joint equality on a hinge. An angle then counts by what it moves, forces on all
+  rows are newtons, and one tolerance serves all.
+* A loop that rides on a moving body is closed in that body's frame: two points tied within a leg have their rows along the
+  leg's axes and not the world's, so that a planar loop keeps its two independent rows however the leg turns.
 """
 
 from dataclasses import dataclass
@@ -10,110 +16,169 @@ from dataclasses import dataclass
 import casadi as ca
 import mujoco
 import numpy as np
-import scipy.linalg
 
 from models.errors import ModelError
-from models.tree import Tree
+from models.tendons import is_fixed, tendon_label
+from models.tree import HINGE, Frame, Tree, common_ancestor, frame_in, product
 
-# Singular values below this share of the largest count as zero. An exact planar loop shows 1e-16; a pose within
-# a millionth of a link length of singular still shows 1e-6.
-RANK_TOLERANCE = 1e-9
+CONNECT, WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+JOINT, TENDON = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Closure:
-    """One `connect`: its name, the bodies that it ties, and its three residuals [m] as expressions of q."""
+    """One gap of an equality constraint: rows of phi [m] that belong together.
+
+    A weld has two, its point and its orientation. `lever_m` is what a radian of the gap counts [m], None where the gap is a
+    length by nature; `frame` is the body whose axes the rows lie along, 0 for the world's; `scale` makes the residual
+    of MuJoCo's row.
+    """
 
     name: str
+    kind: str  # "point", "orientation", "joint" or "tendon"
     index: int  # of MuJoCo's equality constraint
+    rows: slice
     residual: ca.SX
+    frame: int
+    scale: float
+    lever_m: float | None
+
+    @property
+    def unit(self) -> str:
+        """The unit of the gap as a designer counts it."""
+        return "m" if self.lever_m is None else "rad"
+
+    def gap(self, phi: np.ndarray) -> np.ndarray:
+        """Return how far the gap stands open, [m] or [rad] as `unit` says, from values of all rows (..., n_rows)."""
+        return np.linalg.norm(phi[..., self.rows], axis=-1) / (self.lever_m or 1.0)
 
 
 def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
     """Return the active loop closures of a model.
 
     Raises:
-        ModelError: for an active equality constraint of another kind than `connect`.
+        ModelError: for an active equality constraint of a kind that has no equation here.
     """
-    closures = []
+    closures: list[Closure] = []
     off = mujoco.mjtDisableBit.mjDSBL_EQUALITY.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
     disabled = model.opt.disableflags & off
     for index in range(model.neq):
         if not model.eq_active0[index] or disabled:
             continue
         kind = mujoco.mjtEq(int(model.eq_type[index]))
-        if kind != mujoco.mjtEq.mjEQ_CONNECT:
+        if kind not in _READERS:
             raise ModelError(
                 f"equality constraint '{equality_name(model, index)}' is of kind"
-                f" '{kind.name.removeprefix('mjEQ_').lower()}'; the planner closes loops by 'connect' only"
+                f" '{kind.name.removeprefix('mjEQ_').lower()}'; the planner closes loops by 'connect', 'weld', 'joint' and"
+                " 'tendon'"
             )
-        closures.append(_connect(model, tree, index))
+        for what, residual, frame, scale, lever in _READERS[kind](model, tree, index):
+            start = closures[-1].rows.stop if closures else 0
+            closures.append(
+                Closure(
+                    name=equality_name(model, index),
+                    kind=what,
+                    index=index,
+                    rows=slice(start, start + residual.numel()),
+                    residual=residual,
+                    frame=frame,
+                    scale=scale,
+                    lever_m=lever,
+                )
+            )
     return tuple(closures)
 
 
 def equality_name(model: mujoco.MjModel, index: int) -> str:
-    """Return the constraint's own name, or one made of the sites or bodies that it ties."""
+    """Return the constraint's own name, or one made of what it ties."""
     name = model.equality(index).name
     if name:
         return name
     kind = mujoco.mjtEq(int(model.eq_type[index]))
-    elements = {mujoco.mjtEq.mjEQ_JOINT: model.joint, mujoco.mjtEq.mjEQ_TENDON: model.tendon}
+    elements = {JOINT: model.joint, TENDON: model.tendon}
     at_sites = int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE)
     element = elements.get(kind, model.site if at_sites else model.body)
-    if kind not in (mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD, *elements):
+    if kind not in (CONNECT, WELD, *elements):
         return f"equality {index}"
     tied = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
     return "-".join(element(i).name or str(i) for i in tied)
 
 
-def _connect(model: mujoco.MjModel, tree: Tree, index: int) -> Closure:
-    first, second = connect_ends(model, index)
-    residual = tree.point(*first) - tree.point(*second)
-    return Closure(name=equality_name(model, index), index=index, residual=residual)
+def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray]]:
+    """Return the two points that a connect or weld ties, each as its body and its place (3,) [m] in that body's frame.
 
-
-def connect_ends(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray]]:
-    """Return the two points that a connect ties, each as its body and its place (3,) [m] in that body's frame."""
+    An equality of another kind ties no points: the list is empty.
+    """
+    if int(model.eq_type[index]) not in (int(CONNECT), int(WELD)):
+        return []
     first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
     if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
         return [(int(model.site_bodyid[site]), model.site_pos[site]) for site in (first, second)]
-    return [(first, model.eq_data[index, 0:3]), (second, model.eq_data[index, 3:6])]
+    points = [model.eq_data[index, 0:3], model.eq_data[index, 3:6]]
+    if int(model.eq_type[index]) == int(WELD):  # whose data name the second body's point first
+        points.reverse()
+    return [(first, points[0]), (second, points[1])]
 
 
-def numerical_rank(jacobian: np.ndarray) -> int:
-    """Return the rank of a matrix by its singular values."""
-    if jacobian.size == 0:
-        return 0
-    values = np.linalg.svd(jacobian, compute_uv=False)
-    return int(np.sum(values > RANK_TOLERANCE * max(values[0], np.finfo(float).tiny)))
+def _lever(model: mujoco.MjModel) -> float:
+    return float(model.stat.extent)
 
 
-def independent_rows(jacobian: np.ndarray, rank: int) -> np.ndarray:
-    """Return the indices (rank,) of rows that span the row space, in file order."""
-    if rank == 0:
-        return np.zeros(0, dtype=int)
-    pivots = scipy.linalg.qr(jacobian.T, mode="economic", pivoting=True)[-1]
-    return np.sort(np.asarray(pivots)[:rank])
+def _seen(model: mujoco.MjModel, tree: Tree, bodies: list[int]) -> tuple[int, list[Frame]]:
+    ancestor = common_ancestor(model, *bodies)
+    return ancestor, [frame_in(tree, ancestor, body) for body in bodies]
 
 
-def dependent_columns(jacobian: np.ndarray, rank: int, last: list[int]) -> np.ndarray:
-    """Return the columns (rank,) to solve for: a well-conditioned set that avoids those in `last` where it can.
+def _connect(model: mujoco.MjModel, tree: Tree, index: int):
+    ends = tied_points(model, index)
+    frame, frames = _seen(model, tree, [body for body, _ in ends])
+    first, second = (f.p_world_B + f.R_world_B @ ca.DM(p) for f, (_, p) in zip(frames, ends, strict=True))
+    yield "point", first - second, frame, 1.0, None
 
-    Gram-Schmidt with pivoting, first over the columns outside `last` and then over `last`, so that the joints in `last`
-    (the actuated ones) stay independent wherever the rest can carry the loop.
-    """
-    work = np.array(jacobian, dtype=float)
-    floor = RANK_TOLERANCE * max(np.linalg.norm(work, axis=0).max(initial=0.0), np.finfo(float).tiny)
-    chosen: list[int] = []
-    for group in ([c for c in range(work.shape[1]) if c not in last], list(last)):
-        candidates = list(group)
-        while candidates and len(chosen) < rank:
-            norms = np.linalg.norm(work[:, candidates], axis=0)
-            best = int(np.argmax(norms))
-            if norms[best] <= floor:
-                break
-            column = candidates.pop(best)
-            chosen.append(column)
-            direction = work[:, column] / norms[best]
-            work -= np.outer(direction, direction @ work)
-    return np.array(sorted(chosen), dtype=int)
+
+def _weld(model: mujoco.MjModel, tree: Tree, index: int):
+    """Yield the point, and the orientation unless `torquescale` is zero, which leaves a connect."""
+    yield from _connect(model, tree, index)
+    torquescale = float(model.eq_data[index, 10])
+    if torquescale == 0:
+        return
+    bodies = [body for body, _ in tied_points(model, index)]
+    _, (first, second) = _seen(model, tree, bodies)
+    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        turns = [model.site_quat[model.eq_obj1id[index]], model.site_quat[model.eq_obj2id[index]]]
+    else:
+        turns = [model.eq_data[index, 6:10] / np.linalg.norm(model.eq_data[index, 6:10]), np.array([1.0, 0, 0, 0])]
+    q_1, q_2 = (product(f.quaternion, ca.SX(ca.DM(turn))) for f, turn in zip((first, second), turns, strict=True))
+    apart = product(ca.vertcat(q_2[0], -q_2[1:]), q_1)
+    lever = _lever(model)
+    # Rows of MuJoCo's: torquescale times the vector part. Its scalar part is one where the weld holds, or minus one.
+    yield "orientation", 2 * lever * apart[1:], bodies[1], 2 * lever / torquescale, lever
+
+
+def _polynomial(model: mujoco.MjModel, index: int, y: ca.SX, x: ca.SX | None) -> ca.SX:
+    a = [float(c) for c in model.eq_data[index, :5]]
+    powers = range(5) if x is not None else range(1)
+    return y - sum((a[k] * (x**k if k else 1) for k in powers if a[k]), ca.SX(0))
+
+
+def _joint(model: mujoco.MjModel, tree: Tree, index: int):
+    joints = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
+    travels = [tree.q[int(model.jnt_dofadr[i])] - float(model.qpos0[model.jnt_qposadr[i]]) for i in joints]
+    lever = _lever(model) if int(model.jnt_type[joints[0]]) == HINGE else None
+    residual = _polynomial(model, index, travels[0], travels[1] if len(joints) > 1 else None)
+    yield "joint", residual * (lever or 1.0), 0, lever or 1.0, lever
+
+
+def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
+    tendons = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
+    for tendon in tendons:
+        if not is_fixed(model, tendon):
+            raise ModelError(
+                f"equality constraint '{equality_name(model, index)}' ties spatial tendon '{tendon_label(model, tendon)}';"
+                " the planner takes fixed tendons"
+            )
+    travels = [tree.tendon_lengths[tendon] - float(model.tendon_length0[tendon]) for tendon in tendons]
+    yield "tendon", _polynomial(model, index, travels[0], travels[1] if len(tendons) > 1 else None), 0, 1.0, None
+
+
+_READERS = {CONNECT: _connect, WELD: _weld, JOINT: _joint, TENDON: _tendon}

@@ -24,7 +24,7 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
     data = mujoco.MjData(model)
     found: dict[tuple[int, int], tuple[list[int], float]] = {}
     for k, pose in enumerate(poses):
-        data.qpos[:] = pose
+        data.qpos[:] = mechanism.qpos_of(pose)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
         mujoco.mj_collision(model, data)

@@ -1,8 +1,7 @@
 """A closed-chain mechanism: a MuJoCo model, its joints, closures and actuators, and its reduced dynamics."""
 
 import hashlib
-import numbers
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,53 +9,36 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from models import newton
-from models.actuators import Actuator, read_actuators
-from models.closure import dependent_columns, independent_rows, numerical_rank, read_closures
+from models.actuators import Actuator, effort_matrix, read_actuators
+from models.closure import Closure, read_closures
+from models.coordinates import Coordinates
 from models.errors import AssemblyError, ModelError
+from models.home import asked_home, assemble_home, poses_about, refuse_singular_home
+from models.joints import Joint, index_of, read_joints
 from models.library import compile_model
-from models.names import nearest
+from models.newton import Loop
 from models.payload import Payload, payload_from
+from models.rank import dependent_columns, independent_rows, numerical_rank
 from models.reduction import ReducedDynamics, reduce_tree
-from models.tree import HINGE, SLIDE, build_tree
+from models.tendons import is_fixed, tendon_joints
+from models.transmission import TRN_TENDON
+from models.tree import build_tree
 
-# Joint angles named in `home` beside the independent ones choose a branch; the loop may settle this far from them.
-HOME_TOLERANCE = np.radians(5.0)
-# No joint is asked to stand further out than this [rad or m].
-_FARTHEST = 1e3
-# A step from the home pose to look whether it is an ordinary one [rad; on a slide, of the model's extent].
-_HOME_STEP = 0.02
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Joint:
-    """A hinge [rad] or slide [m] with its range, infinite where the model sets none."""
-
-    name: str
-    kind: str  # "hinge" or "slide"
-    lower: float
-    upper: float
-
-    @property
-    def unit(self) -> str:
-        """The unit of the joint's position in files and messages."""
-        return "deg" if self.kind == "hinge" else "m"
-
-    def shown(self, position: float) -> float:
-        """Return a position [rad or m] in the unit of files and messages."""
-        return float(np.degrees(position)) if self.kind == "hinge" else float(position)
-
-    def read(self, value: float) -> float:
-        """Return a value in the unit of files and messages as a position [rad or m]."""
-        return float(np.radians(value)) if self.kind == "hinge" else float(value)
+# A named choice of coordinates is refused where a column of J_z is left with less than this share of itself: the pose
+# is then within some microradians of a dead centre of the choice.
+_SINGULAR_CHOICE = 1e-6
+# The rank at the reference pose means something where the loops are closed there, up to a file's rounding.
+_CLOSED_REFERENCE_M = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Mechanism:
     """A mechanism assembled at its home pose.
 
-    `independent` and `dependent` are indices into the joints; `home` (n_q,) closes the loops; `home_gap_m` is how far
-    they stood open at the model's own reference pose, before assembly.
+    Its coordinates q (n_q,) are internal ones, see `models.coordinates`; `independent` and `dependent` are indices into
+    them. `home` (n_q,) closes the loops; `home_gap_m` is how far they stood open at the model's own reference pose, before
+    assembly. `idle` are coordinates that can move alone while all other bodies rest and that no actuator drives, as a rod
+    between two ball joints spins; `notes` are sentences on what is worth knowing of the assembly.
     """
 
     name: str
@@ -64,7 +46,7 @@ class Mechanism:
     payload: Payload | None
     joints: tuple[Joint, ...]
     actuators: tuple[Actuator, ...]
-    closure_names: tuple[str, ...]
+    closures: tuple[Closure, ...]
     closure_rows: np.ndarray  # independent rows of phi
     independent: np.ndarray
     dependent: np.ndarray
@@ -72,11 +54,24 @@ class Mechanism:
     reference: np.ndarray
     home_gap_m: float
     dynamics: ReducedDynamics
+    coordinates: Coordinates
+    idle: tuple[int, ...]
+    notes: tuple[str, ...]
 
     @property
     def n_q(self) -> int:
-        """The number of joints."""
+        """The number of internal coordinates: joints, a ball joint counted thrice."""
         return len(self.joints)
+
+    @property
+    def closure_names(self) -> tuple[str, ...]:
+        """The names of the equality constraints that close the loops."""
+        return tuple({closure.index: closure.name for closure in self.closures}.values())
+
+    @property
+    def n_closure_rows(self) -> int:
+        """The number of closure equations, redundant ones among them."""
+        return self.closures[-1].rows.stop if self.closures else 0
 
     @property
     def dof(self) -> int:
@@ -109,17 +104,35 @@ class Mechanism:
 
     def joint_index(self, name: str, error: type[Exception] = ModelError) -> int:
         """Return the index of a joint by name."""
-        names = [joint.name for joint in self.joints]
-        if name not in names:
-            raise error(
-                f"joint '{name}' is not in mechanism '{self.name}'{nearest(name, names)}; joints are {', '.join(names)}"
-            )
-        return names.index(name)
+        return index_of(self.name, self.joints, name, error)
 
     def gap_m(self, q: np.ndarray) -> float:
-        """Return the largest distance [m] between two points that a closure ties, at pose q (n_q,)."""
-        phi = np.array(self.dynamics.closure(q)).reshape(-1, 3)
-        return float(np.linalg.norm(phi, axis=1).max(initial=0.0))
+        """Return the largest gap [m] of any closure at pose q (n_q,), an angle by what it moves at the model's extent."""
+        return float(self.gaps_m(np.asarray(q)[None])[0])
+
+    def gaps_m(self, q: np.ndarray) -> np.ndarray:
+        """Return the largest gap (n,) [m] of any closure at each of the poses q (n, n_q)."""
+        q = np.asarray(q, dtype=float)
+        if not self.closures:
+            return np.zeros(len(q))
+        phi = np.array(self.dynamics.closure.map(len(q))(q.T)).T
+        return np.max([np.linalg.norm(phi[:, closure.rows], axis=1) for closure in self.closures], axis=0)
+
+    def qpos_of(self, q: np.ndarray) -> np.ndarray:
+        """Return MuJoCo's qpos (..., nq) of poses q (..., n_q)."""
+        return self.coordinates.qpos_of(q)
+
+    def q_of(self, qpos: np.ndarray) -> np.ndarray:
+        """Return the poses q (..., n_q) of MuJoCo's qpos (..., nq)."""
+        return self.coordinates.q_of(qpos)
+
+    def qvel_of(self, q: np.ndarray, rates: np.ndarray) -> np.ndarray:
+        """Return MuJoCo's qvel (..., nv) of poses and their rates q' (..., n_q)."""
+        return self.coordinates.qvel_of(q, rates)
+
+    def rates_of(self, q: np.ndarray, qvel: np.ndarray) -> np.ndarray:
+        """Return the rates q' (..., n_q) of poses q under MuJoCo's qvel (..., nv)."""
+        return self.coordinates.rates_of(q, qvel)
 
 
 def load_mechanism(
@@ -127,6 +140,7 @@ def load_mechanism(
     *,
     payload: Payload | str | Mapping | None = None,
     home: Mapping[str, float] | None = None,
+    independent: Sequence[str] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -135,36 +149,51 @@ def load_mechanism(
         payload: a `Payload`, a built-in payload's name, or a table with body, mass_kg, com_m, inertia_kgm2.
         home: joint positions by name [rad or m] at which to assemble. Independent joints are held there; the others
             choose the branch. Without it the model's keyframe "home", else its reference pose, is the guess.
+        independent: names of joints to be independent coordinates; by default the actuated ones are, as far as they can.
 
     Raises:
-        ModelError: when the model cannot be used.
+        ModelError: when the model cannot be used, or the named joints cannot be its coordinates.
         AssemblyError: when its loops do not close at, or near, the pose asked.
     """
     payload = payload_from(payload)
     name, model = compile_model(source, payload)
-    joints = _read_joints(name, model)
-    tree = build_tree(model)
+    joints = read_joints(name, model)
+    reference_qpos = _reference_qpos(model)
+    tree = build_tree(model, reference_qpos)
     closures = read_closures(model, tree)
     actuators = read_actuators(model)
     phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
-    loop = ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(ca.jacobian(phi, tree.q))])
+    loop = Loop(
+        function=ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(ca.jacobian(phi, tree.q))]),
+        rows=tuple(closure.rows for closure in closures),
+    )
 
-    reference = _reference_pose(model)
-    asked = _asked_home(name, joints, home)
-    pose = _assemble_home(name, joints, loop, reference, asked)
-    jacobian = np.array(loop(pose)[1]).reshape(-1, len(joints))
-    rank = numerical_rank(jacobian)
+    reference = tree.coordinates.q_of(reference_qpos)
+    pose = assemble_home(name, joints, loop, reference, asked_home(name, joints, home))
+    _refuse_beyond_charts(name, tree.coordinates, pose)
+    extent = float(model.stat.extent)
+    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])  # what counts as a radian
+    about = poses_about(loop, pose, unit)
+    jacobians = [loop.residual(q)[1] * unit for q in (pose, *about)]
+    rank = numerical_rank(jacobians[0])
     if rank == len(joints):
         raise ModelError(
             f"mechanism '{name}' is locked: {len(joints)} joints less {rank} independent closure rows leave 0 degrees of"
             " freedom"
         )
-    rows = independent_rows(jacobian, rank)
-    actuated = list(dict.fromkeys(actuator.joint for actuator in actuators))
-    dependent = dependent_columns(jacobian[rows], rank, last=actuated)
-    independent = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
-    _refuse_singular_home(name, joints, loop, pose, rank, independent, float(model.stat.extent))
-    dynamics = reduce_tree(tree, phi, _effort_matrix(len(joints), actuators), rows, independent, dependent)
+    ordinary = [jacobian for jacobian in jacobians if numerical_rank(jacobian) == rank]
+    rows = independent_rows(ordinary, rank)
+    named = _named(name, joints, independent, len(joints) - rank)
+    dependent = _choose_dependent(joints, model, jacobians[0][rows], rank, actuators, named)
+    free = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
+    refuse_singular_home(name, joints, loop, pose, rank, free, extent, about)
+    B = effort_matrix(model, tree, actuators)
+    dynamics = reduce_tree(tree, phi, B, rows, free, dependent)
+    moments = np.array(ca.Function("moments", [tree.q], [ca.densify(B)])(pose)).reshape(len(joints), -1)
+    idle, notes = _idle_freedoms(tree.coordinates, jacobians[0], moments)
+    at_reference = numerical_rank(loop.residual(reference)[1] * unit)
+    if loop.gap(loop.residual(reference)[0]) <= _CLOSED_REFERENCE_M and at_reference != rank:
+        notes.append(f"the model's reference pose is singular: the closure has rank {at_reference} there and {rank} at home")
 
     mechanism = Mechanism(
         name=name,
@@ -172,153 +201,103 @@ def load_mechanism(
         payload=payload,
         joints=joints,
         actuators=actuators,
-        closure_names=tuple(closure.name for closure in closures),
+        closures=closures,
         closure_rows=rows,
-        independent=independent,
+        independent=free,
         dependent=dependent,
         home=pose,
         reference=reference,
-        home_gap_m=0.0,
+        home_gap_m=loop.gap(loop.residual(reference)[0]),
         dynamics=dynamics,
+        coordinates=tree.coordinates,
+        idle=idle,
+        notes=tuple(notes),
     )
-    object.__setattr__(mechanism, "home_gap_m", mechanism.gap_m(reference))
-    for array in (mechanism.home, mechanism.reference, rows, independent, dependent):
+    for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
     return mechanism
 
 
-def _read_joints(name: str, model: mujoco.MjModel) -> tuple[Joint, ...]:
-    if model.njnt == 0:
-        raise ModelError(f"model '{name}' has no joint: there is nothing to move")
-    joints = []
-    for index in range(model.njnt):
-        label = model.joint(index).name or f"joint{index}"
-        kind = int(model.jnt_type[index])
-        if kind not in (HINGE, SLIDE):
-            spelled = mujoco.mjtJoint(kind).name.removeprefix("mjJNT_").lower()
-            raise ModelError(f"joint '{label}' of model '{name}' is of type {spelled}; joints are hinge or slide")
-        limited = bool(model.jnt_limited[index]) and not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
-        lower, upper = model.jnt_range[index] if limited else (-np.inf, np.inf)
-        joints.append(Joint(name=label, kind="hinge" if kind == HINGE else "slide", lower=float(lower), upper=float(upper)))
-    return tuple(joints)
-
-
-def _effort_matrix(n_q: int, actuators: tuple[Actuator, ...]) -> np.ndarray:
-    matrix = np.zeros((n_q, len(actuators)))
-    for column, actuator in enumerate(actuators):
-        matrix[actuator.joint, column] = actuator.gear
-    return matrix
-
-
-def _reference_pose(model: mujoco.MjModel) -> np.ndarray:
-    """Return the keyframe "home" of the model, or its reference pose `qpos0`."""
+def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:
+    """Return the keyframe "home" of the model, or its reference pose `qpos0`, as a qpos (nq,)."""
     for key in range(model.nkey):
         if model.key(key).name == "home":
             return np.array(model.key_qpos[key], dtype=float)
     return np.array(model.qpos0, dtype=float)
 
 
-def _asked_home(name: str, joints: tuple[Joint, ...], home: Mapping[str, float] | None) -> dict[int, float]:
-    names = [joint.name for joint in joints]
-    asked = {}
-    for joint, value in (home or {}).items():
-        if joint not in names:
+def _refuse_beyond_charts(name: str, coordinates: Coordinates, pose: np.ndarray) -> None:
+    left = coordinates.left(pose)
+    if left is not None:
+        raise AssemblyError(
+            f"mechanism '{name}' assembles with ball joint '{left}' further from its reference orientation than its"
+            " coordinates go (218 deg about one axis); give the model a keyframe 'home' near the pose meant"
+        )
+
+
+def _named(name: str, joints: tuple[Joint, ...], asked: Sequence[str] | None, dof: int) -> list[int]:
+    """Return the indices of the joints named as independent coordinates."""
+    if asked is None:
+        return []
+    if isinstance(asked, str) or not all(isinstance(joint, str) for joint in asked):
+        raise ModelError(f"mechanism.independent is a list of joint names, got {asked!r}")
+    named = [index_of(name, joints, joint) for joint in asked]
+    if len(set(named)) < len(named) or len(named) > dof:
+        raise ModelError(
+            f"mechanism.independent names {len(named)} joints ({', '.join(asked)}); mechanism '{name}' has {dof} degrees of"
+            " freedom, each a joint of its own"
+        )
+    return named
+
+
+def _choose_dependent(joints, model, jacobian, rank: int, actuators, named: list[int]) -> np.ndarray:
+    """Return the dependent columns: not the named joints, and as few of the driven ones as can be.
+
+    Raises:
+        ModelError: when the named joints do not fix the others at home.
+    """
+    driven = [actuator.joint for actuator in actuators if actuator.joint is not None]
+    pulled = [
+        dof
+        for actuator in actuators
+        if int(model.actuator_trntype[actuator.index]) == int(TRN_TENDON)
+        and is_fixed(model, int(model.actuator_trnid[actuator.index, 0]))
+        for dof in tendon_joints(model, int(model.actuator_trnid[actuator.index, 0]))
+    ]
+    groups, left = [], list(range(len(joints)))
+    for group in (named, driven, pulled):
+        groups.insert(0, [i for i in dict.fromkeys(group) if i in left])
+        left = [i for i in left if i not in groups[0]]
+    chosen = dependent_columns(jacobian, rank, [left, *groups])
+    if named and (lost := [joints[i].name for i in named if i in chosen]):
+        raise ModelError(
+            f"mechanism.independent = {[joints[i].name for i in named]} is singular at home: the loops fix joint"
+            f" {', '.join(lost)} there whatever the other coordinates do; name another joint, or another home pose"
+        )
+    if named and rank:
+        values = np.linalg.svd(jacobian[:, chosen], compute_uv=False)
+        if values[-1] < _SINGULAR_CHOICE * values[0]:
             raise ModelError(
-                f"joint '{joint}' is not in mechanism '{name}'{nearest(joint, names)}; joints are {', '.join(names)}"
+                f"mechanism.independent = {[joints[i].name for i in named]} is singular at home: the other joints are at a"
+                " dead centre there; name another joint, or another home pose"
             )
-        number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if not number or not abs(value) < _FARTHEST:
-            raise ModelError(f"home of joint '{joint}' is a finite position within {_FARTHEST:g} rad or m, got {value!r}")
-        asked[names.index(joint)] = float(value)
-    return asked
+    return chosen
 
 
-def _assemble_home(name, joints, loop: ca.Function, reference: np.ndarray, asked: dict[int, float]) -> np.ndarray:
-    """Return a pose that closes every loop, with the asked joints held as far as the loops leave them free.
-
-    From the reference pose along a straight line to the asked one where that closes, which stays on the reference's
-    branch; else by Newton from the asked values, which then choose the branch.
-    """
-
-    def residual(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        phi, jacobian = loop(q)
-        return np.array(phi).ravel(), np.array(jacobian).reshape(-1, len(joints))
-
-    everything = list(range(len(joints)))
-    near, gap = newton.close(residual, reference, everything)
-    if not asked:
-        if gap > newton.CLOSED_M:
-            gap = min(gap, newton.least_gap(residual, near, everything))
-            raise AssemblyError(
-                f"mechanism '{name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm;"
-                " name a pose near a closed one with mechanism.home_deg"
-            )
-        return near
-    base = near if gap <= newton.CLOSED_M else reference
-    start = np.array([asked.get(i, base[i]) for i in everything])
-    unnamed = [i for i in everything if i not in asked]
-    poses = []
-    if gap <= newton.CLOSED_M:
-        poses.append(newton.follow(residual, near, asked))
-    # Where more joints are named than the loop leaves free, the first are held and the others choose the branch. Unnamed
-    # joints may start on another branch than the reference's: each is tried all round as well.
-    starts = [start, *(_turned(joints, start, unnamed) if len(asked) > 1 else [])]
-    for n_held in range(len(asked), 0, -1):
-        held = list(asked)[:n_held]
-        free = [i for i in everything if i not in held]
-        for trial in starts:
-            guess = newton.close(residual, trial, unnamed)[0] if n_held < len(asked) and unnamed else trial
-            poses.append(newton.close(residual, guess, free))
-            for pose, open_by in poses:
-                away = max(abs(pose[i] - value) for i, value in asked.items())
-                if open_by <= newton.CLOSED_M and away <= HOME_TOLERANCE:
-                    return pose
-            poses.clear()
-    gap = min(newton.least_gap(residual, trial, unnamed) for trial in starts)
-    where = ", ".join(f"{joints[i].name} = {joints[i].shown(v):.6g} {joints[i].unit}" for i, v in asked.items())
-    raise AssemblyError(f"mechanism '{name}' does not close at {where}: the loop stays open by {1e3 * gap:.3g} mm")
-
-
-def _turned(joints, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
-    """Return `start` with its unnamed hinges turned by quarters, together: places to look for another branch from."""
-    hinges = [i for i in unnamed if joints[i].kind == "hinge"]
-    turned = []
-    for quarter in (1, 2, 3) if hinges else ():
-        trial = np.array(start)
-        trial[hinges] += quarter * np.pi / 2
-        turned.append(trial)
-    return turned
-
-
-def _refuse_singular_home(name, joints, loop: ca.Function, pose, rank: int, independent, extent: float) -> None:
-    """Refuse a home pose where the rank is not that of its neighbours, or from which nothing can move.
-
-    A parallelogram drawn flat, or a truss of three bars in a line, shows fewer independent rows there than it has.
-    """
-
-    def residual(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        phi, jacobian = loop(q)
-        return np.array(phi).ravel(), np.array(jacobian).reshape(-1, len(joints))
-
-    for index in independent:
-        moved = False
-        step = _HOME_STEP * (1.0 if joints[index].kind == "hinge" else extent)
-        for change in (step, -step):
-            trial = np.array(pose)
-            trial[index] += change
-            held = [int(i) for i in independent]
-            neighbour, gap = newton.close(residual, trial, [i for i in range(len(joints)) if i not in held])
-            if gap > newton.CLOSED_M:
-                continue
-            moved = True
-            there = numerical_rank(residual(neighbour)[1])
-            if there != rank:
-                raise AssemblyError(
-                    f"mechanism '{name}' is assembled in a singular pose: its closure has rank {rank} there and {there} next"
-                    " to it; name another pose with mechanism.home_deg"
-                )
-        if not moved and rank:
-            raise AssemblyError(
-                f"mechanism '{name}' cannot move joint {joints[index].name} from its home pose: the loop is singular or"
-                " locked there; name another pose with mechanism.home_deg"
-            )
+def _idle_freedoms(coordinates: Coordinates, jacobian: np.ndarray, moments: np.ndarray) -> tuple[tuple[int, ...], list[str]]:
+    """Return the coordinates of ball joints that spin idly in a closed loop, and a sentence on each joint."""
+    idle, notes = [], []
+    for chart in coordinates.charts:
+        columns = list(range(chart.first, chart.first + 3))
+        block = jacobian[:, columns]
+        rank = numerical_rank(block) if np.abs(block).max(initial=0.0) > 1e-9 * np.abs(jacobian).max(initial=1.0) else 0
+        if rank not in (1, 2):
+            continue
+        spin = np.linalg.svd(block)[2][rank:]
+        if np.abs(spin @ moments[columns]).max(initial=0.0) > 1e-9 * max(1.0, np.abs(moments).max(initial=0.0)):
+            continue
+        idle += columns
+        notes.append(
+            f"ball joint {chart.name} can spin while all other joints rest: an idle freedom, which no actuator drives"
+        )
+    return tuple(idle), notes

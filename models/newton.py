@@ -1,7 +1,8 @@
 """Closing loops numerically: a damped Gauss-Newton on phi(q) = 0 from a nearby pose."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
 
+import casadi as ca
 import numpy as np
 import scipy.optimize
 
@@ -16,18 +17,33 @@ _MAX_STEP = 0.3
 _FOLLOW_STEP = 0.035
 
 
-def close(
-    residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], start: np.ndarray, free: list[int]
-) -> tuple[np.ndarray, float]:
-    """Return the pose that Newton reaches from `start` by moving the joints in `free`, and its largest residual [m].
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Loop:
+    """The closure as numbers: `function` maps q to phi [m] and J, and `rows` are the rows that are one gap each."""
+
+    function: ca.Function
+    rows: tuple[slice, ...]
+
+    def residual(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return phi (n_rows,) [m] and its Jacobian (n_rows, n_q)."""
+        phi, jacobian = self.function(q)
+        return np.array(phi).ravel(), np.array(jacobian).reshape(-1, len(q))
+
+    def gap(self, phi: np.ndarray) -> float:
+        """Return the largest gap [m] in values of phi, an angle by what it moves at its lever."""
+        return max((float(np.linalg.norm(phi[rows])) for rows in self.rows), default=0.0)
+
+
+def close(loop: Loop, start: np.ndarray, free: list[int]) -> tuple[np.ndarray, float]:
+    """Return the pose that Newton reaches from `start` by moving the joints in `free`, and its largest gap [m].
 
     Minimum-norm steps, so that redundant rows and spare freedom do no harm; steps are shortened where they would be
     long or do not reduce the residual. The pose is the best found, closed or not.
     """
     q = np.array(start, dtype=float)
-    phi, jacobian = residual(q)
+    phi, jacobian = loop.residual(q)
     if phi.size == 0 or not free:
-        return q, largest_gap(phi)
+        return q, loop.gap(phi)
     for _ in range(_MAX_STEPS):
         step = np.zeros_like(q)
         step[free] = np.linalg.lstsq(jacobian[:, free], -phi, rcond=1e-10)[0]
@@ -38,41 +54,34 @@ def close(
         norm = np.linalg.norm(phi)
         while scale > 1e-6:
             trial = q + scale * step
-            phi_trial, jacobian_trial = residual(trial)
+            phi_trial, jacobian_trial = loop.residual(trial)
             if np.linalg.norm(phi_trial) < norm:
                 break
             scale *= 0.5
         else:
             break
         q, phi, jacobian = trial, phi_trial, jacobian_trial
-    return q, largest_gap(phi)
+    return q, loop.gap(phi)
 
 
-def largest_gap(phi: np.ndarray) -> float:
-    """Return the largest distance [m] between two tied points, from residuals of three rows each."""
-    return float(np.linalg.norm(np.reshape(phi, (-1, 3)), axis=1).max(initial=0.0))
-
-
-def least_gap(residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], start: np.ndarray, free: list[int]) -> float:
+def least_gap(loop: Loop, start: np.ndarray, free: list[int]) -> float:
     """Return the smallest gap [m] found near `start` where a loop does not close: what stays open at the best."""
 
     def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         q = np.array(start, dtype=float)
         q[free] = x
-        phi, jacobian = residual(q)
+        phi, jacobian = loop.residual(q)
         return phi, jacobian[:, free]
 
     if not free:
-        return largest_gap(residual(start)[0])
+        return loop.gap(loop.residual(start)[0])
     found = scipy.optimize.least_squares(
         lambda x: at(x)[0], start[free], lambda x: at(x)[1], xtol=1e-12, ftol=1e-12, gtol=1e-14, max_nfev=2000
     )
-    return largest_gap(found.fun)
+    return loop.gap(found.fun)
 
 
-def follow(
-    residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], start: np.ndarray, held: dict[int, float]
-) -> tuple[np.ndarray, float]:
+def follow(loop: Loop, start: np.ndarray, held: dict[int, float]) -> tuple[np.ndarray, float]:
     """Return the pose reached from the closed pose `start` by leading the joints in `held` to their values, and its gap.
 
     Straight in those joints, in steps short enough for Newton to stay on the branch; where the loop opens on the way,
@@ -86,7 +95,7 @@ def follow(
     for fraction in np.linspace(0.0, 1.0, n_steps + 1)[1:]:
         trial = np.array(q)
         trial[joints] = begin + fraction * (goal - begin)
-        q, gap = close(residual, trial, free)
+        q, gap = close(loop, trial, free)
         if gap > CLOSED_M:
             break
     return q, gap

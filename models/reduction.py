@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from models.elimination import determinant, factorise
 from models.tree import Tree
 
 
@@ -45,9 +46,12 @@ class ReducedDynamics:
 
 
 def reduce_tree(
-    tree: Tree, phi: ca.SX, effort_matrix: np.ndarray, rows: np.ndarray, independent: np.ndarray, dependent: np.ndarray
+    tree: Tree, phi: ca.SX, effort_matrix: ca.SX, rows: np.ndarray, independent: np.ndarray, dependent: np.ndarray
 ) -> ReducedDynamics:
-    """Return the reduced dynamics of `tree` under the closure phi (n_rows,), of which `rows` are independent."""
+    """Return the reduced dynamics of `tree` under the closure phi (n_rows,), of which `rows` are independent.
+
+    `effort_matrix` is B (n_q, n_u), an expression of the tree's q.
+    """
     q, qd, qdd = tree.q, tree.qd, tree.qdd
     n_s, n_u = len(independent), effort_matrix.shape[1]
     v, a, u = ca.SX.sym("v", n_s), ca.SX.sym("a", n_s), ca.SX.sym("u", n_u)
@@ -58,18 +62,19 @@ def reduce_tree(
 
     gamma_map = ca.SX.zeros(q.numel(), n_s)
     gamma_map[[int(i) for i in independent], :] = ca.SX.eye(n_s)
+    solve = factorise(J_z)
     if chosen:
-        gamma_map[[int(i) for i in dependent], :] = -_solve(J_z, J_s)
-    determinant = ca.det(J_z) if chosen else ca.SX(1)
+        gamma_map[[int(i) for i in dependent], :] = -solve(J_s)
+    det = determinant(J_z)
     convective = ca.Function("convective", [q, qd], [ca.jtimes(J @ qd, q, qd)])
     rates = gamma_map @ v
     gamma = ca.SX.zeros(q.numel())
     if chosen:
-        gamma[[int(i) for i in dependent]] = -_solve(J_z, convective(q, rates))
+        gamma[[int(i) for i in dependent]] = -solve(convective(q, rates))
 
     tree_effort = ca.Function("tree_effort", [q, qd, qdd], [tree.inverse_dynamics - tree.passive])
     needed = tree_effort(q, rates, gamma_map @ a + gamma)
-    B = ca.SX(ca.DM(effort_matrix))
+    B = effort_matrix
     inverse = gamma_map.T @ needed
     effort_map = gamma_map.T @ B
     inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
@@ -88,9 +93,9 @@ def reduce_tree(
         closure=function("closure", [q], phi),
         independent_closure=function("independent_closure", [q], phi[chosen]),
         closure_jacobian=function("closure_jacobian", [q], jacobian),
-        closure_step=function("closure_step", [q], phi[chosen], -_solve(J_z, phi[chosen]), gamma_map, determinant),
+        closure_step=function("closure_step", [q], phi[chosen], -solve(phi[chosen]), gamma_map, det),
         velocity_map=function("velocity_map", [q], gamma_map),
-        singularity=function("singularity", [q], determinant),
+        singularity=function("singularity", [q], det),
         mass_matrix=function("mass_matrix", [q], tree.mass_matrix),
         bias=function("bias", [q, qd], tree.bias),
         passive=function("passive", [q, qd], tree.passive),
@@ -114,13 +119,5 @@ def reduce_tree(
 
 
 def _solve(A: ca.SX, b: ca.SX) -> ca.SX:
-    """Return A^-1 b: Cramer's rule up to two unknowns, which is shortest, CasADi's symbolic factorisation beyond."""
-    n = A.shape[0]
-    if n == 0:
-        return ca.SX.zeros(0, b.shape[1])
-    if n == 1:
-        return b / A[0, 0]
-    if n == 2:
-        adjugate = ca.vertcat(ca.horzcat(A[1, 1], -A[0, 1]), ca.horzcat(-A[1, 0], A[0, 0]))
-        return (adjugate @ b) / (A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
-    return ca.solve(A, b)
+    """Return A^-1 b."""
+    return factorise(A)(b)

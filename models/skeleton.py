@@ -6,9 +6,10 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from models.closure import connect_ends
+from models.closure import tied_points
+from models.coordinates import BALL, FREE, SLIDE
 from models.mechanism import Mechanism
-from models.tree import SLIDE, build_tree
+from models.tree import build_tree
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -26,12 +27,14 @@ def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
     A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it.
     """
     model = mechanism.model
-    tree = build_tree(model)
+    tree = build_tree(model, mechanism.qpos_of(np.zeros(mechanism.n_q)))
     pins: dict[int, list[ca.SX]] = {}
     for body in range(1, model.nbody):
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
             anchor = tree.point(body, model.jnt_pos[joint])
             pins.setdefault(body, []).append(anchor)
+            if model.jnt_type[joint] == FREE:
+                continue
             parent = int(model.body_parentid[body])
             # A slide's own anchor moves with it: on the parent it stands where the joint is at its reference.
             at_parent = anchor
@@ -39,9 +42,9 @@ def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
                 at_parent = tree.point(parent, np.array(model.body_pos[body]))
             pins.setdefault(_solid(model, parent), []).append(at_parent)
     for index in range(model.neq):
-        if not model.eq_active0[index] or int(model.eq_type[index]) != int(mujoco.mjtEq.mjEQ_CONNECT):
+        if not model.eq_active0[index]:
             continue
-        for body, point in connect_ends(model, index):
+        for body, point in tied_points(model, index):
             pins.setdefault(_solid(model, body), []).append(tree.point(body, point))
     right, up = _view(model)
     result = []
@@ -66,7 +69,7 @@ def _view(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """Return the drawing's right and up directions: across the hinges' common axis, up against gravity."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    axes = np.array(data.xaxis[model.jnt_type != SLIDE]).reshape(-1, 3)
+    axes = np.array(data.xaxis[~np.isin(model.jnt_type, (SLIDE, BALL, FREE))]).reshape(-1, 3)
     normal = np.array([0.0, 1.0, 0.0])
     if len(axes):
         normal = np.linalg.svd(axes)[2][0]

@@ -14,9 +14,9 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
-SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
-JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+from models.coordinates import BALL, FREE, HINGE, SLIDE, Coordinates, read_coordinates, turned_quaternion
+from models.passive import disabled, joint_armature, joint_passive, tendon_inertias, tendon_passive
+from models.tendons import tendon_length
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -25,6 +25,7 @@ class Frame:
 
     p_world_B: ca.SX  # (3,) [m] position of the body frame's origin
     R_world_B: ca.SX  # (3, 3)
+    quaternion: ca.SX  # (4,) of R_world_B, continuous in q
     v_world_B: ca.SX  # (3,) [m/s] velocity of the origin
     w_world_B: ca.SX  # (3,) [rad/s] angular velocity
     acceleration_B: ca.SX  # (3,) [m/s2] of the origin, gravity not included
@@ -36,9 +37,12 @@ class Tree:
     """Expressions of a tree's dynamics over its symbols `q`, `qd`, `qdd` (n_q each).
 
     `inverse_dynamics` is M q'' + h without passive forces; `passive` is the generalised force of springs and dampers,
-    positive along +q. [N.m] on a hinge, [N] on a slide.
+    positive along +q. [N.m] on a hinge, [N] on a slide. `tendon_lengths` [m] holds None for a tendon whose length has no
+    expression here.
     """
 
+    model: mujoco.MjModel
+    coordinates: Coordinates
     q: ca.SX
     qd: ca.SX
     qdd: ca.SX
@@ -50,6 +54,8 @@ class Tree:
     passive: ca.SX
     kinetic_energy: ca.SX
     potential_energy: ca.SX
+    velocity_matrix: ca.SX  # T (n_q, n_q), MuJoCo's qvel = T q'
+    tendon_lengths: tuple[ca.SX | None, ...]
 
     def point(self, body: int, p_B: np.ndarray) -> ca.SX:
         """Return the world position (3,) [m] of a point fixed to a body, given in the body's frame."""
@@ -68,138 +74,176 @@ def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
     )
 
 
-def build_tree(model: mujoco.MjModel) -> Tree:
-    """Return the symbolic dynamics of a model whose joints are hinges and slides.
+def common_ancestor(model: mujoco.MjModel, first: int, second: int) -> int:
+    """Return the nearest body that carries both, the world (0) where that one does not move."""
+    above = {0}
+    while first:
+        above.add(first)
+        first = int(model.body_parentid[first])
+    while second not in above:
+        second = int(model.body_parentid[second])
+    return second if model.body_weldid[second] != 0 else 0
 
-    q_i here is MuJoCo's `qpos[i]`, the joint's `ref` included; the rotation applied is qpos - qpos0.
+
+def frame_in(tree: Tree, ancestor: int, body: int) -> Frame:
+    """Return a body's frame as its ancestor's frame sees it, an expression of the joints between the two alone."""
+    if ancestor == 0:
+        return tree.frames[body]
+    frame, still = _fixed_frame(), ca.SX.zeros(tree.q.numel())
+    chain = []
+    while body != ancestor:
+        chain.append(body)
+        body = int(tree.model.body_parentid[body])
+    for link in reversed(chain):
+        frame = _child_frame(tree.model, tree.coordinates, link, frame, tree.q, still, still, {})
+    return frame
+
+
+def build_tree(model: mujoco.MjModel, reference: np.ndarray | None = None) -> Tree:
+    """Return the symbolic dynamics of a model in its internal coordinates.
+
+    On a hinge or slide q_i is MuJoCo's `qpos`, the joint's `ref` included; the rotation applied is qpos - qpos0. The charts
+    of ball and free joints are centred at `reference` (nq,), a qpos, `qpos0` by default.
     """
     n_q = model.nv
+    coordinates = read_coordinates(model, model.qpos0 if reference is None else reference)
     q, qd, qdd = (ca.SX.sym(name, n_q) for name in ("q", "qd", "qdd"))
+    T = coordinates.velocity_matrix(q)
+    velocity, acceleration = qd, qdd  # MuJoCo's qvel and its derivative
+    if not coordinates.trivial:
+        velocity = T @ qd
+        acceleration = T @ qdd + ca.jtimes(velocity, q, qd)
+    frames = [_fixed_frame()]
+    joints: dict[int, tuple[ca.SX, ca.SX]] = {}  # dof -> (axis, anchor) in the world
+    for body in range(1, model.nbody):
+        parent = frames[model.body_parentid[body]]
+        frames.append(_child_frame(model, coordinates, body, parent, q, velocity, acceleration, joints))
+    lengths = tuple(tendon_length(model, frames, q, tendon) for tendon in range(model.ntendon))
+
+    gravity = ca.DM(model.opt.gravity) if not disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else ca.DM.zeros(3)
+    tau, kinetic, potential = _newton_euler(model, frames, joints, gravity)
+    armature = ca.DM(joint_armature(model))
+    weight = ca.substitute(tau, ca.vertcat(qd, qdd), ca.SX.zeros(2 * n_q))
+    tau = tau + armature * acceleration
+    kinetic += 0.5 * ca.dot(armature, velocity**2)
+    if not coordinates.trivial:
+        tau, weight = T.T @ tau, T.T @ weight
+    for inertia, length in tendon_inertias(model, lengths, q):
+        arm = ca.jacobian(length, q)
+        speed = arm @ qd
+        tau = tau + inertia * arm.T * (arm @ qdd + ca.jtimes(speed, q, qd))
+        kinetic += 0.5 * inertia * speed**2
+    passive, spring_energy = joint_passive(model, q, velocity)
+    if not coordinates.trivial:
+        passive = T.T @ passive
+    of_tendons, tendon_energy = tendon_passive(model, lengths, q, qd)
+    return Tree(
+        model=model,
+        coordinates=coordinates,
+        q=q,
+        qd=qd,
+        qdd=qdd,
+        frames=tuple(frames),
+        inverse_dynamics=tau,
+        mass_matrix=ca.jacobian(tau, qdd),
+        bias=ca.substitute(tau, qdd, ca.SX.zeros(n_q)),
+        gravity=weight,
+        passive=passive + of_tendons,
+        kinetic_energy=kinetic,
+        potential_energy=potential + spring_energy + tendon_energy,
+        velocity_matrix=T,
+        tendon_lengths=lengths,
+    )
+
+
+def _fixed_frame() -> Frame:
     zero = ca.SX.zeros(3)
-    world = Frame(
+    return Frame(
         p_world_B=zero,
         R_world_B=ca.SX.eye(3),
+        quaternion=ca.SX([1, 0, 0, 0]),
         v_world_B=zero,
         w_world_B=zero,
         acceleration_B=zero,
         alpha_world_B=zero,
     )
-    frames = [world]
-    joints: dict[int, tuple[ca.SX, ca.SX]] = {}  # dof -> (axis, anchor) in the world
-    for body in range(1, model.nbody):
-        frames.append(_child_frame(model, body, frames[model.body_parentid[body]], q, qd, qdd, joints))
-
-    gravity = ca.DM(model.opt.gravity) if not _disabled(model, mujoco.mjtDisableBit.mjDSBL_GRAVITY) else ca.DM.zeros(3)
-    tau, kinetic, potential = _newton_euler(model, frames, joints, gravity)
-    at_rest = ca.SX.zeros(n_q)
-    mass = ca.jacobian(tau, qdd) + ca.diag(ca.DM(_armature(model)))
-    passive, spring_energy = _passive(model, q, qd)
-    return Tree(
-        q=q,
-        qd=qd,
-        qdd=qdd,
-        frames=tuple(frames),
-        inverse_dynamics=tau + ca.DM(_armature(model)) * qdd,
-        mass_matrix=mass,
-        bias=ca.substitute(tau, qdd, at_rest),
-        gravity=ca.substitute(tau, ca.vertcat(qd, qdd), ca.SX.zeros(2 * n_q)),
-        passive=passive,
-        kinetic_energy=kinetic + 0.5 * ca.dot(ca.DM(_armature(model)), qd**2),
-        potential_energy=potential + spring_energy,
-    )
 
 
-def _disabled(model: mujoco.MjModel, bit: mujoco.mjtDisableBit) -> bool:
-    return bool(model.opt.disableflags & int(bit))
+def _child_frame(model, coordinates: Coordinates, body, parent: Frame, q, velocity, acceleration, joints) -> Frame:
+    """Return a body's frame and motion, its joints applied in file order; records each dof's axis and anchor.
 
-
-def _armature(model: mujoco.MjModel) -> np.ndarray:
-    """Return the armature (n_q,) of joints and of the actuators that drive them directly (reflected by gear^2)."""
-    armature = np.array(model.dof_armature, dtype=float)
-    for dof, gear, actuator in _joint_actuators(model):
-        armature[dof] += gear**2 * model.actuator_armature[actuator]
-    return armature
-
-
-def _joint_actuators(model: mujoco.MjModel):
-    for actuator in range(model.nu):
-        if int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS:
-            joint = model.actuator_trnid[actuator, 0]
-            yield int(model.jnt_dofadr[joint]), float(model.actuator_gear[actuator, 0]), actuator
-
-
-def _passive(model: mujoco.MjModel, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the generalised force (n_q,) of joint springs and dampers, and the springs' energy.
-
-    A spring's force is -(a x + b x^2 + c x^3) from `springref`, a damper's -(a v + b v|v| + c v^3) (MuJoCo,
-    "Polynomial forces"); an actuator's own damping is reflected to its joint by gear^2, each coefficient.
+    `velocity` is MuJoCo's qvel and `acceleration` its derivative; the axis of a slide is a direction to push along.
     """
-    force, energy = ca.SX.zeros(model.nv), ca.SX(0)
-    springs = not _disabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
-    dampers = not _disabled(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
-    for joint in range(model.njnt):
-        dof, address = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
-        x, v = q[dof] - model.qpos_spring[address], qd[dof]
-        if springs:
-            a, (b, c) = float(model.jnt_stiffness[joint]), model.jnt_stiffnesspoly[joint]
-            if a or b or c:
-                force[dof] -= a * x + b * x**2 + c * x**3
-                energy += a * x**2 / 2 + b * x**3 / 3 + c * x**4 / 4
-        if dampers:
-            force[dof] -= _damper(v, float(model.dof_damping[dof]), *model.dof_dampingpoly[dof])
-    if dampers:
-        for dof, gear, actuator in _joint_actuators(model):
-            coefficients = float(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
-            force[dof] -= gear**2 * _damper(qd[dof], *coefficients)
-    return force, energy
-
-
-def _damper(v: ca.SX, a: float, b: float, c: float) -> ca.SX:
-    """Return a v + b v|v| + c v^3, without the terms whose coefficient is zero."""
-    total = a * v
-    if b:
-        total += b * v * ca.fabs(v)
-    if c:
-        total += c * v**3
-    return total
-
-
-def _child_frame(model, body, parent: Frame, q, qd, qdd, joints) -> Frame:
-    """Return a body's frame and motion, its joints applied in file order; records each joint's axis and anchor."""
     offset = parent.R_world_B @ ca.DM(model.body_pos[body])
     p = parent.p_world_B + offset
     R = parent.R_world_B @ ca.DM(rotation_from_quaternion(model.body_quat[body]))
+    quaternion = product(parent.quaternion, ca.SX(ca.DM(model.body_quat[body])))
     w, alpha = parent.w_world_B, parent.alpha_world_B
     v = parent.v_world_B + ca.cross(w, offset)
-    acceleration = parent.acceleration_B + _rigid_acceleration(w, alpha, offset)
+    a = parent.acceleration_B + _rigid_acceleration(w, alpha, offset)
     start = model.body_jntadr[body]
     for joint in range(start, start + model.body_jntnum[body]):
-        dof = int(model.jnt_dofadr[joint])
-        axis = R @ ca.DM(model.jnt_axis[joint])
-        travel = q[dof] - model.qpos0[model.jnt_qposadr[joint]]
+        dof, kind = int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
+        if kind == FREE:  # stands in the world by itself, whatever its body's own place
+            p, v, a = q[dof : dof + 3], velocity[dof : dof + 3], acceleration[dof : dof + 3]
+            R, quaternion = ca.SX.eye(3), ca.SX([1, 0, 0, 0])
+            joints.update({dof + k: (ca.SX(ca.DM(np.eye(3)[k])), p) for k in range(3)})
+            dof += 3
         arm = R @ ca.DM(model.jnt_pos[joint])
         anchor = p + arm
-        joints[dof] = (axis, anchor)
-        if model.jnt_type[joint] == SLIDE:
-            p = p + axis * travel
-            acceleration = (
-                acceleration
-                + _rigid_acceleration(w, alpha, axis * travel)
-                + 2 * ca.cross(w, axis * qd[dof])
-                + axis * qdd[dof]
-            )
-            v = v + ca.cross(w, axis * travel) + axis * qd[dof]
-            continue
         anchor_velocity = v + ca.cross(w, arm)
-        anchor_acceleration = acceleration + _rigid_acceleration(w, alpha, arm)
-        alpha = alpha + ca.cross(w, axis * qd[dof]) + axis * qdd[dof]
-        w = w + axis * qd[dof]
-        R = R @ _rotation(model.jnt_axis[joint], travel)
+        anchor_acceleration = a + _rigid_acceleration(w, alpha, arm)
+        if kind == SLIDE:
+            axis = R @ ca.DM(model.jnt_axis[joint])
+            joints[dof] = (axis, anchor)
+            travel = axis * (q[dof] - model.qpos0[model.jnt_qposadr[joint]])
+            p = p + travel
+            a = a + _rigid_acceleration(w, alpha, travel) + 2 * ca.cross(w, axis * velocity[dof]) + axis * acceleration[dof]
+            v = v + ca.cross(w, travel) + axis * velocity[dof]
+            continue
+        if kind == HINGE:
+            axis = R @ ca.DM(model.jnt_axis[joint])
+            joints[dof] = (axis, anchor)
+            angle = q[dof] - model.qpos0[model.jnt_qposadr[joint]]
+            spin, spin_rate = axis * velocity[dof], axis * acceleration[dof]
+            R = R @ _rotation(model.jnt_axis[joint], angle)
+            unit = model.jnt_axis[joint] / np.linalg.norm(model.jnt_axis[joint])
+            turn = ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * ca.DM(unit))
+        else:
+            (chart,) = [chart for chart in coordinates.charts if chart.joint == joint]
+            turned = turned_quaternion(q[dof : dof + 3])
+            turn = product(ca.SX(ca.DM(chart.centre)), turned)
+            R = R @ ca.DM(rotation_from_quaternion(chart.centre)) @ rotation_of(turned)
+            joints.update({dof + k: (R[:, k], anchor) for k in range(3)})
+            spin, spin_rate = R @ velocity[dof : dof + 3], R @ acceleration[dof : dof + 3]
+        quaternion = product(quaternion, turn)
+        alpha = alpha + ca.cross(w, spin) + spin_rate
+        w = w + spin
         arm = R @ ca.DM(model.jnt_pos[joint])
         p = anchor - arm
         v = anchor_velocity - ca.cross(w, arm)
-        acceleration = anchor_acceleration + _rigid_acceleration(w, alpha, -arm)
-    return Frame(p_world_B=p, R_world_B=R, v_world_B=v, w_world_B=w, acceleration_B=acceleration, alpha_world_B=alpha)
+        a = anchor_acceleration + _rigid_acceleration(w, alpha, -arm)
+    return Frame(
+        p_world_B=p,
+        R_world_B=R,
+        quaternion=quaternion,
+        v_world_B=v,
+        w_world_B=w,
+        acceleration_B=a,
+        alpha_world_B=alpha,
+    )
+
+
+def product(a: ca.SX, b: ca.SX) -> ca.SX:
+    """Return the Hamilton product of two quaternions (4,)."""
+    v = a[0] * b[1:] + b[0] * a[1:] + ca.cross(a[1:], b[1:])
+    return ca.vertcat(a[0] * b[0] - ca.dot(a[1:], b[1:]), v)
+
+
+def rotation_of(quaternion: ca.SX) -> ca.SX:
+    """Return the rotation matrix of a unit quaternion's expression."""
+    w, v = quaternion[0], quaternion[1:]
+    return ca.SX.eye(3) + 2 * w * ca.skew(v) + 2 * ca.skew(v) @ ca.skew(v)
 
 
 def _rigid_acceleration(w: ca.SX, alpha: ca.SX, arm: ca.SX) -> ca.SX:
@@ -239,10 +283,13 @@ def _newton_euler(model, frames, joints, gravity):
     for body in range(model.nbody - 1, 0, -1):
         p = frames[body].p_world_B
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
-            dof = int(model.jnt_dofadr[joint])
-            axis, anchor = joints[dof]
-            slide = model.jnt_type[joint] == SLIDE
-            tau[dof] = ca.dot(axis, force[body] if slide else moment[body] + ca.cross(p - anchor, force[body]))
+            dof, kind = int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
+            n_pushed = {SLIDE: 1, FREE: 3}.get(kind, 0)
+            n_dofs = {BALL: 3, FREE: 6}.get(kind, 1)
+            for k in range(n_dofs):
+                axis, anchor = joints[dof + k]
+                pushed = force[body] if k < n_pushed else moment[body] + ca.cross(p - anchor, force[body])
+                tau[dof + k] = ca.dot(axis, pushed)
         parent = model.body_parentid[body]
         moment[parent] += moment[body] + ca.cross(p - frames[parent].p_world_B, force[body])
         force[parent] += force[body]

@@ -74,7 +74,7 @@ def effort_sentence(problem: PlanningProblem, least: LeastLimit) -> tuple[str, d
     actuator = problem.mechanism.actuators[column]
     needed, bound = float(u[at, column]), float(limit[column, 1] if u[at, column] > 0 else limit[column, 0])
     sentence = (
-        f"{actuator.name} on joint {problem.mechanism.joints[actuator.joint].name} would have to give"
+        f"{actuator.name} on {actuator.target} would have to give"
         f" {abs(needed):.4g} {actuator.unit} at t = {time[at]:.3g} s, {abs(needed - bound):.4g} {actuator.unit} beyond its"
         f" limit of {abs(bound):.4g}"
     )

@@ -35,7 +35,7 @@ from planner.tables import Tables, apply_override, read_tables
 from planner.values import interval, number, word
 
 KEYS: Mapping[str, tuple[str, ...]] = {
-    "mechanism": ("model", "payload", "home_deg", "home_m"),
+    "mechanism": ("model", "payload", "home_deg", "home_m", "independent"),
     "motion": (
         "kind",
         "start_deg",
@@ -154,7 +154,9 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
     if is_file(Path(model)):
         model = str(Path(model).resolve())
     section["model"] = model
-    mechanism = load_mechanism(model, payload=section.get("payload"), home=_home(section))
+    mechanism = load_mechanism(
+        model, payload=section.get("payload"), home=_home(section), independent=section.get("independent")
+    )
     _joint_values(section, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
     return mechanism
 

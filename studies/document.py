@@ -39,8 +39,8 @@ def mended_runs(plan: Plan, say: Callable[[str], None]) -> dict[tuple[str, float
 def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, float], Rollout]:
     """Return the runs of the document's model as it was printed, by (model, KD)."""
     source, runs = load_mechanism("optimus-knee-source"), {}
-    driven = {actuator.index for actuator in source.actuators}
-    others = {index: _IDLE_CTRL for index in range(source.model.nu) if index not in driven}
+    driven = source.actuators[0].channel
+    others = {channel: _IDLE_CTRL for channel in range(source.model.nu) if channel != driven}
 
     def desired(time: float, order: int) -> float:
         return float(sine.derivative(np.array([time]), order)[0, 0])

@@ -14,6 +14,8 @@ from models.mechanism import Joint, Mechanism
 OPEN_M = 1e-6
 # A direction of motion that the actuators reach by less than this share of the best-reached one is beyond them.
 _UNREACHED = 1e-9
+# An actuator does not drive a coordinate on which its effort is below this share of the largest: rounding.
+_NO_ARM = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -98,13 +100,15 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
     if not mechanism.closure_names:
         notes.append("the model has no active loop closure: it is an open tree")
     if mechanism.n_u == 0:
-        problems.append("no actuator is a motor on a hinge or slide: nothing can be planned")
-    driven = {actuator.joint for actuator in mechanism.actuators}
+        problems.append("no actuator is one that a plan can use: nothing can be planned")
+    notes += mechanism.notes
+    reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
+    driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > _NO_ARM * reached.max()}
     steerable = bool(driven) and _steerable(mechanism)
     for column, can in enumerate(reaches):
         index = int(mechanism.independent[column])
         joint = mechanism.joints[index]
-        if driven and index not in driven and mechanism.n_u < mechanism.dof:
+        if driven and index not in driven and index not in mechanism.idle and mechanism.n_u < mechanism.dof:
             if steerable:
                 notes.append(f"joint {joint.name} has no actuator: it is moved through the others only (underactuated)")
             else:
@@ -182,7 +186,7 @@ def inspection_record(found: Inspection) -> dict:
         "independent": [joint.name for joint in independent],
         "dependent": [mechanism.joints[i].name for i in mechanism.dependent],
         "closures": list(mechanism.closure_names),
-        "closure_rows": 3 * len(mechanism.closure_names),
+        "closure_rows": mechanism.n_closure_rows,
         "closure_rank": len(mechanism.closure_rows),
         "closure_gap_m": found.closure_gap_m,
         "home_deg": {j.name: j.shown(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "hinge"},
@@ -195,7 +199,12 @@ def inspection_record(found: Inspection) -> dict:
         "singular_deg": [joint.shown(position) for joint, can in hinges for position in can.singular],
         "toggle_deg": [joint.shown(position) for joint, can in hinges for _, position in can.toggles],
         "actuators": {
-            a.name: {"joint": mechanism.joints[a.joint].name, "limit": [a.lower, a.upper], "unit": a.unit}
+            a.name: {
+                "joint": None if a.joint is None else mechanism.joints[a.joint].name,
+                "on": a.target,
+                "limit": [a.lower, a.upper],
+                "unit": a.unit,
+            }
             for a in mechanism.actuators
         },
         "contacts": [

@@ -12,7 +12,7 @@ from studies.tables import table
 def inspection_text(found: Inspection) -> str:
     """Return the loop report of a mechanism."""
     mechanism = found.mechanism
-    n_rows = 3 * len(mechanism.closure_names)
+    n_rows = mechanism.n_closure_rows
     lines = [
         f"{mechanism.name}: {mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
         f" ({', '.join(j.name for j in mechanism.independent_joints)} independent of {mechanism.n_q} joints)",
@@ -26,10 +26,7 @@ def inspection_text(found: Inspection) -> str:
             f"reach: {joint.name} from {joint.shown(can.lower.position):.5g} ({can.lower.reason})"
             f" to {joint.shown(can.upper.position):.5g} {joint.unit} ({can.upper.reason})"
         )
-    lines += [
-        f"actuator: {a.name} on {mechanism.joints[a.joint].name}, {a.lower:g} to {a.upper:g} {a.unit}"
-        for a in mechanism.actuators
-    ]
+    lines += [f"actuator: {a.name} on {a.target}, {a.lower:g} to {a.upper:g} {a.unit}" for a in mechanism.actuators]
     lines += [f"note: {note}" for note in found.notes]
     if found.points:
         lines += ["", _points_table(found)]

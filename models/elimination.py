@@ -1,0 +1,102 @@
+"""Solving A x = b in symbols, A given by its expressions: by blocks of its structure, each by the shortest exact way.
+
+The loops of a mechanism as a rule follow one another (the first fixes what the second hangs on), so that J_z is block
+triangular with blocks of two or three. Blocks up to three are solved by Cramer's rule, which is shortest and has no pivot
+that might vanish while A is regular; larger ones by QR, which needs none either.
+"""
+
+from collections.abc import Callable
+
+import casadi as ca
+
+_CRAMER = 3
+
+
+def factorise(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
+    """Return the function b -> A^-1 b; what depends on A alone is written once."""
+    n = A.shape[0]
+    if n == 0:
+        return lambda b: ca.SX(0, b.shape[1])
+    A = ca.sparsify(A)
+    rows, columns, blocks = _blocks(A)
+    permuted = A[rows, columns]
+    solvers = [_block_solver(permuted[block, block]) for block in blocks]
+    position = [0] * n
+    for place, column in enumerate(columns):
+        position[column] = place
+
+    def solve(b: ca.SX) -> ca.SX:
+        b = b[rows, :]
+        x = ca.SX(n, b.shape[1])
+        # CasADi's form is a lower block triangle: the first block stands alone.
+        for block, solver in zip(blocks, solvers, strict=True):
+            known = slice(0, block.start)
+            x[block, :] = solver(b[block, :] - (permuted[block, known] @ x[known, :] if block.start else 0))
+        return x[position, :]
+
+    return solve
+
+
+def determinant(A: ca.SX) -> ca.SX:
+    """Return det A, the product of its blocks', with the sign that A's own order gives."""
+    if A.shape[0] == 0:
+        return ca.SX(1)
+    A = ca.sparsify(A)
+    rows, columns, blocks = _blocks(A)
+    permuted = A[rows, columns]
+    product = ca.SX(_parity(rows) * _parity(columns))
+    for block in blocks:
+        product *= _minor(permuted[block, block])
+    return product
+
+
+def _blocks(A: ca.SX) -> tuple[list[int], list[int], list[slice]]:
+    """Return the row and column order that make A block triangular, and its diagonal blocks."""
+    n_blocks, rows, columns, starts, _, _, _ = A.sparsity().btf()
+    return list(rows), list(columns), [slice(starts[k], starts[k + 1]) for k in range(n_blocks)]
+
+
+def _block_solver(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
+    if A.shape[0] <= _CRAMER:
+        adjugate, det = _adjugate(A), _minor(A)
+        return lambda b: (adjugate @ b) / det
+    Q, R = ca.qr(A)
+    return lambda b: ca.solve(R, Q.T @ b)
+
+
+def _adjugate(A: ca.SX) -> ca.SX:
+    n = A.shape[0]
+    adjugate = ca.SX(n, n)
+    for i in range(n):
+        for j in range(n):
+            others = A[[k for k in range(n) if k != i], [k for k in range(n) if k != j]]
+            adjugate[j, i] = (-1) ** (i + j) * _minor(others)
+    return adjugate
+
+
+def _minor(A: ca.SX) -> ca.SX:
+    """Return det A by expansion along rows, each minor of the rows below worked out once."""
+    n, sparsity, known = A.shape[0], A.sparsity(), {}
+
+    def below(row: int, columns: tuple[int, ...]) -> ca.SX:
+        if row == n:
+            return ca.SX(1)
+        if columns not in known:
+            total = ca.SX(0)
+            for k, column in enumerate(columns):
+                if sparsity.has_nz(row, column):
+                    total += (-1) ** k * A[row, column] * below(row + 1, columns[:k] + columns[k + 1 :])
+            known[columns] = total
+        return known[columns]
+
+    return below(0, tuple(range(n)))
+
+
+def _parity(order: list[int]) -> int:
+    sign, seen = 1, list(order)
+    for k in range(len(seen)):
+        while seen[k] != k:
+            other = seen[k]
+            seen[k], seen[other] = seen[other], seen[k]
+            sign = -sign
+    return sign

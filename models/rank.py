@@ -1,0 +1,65 @@
+"""Rank, independent rows and dependent columns of a closure's Jacobian, by pivoted factorisation, never by counting.
+
+A planar loop closed by a connect has three rows and rank 2, and repeated pins add rows without rank (Golub & Van Loan,
+Matrix Computations, 5.4.2). What holds at one pose may not at the next, so choices are made over several closed poses.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import scipy.linalg
+
+# Singular values below this share of the largest count as zero. An exact planar loop shows 1e-16; a pose within
+# a millionth of a link length of singular still shows 1e-6.
+RANK_TOLERANCE = 1e-9
+
+
+def numerical_rank(jacobian: np.ndarray) -> int:
+    """Return the rank of a matrix by its singular values."""
+    if jacobian.size == 0:
+        return 0
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    return int(np.sum(values > RANK_TOLERANCE * max(values[0], np.finfo(float).tiny)))
+
+
+def independent_rows(jacobians: Sequence[np.ndarray], rank: int) -> np.ndarray:
+    """Return the indices (rank,) of rows that span the row space at every pose, in file order.
+
+    Args:
+        jacobians: at several closed poses (n_rows, n_q) each, the first one decisive: where the rows that serve all poses
+            best do not span the row space at each of them, the rows are those of the first.
+        rank: of each of them.
+    """
+    if rank == 0:
+        return np.zeros(0, dtype=int)
+    for stack in (np.hstack(jacobians), jacobians[0]):
+        pivots = scipy.linalg.qr(stack.T, mode="economic", pivoting=True)[-1]
+        rows = np.sort(np.asarray(pivots)[:rank])
+        if all(numerical_rank(jacobian[rows]) == rank for jacobian in jacobians):
+            break
+    return rows
+
+
+def dependent_columns(
+    jacobian: np.ndarray, rank: int, groups: Sequence[Sequence[int]], tolerance: float = RANK_TOLERANCE
+) -> np.ndarray:
+    """Return the columns (rank,) to solve for: a well-conditioned set out of the earliest groups that can carry the loop.
+
+    Gram-Schmidt with pivoting over the columns of each group in turn, so that the joints of the last group (those named, and
+    then the actuated ones) stay independent wherever the rest will do.
+    """
+    work = np.array(jacobian, dtype=float)
+    floor = tolerance * max(np.linalg.norm(work, axis=0).max(initial=0.0), np.finfo(float).tiny)
+    chosen: list[int] = []
+    for group in groups:
+        candidates = list(group)
+        while candidates and len(chosen) < rank:
+            norms = np.linalg.norm(work[:, candidates], axis=0)
+            best = int(np.argmax(norms))
+            if norms[best] <= floor:
+                break
+            column = candidates.pop(best)
+            chosen.append(column)
+            direction = work[:, column] / norms[best]
+            work -= np.outer(direction, direction @ work)
+    return np.array(sorted(chosen), dtype=int)

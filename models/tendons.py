@@ -1,0 +1,73 @@
+"""Tendon lengths as expressions of the coordinates.
+
+A fixed tendon's length is a linear combination of joint positions; a spatial tendon's is that of its path through sites,
+each branch divided by its pulley's divisor. A path that wraps around a geom has no expression here.
+"""
+
+from collections.abc import Sequence
+
+import casadi as ca
+import mujoco
+
+JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
+PULLEY = int(mujoco.mjtWrap.mjWRAP_PULLEY)
+SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
+
+
+def tendon_label(model: mujoco.MjModel, tendon: int) -> str:
+    """Return a tendon's name, or one made of its index."""
+    return model.tendon(tendon).name or f"tendon {tendon}"
+
+
+def path_of(model: mujoco.MjModel, tendon: int) -> range:
+    """Return the places of a tendon's path in the model's list of wrap objects."""
+    start = int(model.tendon_adr[tendon])
+    return range(start, start + int(model.tendon_num[tendon]))
+
+
+def is_fixed(model: mujoco.MjModel, tendon: int) -> bool:
+    """Return whether a tendon is a linear combination of joint positions."""
+    return all(int(model.wrap_type[k]) == JOINT for k in path_of(model, tendon))
+
+
+def wraps(model: mujoco.MjModel, tendon: int) -> bool:
+    """Return whether a tendon's path goes around or through a geom."""
+    return any(int(model.wrap_type[k]) not in (JOINT, PULLEY, SITE) for k in path_of(model, tendon))
+
+
+def tendon_joints(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
+    """Return the coordinates of a fixed tendon's joints, each with its coefficient in the length."""
+    found: dict[int, float] = {}
+    for k in path_of(model, tendon):
+        dof = int(model.jnt_dofadr[model.wrap_objid[k]])
+        found[dof] = found.get(dof, 0.0) + float(model.wrap_prm[k])
+    return found
+
+
+def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int) -> ca.SX | None:
+    """Return a tendon's length [m], or None where its path wraps around a geom.
+
+    Args:
+        model: whose tendon it is.
+        frames: the bodies' frames in the world.
+        q: the coordinates (n_q,).
+        tendon: its index.
+    """
+    if wraps(model, tendon):
+        return None
+    if is_fixed(model, tendon):
+        return sum((c * q[dof] for dof, c in tendon_joints(model, tendon).items()), ca.SX(0))
+    length, divisor, before = ca.SX(0), 1.0, None
+    for k in path_of(model, tendon):
+        if int(model.wrap_type[k]) == PULLEY:
+            divisor, before = float(model.wrap_prm[k]), None
+            continue
+        site = int(model.wrap_objid[k])
+        frame = frames[int(model.site_bodyid[site])]
+        point = frame.p_world_B + frame.R_world_B @ ca.DM(model.site_pos[site])
+        if before is not None and int(model.site_bodyid[site]) == int(model.site_bodyid[before[0]]):
+            length += float(ca.norm_2(ca.DM(model.site_pos[site] - model.site_pos[before[0]]))) / divisor
+        elif before is not None:
+            length += ca.norm_2(point - before[1]) / divisor
+        before = (site, point)
+    return length
