@@ -20,6 +20,8 @@ BUILT_IN = (
     "slider-crank-turn",
     "five-bar-reach",
     "five-bar-swing-up",
+    "squeezer-turn",
+    "gripper-close",
     "cart-pole-swing-up",
 )
 

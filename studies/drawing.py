@@ -12,6 +12,11 @@ SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
 TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE}
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
 
+# A legend's row holds about so many letters over half of a page's width; what is longer goes on in a further row.
+_LETTERS_A_ROW = 56
+# What a legend's line and gaps take beside its text, in letters.
+_LETTERS_BESIDE = 8
+
 _STYLE = {
     "axes.grid": True,
     "axes.spines.right": False,
@@ -39,4 +44,6 @@ def page(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] 
 def outside_legend(axes, **options) -> None:
     """Put a legend above the axes, where it hides no data."""
     handles, labels = axes.get_legend_handles_labels()
-    axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(labels), frameon=False, **options)
+    longest = max((len(label) for label in labels), default=1)
+    columns = max(1, min(len(labels), _LETTERS_A_ROW // (longest + _LETTERS_BESIDE)))
+    axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
