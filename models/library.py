@@ -17,7 +17,7 @@ BUILT_IN = {
     "slider-crank": "crank, rod and slider, driven at the crank within +-2 N.m",
     "andrews-squeezer": "seven bodies, three coupled loops, a spring: the IVP test set's squeezing mechanism",
     "parallel-gripper": "two four-bar fingers geared together, closed by one cable and opened by springs",
-    "five-bar": "two motors at the base, two degrees of freedom, one loop, a load on the pin",
+    "five-bar": "two motors at the base for two degrees of freedom, one loop, a load on the pin",
     "cart-pole": "a pole on a cart, pushed at the cart: no loop, one force for two degrees of freedom",
     "optimus-knee-source": "the source document's knee, as printed: kept to be checked, not to be used",
 }

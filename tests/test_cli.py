@@ -1,6 +1,7 @@
 """The command line as its users meet it: what it prints, its JSON keys, its exit codes, what it leaves on disk."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -76,8 +77,9 @@ def ask_json(ask):
 def test_list_names_every_built_in(ask_json):
     code, said = ask_json("list")
     assert code == 0
-    assert set(said["models"]) == {path.stem for path in Path("models/mjcf").glob("*.xml")}
-    assert set(said["problems"]) == {path.stem for path in Path("planner/problems").glob("*.toml")}
+    root = Path(__file__).parent.parent
+    assert set(said["models"]) == {path.stem for path in (root / "models" / "mjcf").glob("*.xml")}
+    assert set(said["problems"]) == {path.stem for path in (root / "planner" / "problems").glob("*.toml")}
 
 
 def test_check_of_the_mended_knee_finds_one_freedom_rank_two_and_no_problem(ask_json):

@@ -155,7 +155,7 @@ def test_the_torques_do_the_work_that_the_closed_form_asks_for(problem):
     work = np.trapezoid((trajectory.effort_at(time) * v).sum(axis=1), time)
     lost = np.trapezoid(DAMPING * (v**2).sum(axis=1), time)
     gained = potential(plan.problem.motion.goal) - potential(plan.problem.motion.start)
-    assert gained > 0.1
+    assert gained > 0.01
     assert work - lost == pytest.approx(gained, rel=1e-3)
 
 
@@ -168,14 +168,15 @@ def test_the_swing_up_gathers_way_before_it_goes_over():
 
 
 def test_no_other_reach_of_the_same_duration_costs_less():
-    """Forty smooth motions of both joints between the same states, near the plan and far from it, each on either side."""
+    """Sixteen smooth motions of both joints between the same states, near the plan and far from it, on either side."""
     plan = plan_of("five-bar-reach")
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
-    time = np.linspace(0.0, trajectory.duration_s, 2001)
+    assert np.abs(trajectory.effort).max() < 0.99 * TORQUE, "beyond a limit that binds others would cost less"
+    time = np.linspace(0.0, trajectory.duration_s, 801)
     rng = np.random.default_rng(5)
     costs = []
-    for k in range(40):
-        amount = (-1) ** k * 10.0 ** rng.uniform(-3, -1) * rng.normal(size=2)
+    for k in range(16):
+        amount = (-1) ** k * 10.0 ** rng.uniform(-3, -1.3) * rng.normal(size=2)
         # sin^3 vanishes at both ends with its rate: another motion between the same states.
         w = (1 + k // 2 % 4) * np.pi / trajectory.duration_s
         sine, cosine = np.sin(w * time)[:, None], np.cos(w * time)[:, None]

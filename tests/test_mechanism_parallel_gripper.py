@@ -1,6 +1,6 @@
 """The parallel gripper against its closed form: two parallelograms, whose fingers move on arcs without turning.
 
-    M q'' = -2 r pull - 2 k (q - q0) - 2 d q' - 2 g (m_c c + m_f c + m L) sin q,   M = 2 (I_c + m_c c^2 + I_f + m_f c^2 + m L^2)
+M q'' = -2 r pull - 2 k (q - q0) - 2 d q' - 2 g (m_c c + m_f c + m L) sin q,   M = 2 (I_c + m_c c^2 + I_f + m_f c^2 + m L^2)
 """
 
 import mujoco

@@ -46,7 +46,9 @@ def inertia(s: np.ndarray) -> np.ndarray:
 def potential(s: np.ndarray) -> float:
     """Return the potential energy; the slider stays level."""
     (th,) = s
-    return float(G * (CRANK_MASS * CRANK_CENTRE * np.sin(th) + ROD_MASS * (CRANK * np.sin(th) + ROD_CENTRE * np.sin(rod(th)[0]))))
+    return float(
+        G * (CRANK_MASS * CRANK_CENTRE * np.sin(th) + ROD_MASS * (CRANK * np.sin(th) + ROD_CENTRE * np.sin(rod(th)[0])))
+    )
 
 
 def pose(th: float) -> np.ndarray:
@@ -86,7 +88,9 @@ def test_acceleration_is_lagrange_s(th):
 @at_every_angle
 def test_acceleration_is_that_of_mujocos_masses_forces_and_rows(th):
     mechanism, v, u = mechanism_of(NAME), np.array([23.0]), np.array([1.3])
-    assert relative_error(acceleration(mechanism, pose(th), v, u), rigid_acceleration(mechanism, pose(th), v, u)) < DIFFERENCES
+    assert (
+        relative_error(acceleration(mechanism, pose(th), v, u), rigid_acceleration(mechanism, pose(th), v, u)) < DIFFERENCES
+    )
 
 
 def test_the_slider_turns_back_at_both_dead_centres_and_the_crank_turns_fully():
