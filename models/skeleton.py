@@ -24,8 +24,8 @@ class Stick:
 def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
     """Return the bodies of a mechanism at poses (n, n_q), seen along the axis that most hinges share.
 
-    A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it. A body that slides in
-    a moving one is drawn from that body's own pin on; one that is pinned at a single point, as far as its centre of mass.
+    A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it. A body that slides
+    in a moving one is drawn from that body's own pin on; one that is pinned at a single point, as far as its centre of mass.
     """
     model = mechanism.model
     tree = build_tree(model, mechanism.qpos_of(np.zeros(mechanism.n_q)))

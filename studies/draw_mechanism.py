@@ -97,7 +97,7 @@ def draw_dependent(axes, found: Inspection) -> None:
 
 
 def draw_inertia(axes, found: Inspection) -> None:
-    """Draw the reduced inertia about the first independent joint, logarithmic where it rises without end: at a singular pose."""
+    """Draw the reduced inertia about the first independent joint, logarithmic where it rises without end."""
     poses, x, joint = _shown(found)
     inertia = sampled(found.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
     axes.plot(x, inertia, color=BLACK)

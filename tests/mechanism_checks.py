@@ -1,4 +1,4 @@
-"""What every built-in mechanism's test asks of its plan and of MuJoCo, and a Lagrangian integrated apart from the package."""
+"""What every built-in mechanism's test asks of its plan and of MuJoCo, and Lagrange's equations apart from the package."""
 
 from collections.abc import Callable
 from functools import cache

@@ -1,4 +1,4 @@
-"""Andrews' squeezing mechanism against the IVP test set: its mass matrix, its loops, its spring, and its motion to t = 0.03 s.
+"""Andrews' squeezing mechanism against the IVP test set: its mass matrix, its loops, its spring, its motion to t = 0.03 s.
 
 tests/data/andrews.json holds the test set's constants, equations and results (Hairer & Wanner, Solving ODEs II, VI.7).
 """
@@ -100,6 +100,7 @@ def spun_up():
     flow, n_q = mechanism.dynamics.flow, mechanism.n_q
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:
+        del t
         return np.concatenate([np.array(part).ravel() for part in flow(x[:n_q], x[n_q:], torque)])
 
     times = [float(t) for t in TABLE["beta_at"]]

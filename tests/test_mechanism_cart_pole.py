@@ -21,7 +21,7 @@ BETTER = 57.9449  # another swing-up of the same problem, which other guesses fi
 KNOWN = 1e-3
 # The pole's own moment in the model, relative to m l^2: MuJoCo admits no body without one.
 NO_MOMENT = 1e-8
-# Effort against the adjoint's, relative to the largest: the mesh's own error in an effort that is a polynomial piece by piece.
+# Effort against the adjoint's, relative to the largest: the mesh's own error in a piecewise polynomial effort.
 ADJOINT = 1e-3
 
 

@@ -73,7 +73,7 @@ def test_mujoco_s_own_simulation_of_the_file_is_the_closed_form():
     data.qpos[:] = q0 * np.array([1, -1, 1, -1, 1, -1])
     data.ctrl[:] = pull
     mujoco.mj_step(model, data, 20_000)
-    closed = solve_ivp(lambda t, x: [x[1], torque(x[0], x[1], pull) / INERTIA], (0, 0.2), [q0, 0.0], rtol=1e-10, atol=1e-12)
+    closed = solve_ivp(lambda _, x: [x[1], torque(x[0], x[1], pull) / INERTIA], (0, 0.2), [q0, 0.0], rtol=1e-10, atol=1e-12)
     assert abs(closed.y[0, -1] - q0) > 0.3, "it moves"
     assert np.abs(data.qpos - closed.y[0, -1] * np.array([1, -1, 1, -1, 1, -1])).max() < SIMULATED_RAD
 
