@@ -83,8 +83,12 @@ def lqr(
         LinkplanError: when no stabilising gain exists.
     """
     n_s = mechanism.dof
-    A, B = discretise(*linearise(mechanism, reference.pose, reference.velocity, reference.effort), reference.period_s)
-    Q = np.diag(np.repeat([position_weight**-2.0, velocity_weight**-2.0], n_s))
+    A, B = linearise(mechanism, reference.pose, reference.velocity, reference.effort)
+    # A rod's idle spin between two balls can be neither steered nor needs to be: it stays out of the state.
+    steered = np.array([int(i) not in mechanism.idle for i in mechanism.independent])
+    kept = np.flatnonzero(np.tile(steered, 2))
+    A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
+    Q = np.diag(np.repeat([position_weight**-2.0, velocity_weight**-2.0], np.count_nonzero(steered)))
     R = np.diag(np.asarray(effort_weight, dtype=float) ** -2.0)
     n = reference.cycle if reference.cycle is not None and reference.cycle <= reference.n else reference.n
     try:
@@ -98,7 +102,9 @@ def lqr(
             raise LinkplanError("lqr found no gain that repeats with the motion: the periodic Riccati recursion diverges")
         P = P_next
         gains, P_next = _backward(A[:n], B[:n], Q, R, P)
-    return LQR(reference=reference, gains=gains[np.arange(reference.n) % n])
+    full = np.zeros((n, mechanism.n_u, 2 * n_s))
+    full[:, :, kept] = gains
+    return LQR(reference=reference, gains=full[np.arange(reference.n) % n])
 
 
 def _backward(A, B, Q, R, P) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,7 @@
 The only file that holds MjData. A run starts from an assembled pose with joint rates consistent with the loop (q' =
 Gamma v). At every control instant the independent joints are read, the tracker is asked, its command is delayed by whole
 periods, cut at the actuators' limits and held while MuJoCo steps. What is held is the effort: a servo's ctrl is worked out
-anew at every step, so that gain times ctrl plus bias is that effort where the mechanism stands then.
+anew whenever MuJoCo evaluates its force, so that gain times ctrl plus bias is that effort where the mechanism stands then.
 """
 
 import copy
@@ -231,27 +231,33 @@ def conditions(mechanism: Mechanism, model: mujoco.MjModel, reference: SampledRe
 def _step(model, data: mujoco.MjData, actuators: tuple[Actuator, ...], effort: np.ndarray, substeps: int) -> np.ndarray:
     """Step MuJoCo under held efforts (n_u,), and return the efforts that acted in the first step.
 
-    They are the same but where a servo's ctrl meets the end of its range, or its gain vanishes.
+    They are the same but where a servo's ctrl meets the end of its range, or its gain vanishes. MuJoCo's implicit
+    integrators add a servo's own damping to the inertia of a step whatever its ctrl: the motion then differs a little from
+    a motor's.
     """
     if not any(actuator.is_servo for actuator in actuators):
         for actuator, u in zip(actuators, effort, strict=True):
             data.ctrl[actuator.channel] = (u - actuator.biases[0]) / actuator.gain
         mujoco.mj_step(model, data, substeps)
         return effort
-    acted = effort
-    runge_kutta = int(model.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_RK4)
-    for step in range(substeps):
-        mujoco.mj_step1(model, data)  # length and velocity of every actuator, where the mechanism stands now
+    acted: list[float] = []
+
+    def invert(_: mujoco.MjModel, now: mujoco.MjData) -> None:
+        """Set every ctrl where MuJoCo asks for it: at each evaluation, with lengths and velocities worked out."""
         for actuator, u in zip(actuators, effort, strict=True):
-            length, velocity = data.actuator_length[actuator.output], data.actuator_velocity[actuator.output]
-            data.ctrl[actuator.channel] = actuator.control(float(u), float(length), float(velocity))
-        if runge_kutta:  # which MuJoCo has no second half for
-            mujoco.mj_step(model, data)
-        else:
-            mujoco.mj_step2(model, data)
-        if step == 0:
-            acted = np.array([data.actuator_force[actuator.output] for actuator in actuators])
-    return acted
+            length, velocity = (float(x[actuator.output]) for x in (now.actuator_length, now.actuator_velocity))
+            now.ctrl[actuator.channel] = ctrl = actuator.control(float(u), length, velocity)
+            if len(acted) < len(actuators):
+                limited = bool(model.actuator_forcelimited[actuator.index])
+                low, high = model.actuator_forcerange[actuator.index] if limited else (-np.inf, np.inf)
+                acted.append(float(np.clip(actuator.effort(ctrl, length, velocity), low, high)))
+
+    mujoco.set_mjcb_control(invert)
+    try:
+        mujoco.mj_step(model, data, substeps)
+    finally:
+        mujoco.set_mjcb_control(None)
+    return np.array(acted)
 
 
 def _admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) -> None:

@@ -131,12 +131,17 @@ def _coefficients(model: mujoco.MjModel, index: int) -> tuple[tuple[float, ...],
 
 def is_idle_at_zero(model: mujoco.MjModel, index: int) -> bool:
     """Return whether an actuator that a plan leaves out, its control at zero, leaves the mechanism alone."""
-    passive = [model.actuator_damping[index], *model.actuator_dampingpoly[index], model.actuator_armature[index]]
     gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
     affine = gain in (FIXED, AFFINE) and (
         bias == NO_BIAS or (bias == AFFINE_BIAS and not any(_coefficients(model, index)[1]))
     )
-    return affine and (carries_passive(model, index) or not np.any(passive))
+    return affine and (carries_passive(model, index) or not brings_passive(model, index))
+
+
+def brings_passive(model: mujoco.MjModel, index: int) -> bool:
+    """Return whether an actuator has damping or armature of its own."""
+    own = [model.actuator_damping[index], *model.actuator_dampingpoly[index], model.actuator_armature[index]]
+    return bool(np.any(own))
 
 
 def carries_passive(model: mujoco.MjModel, index: int) -> bool:

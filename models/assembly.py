@@ -1,8 +1,8 @@
 """Poses of a mechanism on its branch: along a path of independent positions, and as far as the chain reaches.
 
 A path is followed by a tangent predictor and Newton in the dependent joints. Where Newton fails, corrects by more than
-the step itself, or the sign of det J_z turns, the step is halved: so a pose found is on the branch that the path began
-on, and a path that meets a singular pose stops there instead of slipping through.
+the step itself, or the sign of a block of det J_z turns, the step is halved: so a pose found is on the branch that the path
+began on, and a path that meets a singular pose stops there instead of slipping through.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 import scipy.optimize
 
 from models.errors import AssemblyError
-from models.joints import where
+from models.joints import Joint, where
 from models.mechanism import Mechanism
 from models.newton import CLOSED_M
 
@@ -20,6 +20,8 @@ _MIN_SHARE = 1e-5  # of a step: shorter than this, the path has met a singular p
 _NEWTON_STEPS = 12
 # A pose further away than this many steps (some 500 turns) is a slip of the pen and not a place to go.
 _MOST_STEPS = 1e5
+# A rate of a dependent joint below this share of the independent one's is rounding.
+_STILL = 1e-9
 # Paths of more samples than this are solved together.
 _FEWEST_AT_ONCE = 20
 
@@ -92,7 +94,7 @@ def _follow_at_once(mechanism: Mechanism, path: np.ndarray, q: np.ndarray) -> np
     predicted = poses[:, dependent].copy()
     many = mechanism.dynamics.closure_step.map(len(path))
     for _ in range(_NEWTON_STEPS):
-        phi, steps, _, determinant = (np.array(x) for x in many(poses.T))
+        phi, steps, _, determinants = (np.array(x) for x in many(poses.T))
         if not np.all(np.isfinite(steps)):
             return None
         poses[:, dependent] += steps.T
@@ -101,7 +103,8 @@ def _follow_at_once(mechanism: Mechanism, path: np.ndarray, q: np.ndarray) -> np
     else:
         return None
     moved = np.max(np.abs(poses[:, dependent] - predicted) / step_size[dependent], initial=0.0)
-    one_sign = np.all(determinant > 0) or np.all(determinant < 0)
+    by_block = determinants.reshape(-1, len(path))
+    one_sign = np.all(np.all(by_block > 0, axis=1) | np.all(by_block < 0, axis=1))
     return poses if moved < 0.25 and one_sign else None
 
 
@@ -124,7 +127,7 @@ def _advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[n
     independent, dependent = mechanism.independent, mechanism.dependent
     step_size = _step_sizes(mechanism)
     q = np.array(q, dtype=float)
-    _, _, gamma, determinant = (np.array(x) for x in mechanism.dynamics.closure_step(q))
+    _, _, gamma, determinants = (np.array(x) for x in mechanism.dynamics.closure_step(q))
     share = 1.0
     longest = np.max(np.abs(target - q[independent]) / step_size[independent], initial=0.0)
     if not longest < _MOST_STEPS:
@@ -141,11 +144,11 @@ def _advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[n
         trial = q + gamma @ ds
         trial[independent] = target if fraction == 1.0 else q[independent] + ds
         predicted = trial[dependent].copy()
-        trial, gamma_trial, det_trial = _correct(mechanism, trial)
+        trial, gamma_trial, dets_trial = _correct(mechanism, trial)
         moved = np.max(np.abs(trial[dependent] - predicted) / step_size[dependent], initial=0.0)
         turned = np.max(np.abs(gamma_trial - gamma), initial=0.0) > 0.5 * (1 + np.max(np.abs(gamma), initial=0.0))
-        if np.isfinite(moved) and moved < 0.25 and not turned and det_trial * determinant > 0:
-            q, gamma, determinant = trial, gamma_trial, det_trial
+        if np.isfinite(moved) and moved < 0.25 and not turned and np.all(dets_trial * determinants > 0):
+            q, gamma, determinants = trial, gamma_trial, dets_trial
             share = min(1.0, 2 * share)
             continue
         share = 0.5 * min(share, longest)
@@ -153,12 +156,12 @@ def _advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[n
             return q, False
 
 
-def _correct(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the pose closed by Newton in its dependent joints, with Gamma and det J_z there; NaN where it fails."""
+def _correct(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the pose closed by Newton in its dependent joints, with Gamma and det J_z by blocks; NaN where it fails."""
     q = np.array(q)
     dependent = mechanism.dependent
     for iteration in range(_NEWTON_STEPS):
-        phi, step, gamma, determinant = mechanism.dynamics.closure_step(q)
+        phi, step, gamma, determinants = mechanism.dynamics.closure_step(q)
         step = np.array(step).ravel()
         size = np.abs(step).max(initial=0.0)
         if not np.isfinite(size) or size > 10:
@@ -167,8 +170,8 @@ def _correct(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarra
         done = np.abs(np.array(phi)).max(initial=0.0) <= CLOSED_M and (size < 1e-12 or iteration > 2)
         q[dependent] += step
         if done or step.size == 0:
-            return q, np.array(gamma), float(determinant)
-    return np.full_like(q, np.nan), np.full((mechanism.n_q, mechanism.dof), np.nan), np.nan
+            return q, np.array(gamma), np.array(determinants)
+    return np.full_like(q, np.nan), np.full((mechanism.n_q, mechanism.dof), np.nan), np.array(np.nan)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -176,7 +179,7 @@ class End:
     """Where the reach ends: the independent position there [rad or m], and why in a few words."""
 
     position: float
-    reason: str  # "range of A", "singular pose", "full turn"
+    reason: str  # "range of A", "end of rod_rx's chart", "singular pose", "full turn"
     joint: int | None  # whose range it is
 
 
@@ -227,7 +230,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
     last = limit if abs(limit - home[index]) <= turn else home[index] + sign * turn
     poses, q = [], np.array(home)
     if sign * (last - q[index]) <= 0:
-        return poses, End(position=float(q[index]), reason=f"range of {joint.name}", joint=index), []
+        return poses, End(position=float(q[index]), reason=_end_of(joint), joint=index), []
     while True:
         target = q[index] + sign * step
         final = sign * (target - last) >= -1e-9
@@ -237,7 +240,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
         stop = _range_stop(mechanism, q, trial, coordinate)
         if stop is not None:
             poses.append(stop[0])
-            return poses, End(position=float(stop[0][index]), reason=f"range of {stop[1].name}", joint=stop[2]), []
+            return poses, End(position=float(stop[0][index]), reason=_end_of(stop[1]), joint=stop[2]), []
         if not arrived:
             pose = _singular_pose(mechanism, trial, coordinate)
             poses.append(trial)
@@ -245,8 +248,12 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
         poses.append(trial)
         q = trial
         if final:
-            reason = "full turn" if last != limit else f"range of {joint.name}"
+            reason = "full turn" if last != limit else _end_of(joint)
             return poses, End(position=float(last), reason=reason, joint=index if last == limit else None), []
+
+
+def _end_of(joint: Joint) -> str:
+    return f"range of {joint.name}" if joint.chart is None or joint.kind == "slide" else f"end of {joint.name}'s chart"
 
 
 def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int):
@@ -274,7 +281,7 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
         return _advance(mechanism, q, s)[0]
 
     a, b = q[index], trial[index]
-    if function(q) * function(trial) >= 0:
+    if function(q) * function(trial) >= 0 or function(pose_at(a)) * function(pose_at(b)) >= 0:
         return np.array(q)
     return pose_at(float(scipy.optimize.brentq(lambda x: function(pose_at(x)), a, b, xtol=1e-14)))
 
@@ -283,13 +290,15 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
     """Return the pose with phi = 0 and det J_z = 0 next to `near`; `near` itself where that does not converge."""
     index = int(mechanism.independent[coordinate])
     free = [*[int(i) for i in mechanism.dependent], index]
-    scale = float(mechanism.dynamics.singularity(mechanism.home)) or 1.0
+    at_home, here = (np.array(mechanism.dynamics.block_singularity(q)).ravel() for q in (mechanism.home, near))
+    at_home = np.where(at_home == 0, 1.0, at_home)
+    block = int(np.argmin(np.abs(here / at_home)))  # the loops that fold
 
     def system(x: np.ndarray) -> np.ndarray:
         q = np.array(near)
         q[free] = x
         phi = np.array(mechanism.dynamics.independent_closure(q)).ravel()
-        return np.append(phi, float(mechanism.dynamics.singularity(q)) / scale)
+        return np.append(phi, float(mechanism.dynamics.block_singularity(q)[block]) / at_home[block])
 
     solution = scipy.optimize.root(system, near[free], tol=1e-14)
     pose = np.array(near)
@@ -307,6 +316,7 @@ def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[
 
     found = []
     rates = np.array([np.array(mechanism.dynamics.velocity_map(pose))[:, coordinate] for pose in poses])
+    rates[np.abs(rates) < _STILL] = 0.0
     for joint in mechanism.dependent:
         for k in np.flatnonzero(rates[:-1, joint] * rates[1:, joint] < 0):
             pose = _pose_where(mechanism, poses[k], poses[k + 1], coordinate, lambda p, j=int(joint): rate(p, j))

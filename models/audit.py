@@ -6,7 +6,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from models.actuators import is_idle_at_zero, label, read_actuators, shared_clamps, why_not
+from models.actuators import brings_passive, carries_passive, is_idle_at_zero, label, read_actuators, shared_clamps, why_not
 from models.closure import equality_name
 from models.coordinates import BALL, FREE, joint_label
 from models.passive import disabled, spans_branches, tendon_armatures
@@ -100,6 +100,12 @@ def _actuators(model: mujoco.MjModel):
             falsifies=not idle,
         )
     for actuator in read_actuators(model):
+        if brings_passive(model, actuator.index) and not carries_passive(model, actuator.index):
+            yield Unhonoured(
+                text=f"damping or armature of actuator {actuator.name} on {actuator.target}: its motor is planned with, they"
+                " are not",
+                falsifies=True,
+            )
         if not actuator.is_servo:
             continue
         limits = "" if np.isfinite([actuator.lower, actuator.upper]).all() else ", which no forcerange limits"

@@ -19,6 +19,7 @@ import numpy as np
 
 from models.errors import ModelError
 from models.tendons import is_fixed, tendon_label
+from models.ties import tied_points
 from models.tree import HINGE, Frame, Tree, common_ancestor, frame_in, product
 
 CONNECT, WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
@@ -102,22 +103,6 @@ def equality_name(model: mujoco.MjModel, index: int) -> str:
         return f"equality {index}"
     tied = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
     return "-".join(element(i).name or str(i) for i in tied)
-
-
-def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray]]:
-    """Return the two points that a connect or weld ties, each as its body and its place (3,) [m] in that body's frame.
-
-    An equality of another kind ties no points: the list is empty.
-    """
-    if int(model.eq_type[index]) not in (int(CONNECT), int(WELD)):
-        return []
-    first, second = int(model.eq_obj1id[index]), int(model.eq_obj2id[index])
-    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
-        return [(int(model.site_bodyid[site]), model.site_pos[site]) for site in (first, second)]
-    points = [model.eq_data[index, 0:3], model.eq_data[index, 3:6]]
-    if int(model.eq_type[index]) == int(WELD):  # whose data name the second body's point first
-        points.reverse()
-    return [(first, points[0]), (second, points[1])]
 
 
 def _lever(model: mujoco.MjModel) -> float:

@@ -8,8 +8,10 @@ Analytical Mechanics of Space Systems, 3.5): for small angles the rotation vecto
     quaternion = centre * (1 - |sigma|^2, 2 sigma) / (1 + |sigma|^2),
     w = G c',   G = [(1 - |sigma|^2) I - 2 [sigma x] + 2 sigma sigma^T] / (1 + |sigma|^2)^2,
 
-w the angular velocity in the child's frame, as MuJoCo's qvel has it. A free joint is three slides along the world's axes and
-such a chart. So n_q = n_v, and velocities are rates of coordinates: qvel = T(q) q', T the identity but for the blocks G.
+w the angular velocity in the child's frame, as MuJoCo's qvel has it. The axes of c are the child's, but for a rod between
+two balls, whose first is the rod's line: its spin is then a coordinate of its own. A free joint is three slides along the
+world's axes and such a chart. So n_q = n_v, and velocities are rates of coordinates: qvel = T(q) q', T the identity but for
+the blocks G.
 """
 
 from dataclasses import dataclass
@@ -17,6 +19,8 @@ from dataclasses import dataclass
 import casadi as ca
 import mujoco
 import numpy as np
+
+from models.ties import rod_line
 
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
@@ -37,6 +41,7 @@ class Chart:
     first: int  # of the coordinates, and of the three angular velocities in qvel
     quaternion: int  # address in qpos
     centre: np.ndarray  # (4,) the unit quaternion at c = 0
+    axes: np.ndarray  # (3, 3) whose columns are the coordinates' axes in the child's frame
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -58,7 +63,7 @@ class Coordinates:
         qpos = np.zeros((*q.shape[:-1], self.n_qpos))
         qpos[..., self.scalars[:, 1]] = q[..., self.scalars[:, 0]]
         for chart in self.charts:
-            sigma = q[..., chart.first : chart.first + 3] / 4
+            sigma = _along_axes(chart, q) / 4
             square = np.sum(sigma**2, axis=-1, keepdims=True)
             turned = np.concatenate([1 - square, 2 * sigma], axis=-1) / (1 + square)
             qpos[..., chart.quaternion : chart.quaternion + 4] = quaternion_product(chart.centre, turned)
@@ -76,7 +81,7 @@ class Coordinates:
             turned = quaternion_product(_conjugate(chart.centre), qpos[..., chart.quaternion : chart.quaternion + 4])
             turned = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
             with np.errstate(divide="ignore", invalid="ignore"):  # a full turn is beyond the chart: infinite, not an error
-                q[..., chart.first : chart.first + 3] = 4 * turned[..., 1:] / (1 + turned[..., :1])
+                q[..., chart.first : chart.first + 3] = 4 * (turned[..., 1:] @ chart.axes) / (1 + turned[..., :1])
         return q
 
     def qvel_of(self, q: np.ndarray, rates: np.ndarray) -> np.ndarray:
@@ -84,9 +89,10 @@ class Coordinates:
         qvel = np.array(rates, dtype=float)
         for chart in self.charts:
             at = slice(chart.first, chart.first + 3)
-            matrix = _rates_of_velocity(np.asarray(q, dtype=float)[..., at])
-            square = np.sum((np.asarray(q, dtype=float)[..., at] / 4) ** 2, axis=-1, keepdims=True)
-            qvel[..., at] = np.einsum("...ji,...j->...i", matrix, qvel[..., at]) / (1 + square) ** 2
+            turned = _along_axes(chart, q)
+            square = np.sum((turned / 4) ** 2, axis=-1, keepdims=True)
+            along = qvel[..., at] @ chart.axes.T
+            qvel[..., at] = np.einsum("...ji,...j->...i", _rates_of_velocity(turned), along) / (1 + square) ** 2
         return qvel
 
     def rates_of(self, q: np.ndarray, qvel: np.ndarray) -> np.ndarray:
@@ -94,7 +100,8 @@ class Coordinates:
         rates = np.array(qvel, dtype=float)
         for chart in self.charts:
             at = slice(chart.first, chart.first + 3)
-            rates[..., at] = np.einsum("...ij,...j->...i", _rates_of_velocity(np.asarray(q)[..., at]), rates[..., at])
+            matrix = _rates_of_velocity(_along_axes(chart, q))
+            rates[..., at] = np.einsum("...ij,...j->...i", matrix, rates[..., at]) @ chart.axes
         return rates
 
     def velocity_matrix(self, q: ca.SX) -> ca.SX:
@@ -102,9 +109,10 @@ class Coordinates:
         matrix = ca.SX.eye(q.numel())
         for chart in self.charts:
             at = slice(chart.first, chart.first + 3)
-            sigma = q[at] / 4
+            sigma = ca.DM(chart.axes) @ q[at] / 4
             square = ca.dot(sigma, sigma)
-            matrix[at, at] = ((1 - square) * ca.SX.eye(3) - 2 * ca.skew(sigma) + 2 * (sigma @ sigma.T)) / (1 + square) ** 2
+            G = ((1 - square) * ca.SX.eye(3) - 2 * ca.skew(sigma) + 2 * (sigma @ sigma.T)) / (1 + square) ** 2
+            matrix[at, at] = G @ ca.DM(chart.axes)
         return matrix
 
     def left(self, q: np.ndarray) -> str | None:
@@ -115,9 +123,9 @@ class Coordinates:
         return None
 
 
-def turned_quaternion(c: ca.SX) -> ca.SX:
-    """Return the quaternion (4,) of a chart's coordinates (3,), relative to its centre."""
-    sigma = c / 4
+def turned_quaternion(chart: Chart, q: ca.SX) -> ca.SX:
+    """Return the quaternion (4,) of a chart at coordinates q (n_q,), relative to its centre."""
+    sigma = ca.DM(chart.axes) @ q[chart.first : chart.first + 3] / 4
     square = ca.dot(sigma, sigma)
     return ca.vertcat(1 - square, 2 * sigma) / (1 + square)
 
@@ -141,9 +149,26 @@ def read_coordinates(model: mujoco.MjModel, reference: np.ndarray) -> Coordinate
                 first=dof,
                 quaternion=address,
                 centre=centre / np.linalg.norm(centre),
+                axes=_axes(model, joint),
             )
         )
     return Coordinates(n_qpos=model.nq, scalars=np.array(scalars, dtype=int).reshape(-1, 2), charts=tuple(charts))
+
+
+def _axes(model: mujoco.MjModel, joint: int) -> np.ndarray:
+    """Return the axes of a chart (3, 3): the child's own, turned the shortest way so that the first is a rod's line."""
+    line = rod_line(model, joint) if int(model.jnt_type[joint]) == BALL else None
+    if line is None:
+        return np.eye(3)
+    line = line if line[0] >= 0 else -line
+    v = np.cross([1.0, 0.0, 0.0], line)
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    return np.eye(3) + cross + cross @ cross / (1 + line[0])
+
+
+def _along_axes(chart: Chart, q: np.ndarray) -> np.ndarray:
+    """Return a chart's coordinates (..., 3) along the child's axes."""
+    return np.asarray(q, dtype=float)[..., chart.first : chart.first + 3] @ chart.axes.T
 
 
 def joint_label(model: mujoco.MjModel, joint: int) -> str:

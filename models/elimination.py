@@ -37,16 +37,27 @@ def factorise(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
     return solve
 
 
-def determinant(A: ca.SX) -> ca.SX:
-    """Return det A, the product of its blocks', with the sign that A's own order gives."""
+def block_determinants(A: ca.SX) -> ca.SX:
+    """Return the determinants (n_blocks,) of A's diagonal blocks; det A is their product, but for its sign.
+
+    Where two loops fold at once, as in a mirrored gripper, both change sign and their product does not.
+    """
     if A.shape[0] == 0:
-        return ca.SX(1)
+        return ca.SX(ca.DM.ones(1))
     A = ca.sparsify(A)
     rows, columns, blocks = _blocks(A)
     permuted = A[rows, columns]
+    return ca.vertcat(*[_minor(permuted[block, block]) for block in blocks])
+
+
+def determinant(A: ca.SX) -> ca.SX:
+    """Return det A, with the sign that A's own order gives."""
+    if A.shape[0] == 0:
+        return ca.SX(1)
+    rows, columns, _ = _blocks(ca.sparsify(A))
     product = ca.SX(_parity(rows) * _parity(columns))
-    for block in blocks:
-        product *= _minor(permuted[block, block])
+    for det in ca.vertsplit(block_determinants(A)):
+        product *= det
     return product
 
 

@@ -15,8 +15,9 @@ from models.rank import numerical_rank
 HOME_TOLERANCE = np.radians(5.0)
 # No joint is asked to stand further out than this [rad or m].
 _FARTHEST = 1e3
-# A step from the home pose to look whether it is an ordinary one [rad; on a slide, of the model's extent].
-_HOME_STEP = 0.02
+# Steps from the home pose to look whether it is an ordinary one [rad; on a slide, of the model's extent]: the shorter where
+# the longer opens the loop, next to an end of the reach.
+_HOME_STEPS = (0.02, 0.002)
 # Poses to look at about home, and how far away they are [rad; on a slide, of the model's extent].
 _LOOKS = 4
 _LOOK_STEP = 0.15
@@ -124,14 +125,16 @@ def refuse_singular_home(
     neighbours = list(about)
     for index in held:
         moved = False
-        step = _HOME_STEP * (1.0 if joints[index].kind == "hinge" else extent)
-        for change in (step, -step):
-            trial = np.array(pose)
-            trial[index] += change
-            neighbour, gap = newton.close(loop, trial, rest)
-            if gap <= newton.CLOSED_M:
-                moved = True
-                neighbours.append(neighbour)
+        for step in _HOME_STEPS:
+            for change in (step, -step):
+                trial = np.array(pose)
+                trial[index] += change * (1.0 if joints[index].kind == "hinge" else extent)
+                neighbour, gap = newton.close(loop, trial, rest)
+                if gap <= newton.CLOSED_M:
+                    moved = True
+                    neighbours.append(neighbour)
+            if moved:
+                break
         if not moved and rank:
             raise AssemblyError(
                 f"mechanism '{name}' cannot move joint {joints[index].name} from its home pose: the loop is singular or"

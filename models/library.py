@@ -59,7 +59,8 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
             attach(spec, payload)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(f"model '{source}' does not compile: {one_line(error)}") from error
+        shown = "MJCF text" if str(source).lstrip().startswith("<") else source
+        raise ModelError(f"model '{shown}' does not compile: {one_line(error)}") from error
     finally:
         mujoco.set_mju_user_warning(None)
     if any("nan" in text.lower() for text in said) or not np.all(np.isfinite(model.opt.gravity)):

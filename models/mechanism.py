@@ -14,11 +14,12 @@ from models.closure import Closure, read_closures
 from models.coordinates import Coordinates
 from models.errors import AssemblyError, ModelError
 from models.home import asked_home, assemble_home, poses_about, refuse_singular_home
+from models.idle import idle_freedoms
 from models.joints import Joint, index_of, read_joints
 from models.library import compile_model
 from models.newton import Loop
 from models.payload import Payload, payload_from
-from models.rank import dependent_columns, independent_rows, numerical_rank
+from models.rank import dependent_columns, independent_rows, numerical_rank, weak_rank
 from models.reduction import ReducedDynamics, reduce_tree
 from models.tendons import is_fixed, tendon_joints
 from models.transmission import TRN_TENDON
@@ -179,7 +180,7 @@ def load_mechanism(
     if rank == len(joints):
         raise ModelError(
             f"mechanism '{name}' is locked: {len(joints)} joints less {rank} independent closure rows leave 0 degrees of"
-            " freedom"
+            f" freedom{_hint(weak_rank(jacobians[0]))}"
         )
     ordinary = [jacobian for jacobian in jacobians if numerical_rank(jacobian) == rank]
     rows = independent_rows(ordinary, rank)
@@ -189,8 +190,14 @@ def load_mechanism(
     refuse_singular_home(name, joints, loop, pose, rank, free, extent, about)
     B = effort_matrix(model, tree, actuators)
     dynamics = reduce_tree(tree, phi, B, rows, free, dependent)
-    moments = np.array(ca.Function("moments", [tree.q], [ca.densify(B)])(pose)).reshape(len(joints), -1)
-    idle, notes = _idle_freedoms(tree.coordinates, jacobians[0], moments)
+    poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian) == rank]
+    weight = ca.Function("weight", [tree.q], [tree.gravity])
+    idle, notes = idle_freedoms(
+        model,
+        [jacobian / unit for jacobian in ordinary],
+        [np.array(dynamics.effort_matrix(q)).reshape(len(joints), -1) for q in poses],
+        [np.array(weight(q)).ravel() for q in poses],
+    )
     at_reference = numerical_rank(loop.residual(reference)[1] * unit)
     if loop.gap(loop.residual(reference)[0]) <= _CLOSED_REFERENCE_M and at_reference != rank:
         notes.append(f"the model's reference pose is singular: the closure has rank {at_reference} there and {rank} at home")
@@ -216,6 +223,14 @@ def load_mechanism(
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
     return mechanism
+
+
+def _hint(weak: int) -> str:
+    if not weak:
+        return ""
+    return (
+        f"; {weak} of the rows counts by a ten-thousandth only: joint axes or points that were to be in line are not quite"
+    )
 
 
 def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:
@@ -282,22 +297,3 @@ def _choose_dependent(joints, model, jacobian, rank: int, actuators, named: list
                 " dead centre there; name another joint, or another home pose"
             )
     return chosen
-
-
-def _idle_freedoms(coordinates: Coordinates, jacobian: np.ndarray, moments: np.ndarray) -> tuple[tuple[int, ...], list[str]]:
-    """Return the coordinates of ball joints that spin idly in a closed loop, and a sentence on each joint."""
-    idle, notes = [], []
-    for chart in coordinates.charts:
-        columns = list(range(chart.first, chart.first + 3))
-        block = jacobian[:, columns]
-        rank = numerical_rank(block) if np.abs(block).max(initial=0.0) > 1e-9 * np.abs(jacobian).max(initial=1.0) else 0
-        if rank not in (1, 2):
-            continue
-        spin = np.linalg.svd(block)[2][rank:]
-        if np.abs(spin @ moments[columns]).max(initial=0.0) > 1e-9 * max(1.0, np.abs(moments).max(initial=0.0)):
-            continue
-        idle += columns
-        notes.append(
-            f"ball joint {chart.name} can spin while all other joints rest: an idle freedom, which no actuator drives"
-        )
-    return tuple(idle), notes

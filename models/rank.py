@@ -12,6 +12,8 @@ import scipy.linalg
 # Singular values below this share of the largest count as zero. An exact planar loop shows 1e-16; a pose within
 # a millionth of a link length of singular still shows 1e-6.
 RANK_TOLERANCE = 1e-9
+# Singular values between the former and this are more often a file's rounding, axes not quite parallel, than a mechanism's.
+_WEAK = 1e-4
 
 
 def numerical_rank(jacobian: np.ndarray) -> int:
@@ -20,6 +22,12 @@ def numerical_rank(jacobian: np.ndarray) -> int:
         return 0
     values = np.linalg.svd(jacobian, compute_uv=False)
     return int(np.sum(values > RANK_TOLERANCE * max(values[0], np.finfo(float).tiny)))
+
+
+def weak_rank(jacobian: np.ndarray) -> int:
+    """Return how many singular values count towards the rank, but by a ten-thousandth of the largest only."""
+    values = np.linalg.svd(jacobian, compute_uv=False) if jacobian.size else np.zeros(1)
+    return int(np.sum((values > RANK_TOLERANCE * values[0]) & (values < _WEAK * values[0])))
 
 
 def independent_rows(jacobians: Sequence[np.ndarray], rank: int) -> np.ndarray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from models.elimination import determinant, factorise
+from models.elimination import block_determinants, determinant, factorise
 from models.tree import Tree
 
 
@@ -27,14 +27,16 @@ class ReducedDynamics:
     closure: ca.Function  # q -> phi (n_rows,) [m], every row
     independent_closure: ca.Function  # q -> phi (rank,) [m], independent rows
     closure_jacobian: ca.Function  # q -> J (n_rows, n_q)
-    closure_step: ca.Function  # q -> phi (rank,), Newton's step -J_z^-1 phi in z, Gamma, det J_z
+    closure_step: ca.Function  # q -> phi (rank,), Newton's step -J_z^-1 phi in z, Gamma, the dets of J_z's blocks
     velocity_map: ca.Function  # q -> Gamma (n_q, n_s)
     singularity: ca.Function  # q -> det J_z, zero at a singular pose
+    block_singularity: ca.Function  # q -> the dets of J_z's blocks, each of loops that close together
     mass_matrix: ca.Function  # q -> M (n_q, n_q), armature included
     bias: ca.Function  # q, q' -> h (n_q,), MuJoCo's qfrc_bias
     passive: ca.Function  # q, q' -> springs and dampers (n_q,)
     reduced_inertia: ca.Function  # q -> Gamma^T M Gamma (n_s, n_s)
     gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that holds the weight
+    effort_matrix: ca.Function  # q -> B (n_q, n_u), each actuator's generalised effort
     effort_map: ca.Function  # q -> Gamma^T B (n_s, n_u)
     inverse_dynamics: ca.Function  # q, v, a -> Gamma^T B u that the motion needs (n_s,)
     residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
@@ -65,7 +67,7 @@ def reduce_tree(
     solve = factorise(J_z)
     if chosen:
         gamma_map[[int(i) for i in dependent], :] = -solve(J_s)
-    det = determinant(J_z)
+    det, dets = determinant(J_z), block_determinants(J_z)
     convective = ca.Function("convective", [q, qd], [ca.jtimes(J @ qd, q, qd)])
     rates = gamma_map @ v
     gamma = ca.SX.zeros(q.numel())
@@ -93,14 +95,16 @@ def reduce_tree(
         closure=function("closure", [q], phi),
         independent_closure=function("independent_closure", [q], phi[chosen]),
         closure_jacobian=function("closure_jacobian", [q], jacobian),
-        closure_step=function("closure_step", [q], phi[chosen], -solve(phi[chosen]), gamma_map, det),
+        closure_step=function("closure_step", [q], phi[chosen], -solve(phi[chosen]), gamma_map, dets),
         velocity_map=function("velocity_map", [q], gamma_map),
         singularity=function("singularity", [q], det),
+        block_singularity=function("block_singularity", [q], dets),
         mass_matrix=function("mass_matrix", [q], tree.mass_matrix),
         bias=function("bias", [q, qd], tree.bias),
         passive=function("passive", [q, qd], tree.passive),
         reduced_inertia=function("reduced_inertia", [q], inertia),
         gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
+        effort_matrix=function("effort_matrix", [q], B),
         effort_map=function("effort_map", [q], effort_map),
         inverse_dynamics=function("inverse_dynamics", [q, v, a], inverse),
         residual=function("residual", [q, v, a, u], inverse - effort_map @ u),

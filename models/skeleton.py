@@ -6,9 +6,9 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from models.closure import tied_points
 from models.coordinates import BALL, FREE, SLIDE
 from models.mechanism import Mechanism
+from models.ties import tied_points
 from models.tree import build_tree
 
 

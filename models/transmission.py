@@ -104,7 +104,7 @@ def _on_joint(model, tree: Tree, joint: int, gear: np.ndarray, in_parent: bool) 
     axis = ca.SX(ca.DM(gear[:3]))
     if in_parent:
         (chart,) = [chart for chart in tree.coordinates.charts if chart.joint == joint]
-        turned = turned_quaternion(tree.q[chart.first : chart.first + 3])
+        turned = turned_quaternion(chart, tree.q)
         axis = rotation_of(turned).T @ ca.DM(rotation_from_quaternion(chart.centre)).T @ axis
     turning = slice(dof, dof + 3)
     column[turning] = tree.velocity_matrix[turning, turning].T @ axis

@@ -211,7 +211,7 @@ def _child_frame(model, coordinates: Coordinates, body, parent: Frame, q, veloci
             turn = ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * ca.DM(unit))
         else:
             (chart,) = [chart for chart in coordinates.charts if chart.joint == joint]
-            turned = turned_quaternion(q[dof : dof + 3])
+            turned = turned_quaternion(chart, q)
             turn = product(ca.SX(ca.DM(chart.centre)), turned)
             R = R @ ca.DM(rotation_from_quaternion(chart.centre)) @ rotation_of(turned)
             joints.update({dof + k: (R[:, k], anchor) for k in range(3)})

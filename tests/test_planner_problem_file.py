@@ -149,14 +149,14 @@ MODELS = {
     "not XML": ("<mujoco><worldbody>", ["does not parse"]),
     "empty": ("", ["is empty"]),
     "no joint": ("<mujoco><worldbody/></mujoco>", ["no joint"]),
-    "a ball joint": (FRICTION.replace('type="hinge"', 'type="ball"'), ["'J'", "ball", "hinge or slide"]),
+    "a ball joint": (FRICTION.replace('type="hinge"', 'type="ball"'), ["'J'", "J_rx, J_ry, J_rz"]),
     "gravity compensation": (
         FRICTION.replace(' frictionloss="0.5"', "").replace('<body name="arm">', '<body name="arm" gravcomp="1">'),
         ["gravcomp of body arm"],
     ),
-    "a position servo": (
-        FRICTION.replace(' frictionloss="0.5"', "").replace("<motor", '<position kp="5"'),
-        ["actuator motor", "not a motor"],
+    "a filtered servo": (
+        FRICTION.replace(' frictionloss="0.5"', "").replace("<motor", '<position kp="5" timeconst="0.1"'),
+        ["actuator motor", "state of its own"],
     ),
 }
 PROBLEM = '[mechanism]\nmodel = "model.xml"\n[motion]\nkind = "reach"\nstart_deg = { J = 0 }\ngoal_deg = { J = 9 }\n'
@@ -360,3 +360,20 @@ def test_a_motion_built_by_hand_has_one_value_for_each_independent_joint():
             objective="effort",
             limits=whole.limits,
         )
+
+
+def test_the_independent_joint_can_be_named():
+    problem = load_problem(REACH, ['mechanism.independent=["A"]', "motion.start_deg={A=10}", "motion.goal_deg={A=40}"])
+    assert [joint.name for joint in problem.mechanism.independent_joints] == ["A"]
+    assert problem.motion.start is not None
+    assert abs(float(problem.motion.start[0]) - np.radians(10)) < 1e-12
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [('["K"]', ["'K'", "O, A, C"]), ('"O"', ["list of joint names"]), ('["O", "A"]', ["2 joints", "1 degrees of freedom"])],
+)
+def test_a_name_that_is_no_independent_joint_is_refused(value, words):
+    with pytest.raises(LinkplanError) as raised:
+        load_problem(REACH, [f"mechanism.independent={value}"])
+    assert_one_line(raised.value, words)
