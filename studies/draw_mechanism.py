@@ -47,7 +47,7 @@ def draw_mechanism(axes, found: Inspection) -> None:
     poses = _drawn_reach(found)
     chosen = poses[np.linspace(0, len(poses) - 1, 5).astype(int)]
     draw_poses(axes, found.mechanism, np.vstack([chosen, found.mechanism.home]))
-    outside_legend(axes, fontsize=8)
+    outside_legend(axes, narrow=True, fontsize=8)
 
 
 def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray) -> None:
@@ -93,7 +93,7 @@ def draw_dependent(axes, found: Inspection) -> None:
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
     axes.set_ylabel("dependent joints")
     if len(found.mechanism.dependent):
-        outside_legend(axes)
+        outside_legend(axes, narrow=True)
 
 
 def draw_inertia(axes, found: Inspection) -> None:
