@@ -13,6 +13,12 @@ from models.payload import Payload, attach
 
 BUILT_IN = {
     "optimus-knee": "the humanoid's knee: a four-bar driven at O within +-100 N.m",
+    "optimus-knee-linear": "the same knee as it is really driven: a linear actuator from D to B within +-2000 N, two loops",
+    "slider-crank": "crank, rod and slider, driven at the crank within +-2 N.m",
+    "andrews-squeezer": "seven bodies, three coupled loops, a spring: the IVP test set's squeezing mechanism",
+    "parallel-gripper": "two four-bar fingers geared together, closed by one cable and opened by springs",
+    "five-bar": "two motors at the base for two degrees of freedom, one loop, a load on the pin",
+    "cart-pole": "a pole on a cart, pushed at the cart: no loop, one force for two degrees of freedom",
     "optimus-knee-source": "the source document's knee, as printed: kept to be checked, not to be used",
 }
 

@@ -24,7 +24,8 @@ class Stick:
 def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
     """Return the bodies of a mechanism at poses (n, n_q), seen along the axis that most hinges share.
 
-    A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it.
+    A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it. A body that slides
+    in a moving one is drawn from that body's own pin on; one that is pinned at a single point, as far as its centre of mass.
     """
     model = mechanism.model
     tree = build_tree(model, mechanism.qpos_of(np.zeros(mechanism.n_q)))
@@ -36,16 +37,21 @@ def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
             if model.jnt_type[joint] == FREE:
                 continue
             parent = int(model.body_parentid[body])
-            # A slide's own anchor moves with it: on the parent it stands where the joint is at its reference.
-            at_parent = anchor
-            if model.jnt_type[joint] == SLIDE:
-                at_parent = tree.point(parent, np.array(model.body_pos[body]))
-            pins.setdefault(_solid(model, parent), []).append(at_parent)
+            if model.jnt_type[joint] != SLIDE:
+                pins.setdefault(_solid(model, parent), []).append(anchor)
+            elif _solid(model, parent) == 0:
+                # A slide's own anchor moves with it: on the ground it stands where the joint is at its reference.
+                pins.setdefault(0, []).append(tree.point(parent, np.array(model.body_pos[body])))
+            else:
+                pins[body].insert(0, pins[_solid(model, parent)][0])
     for index in range(model.neq):
         if not model.eq_active0[index]:
             continue
         for body, point in tied_points(model, index):
             pins.setdefault(_solid(model, body), []).append(tree.point(body, point))
+    for body, points in pins.items():
+        if len(points) == 1 and body != 0:
+            points.append(tree.point(body, np.array(model.body_ipos[body])))
     right, up = _view(model)
     result = []
     for body in sorted(pins):

@@ -10,7 +10,20 @@ from models.library import is_file, is_folder
 from models.names import nearest
 from models.payload import BUILT_IN as PAYLOADS
 
-BUILT_IN = ("knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare")
+BUILT_IN = (
+    "knee-sine",
+    "knee-sine-shank",
+    "knee-reach",
+    "knee-sprint",
+    "knee-sprint-bare",
+    "knee-linear-reach",
+    "slider-crank-turn",
+    "five-bar-reach",
+    "five-bar-swing-up",
+    "squeezer-turn",
+    "gripper-close",
+    "cart-pole-swing-up",
+)
 
 Tables = dict[str, dict]
 

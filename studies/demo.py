@@ -10,7 +10,6 @@ from planner.plan import Plan
 from planner.plan_folder import record, versions
 from planner.planning import plan_motion
 from planner.problem_file import load_problem
-from planner.tables import BUILT_IN
 from studies.bode import bode_record, bode_study
 from studies.commands import save_plan
 from studies.compare import compare, comparison_record, default_mismatch
@@ -24,6 +23,7 @@ from studies.inspection import inspect, inspection_record
 from studies.report import bode_text, comparison_text, inspection_text, plan_text
 from studies.tables import table
 
+PLANNED = ("knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare")
 COMPARED = ("knee-sine", "knee-reach", "knee-sine-shank")
 LOOPS = (Gains(kp=200, kd=1, period_s=1e-4), Gains(kp=200, kd=10, period_s=1e-4), Gains(kp=200, kd=10, period_s=1e-5))
 ANGLES_DEG = (-49.07, -20.0, 3.6, 30.0, 56.27)
@@ -98,7 +98,7 @@ def _checks(place: Path, page: Page, said: dict, say: Say) -> None:
 def _plans(place: Path, page: Page, said: dict, say: Say) -> dict[str, Plan]:
     page.heading("Plan: what the torque allows")
     said["plans"], plans = {}, {}
-    for name in BUILT_IN:
+    for name in PLANNED:
         say(f"plan {name}")
         plan = plan_motion(load_problem(name)).require()
         folder = place / "plans" / name

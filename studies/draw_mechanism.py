@@ -5,9 +5,13 @@ from pathlib import Path
 import numpy as np
 
 from models.along import sampled
+from models.mechanism import Mechanism
 from models.skeleton import sticks
 from studies.drawing import BLACK, GREY, RED, SERIES, outside_legend, page
 from studies.inspection import Inspection
+
+# An inertia that changes by more than this factor over the reach is drawn on a logarithmic axis.
+_LOGARITHMIC = 5.0
 
 
 def inspection_figure(found: Inspection, path: Path) -> None:
@@ -28,32 +32,48 @@ def _shown(found: Inspection) -> tuple[np.ndarray, np.ndarray, object]:
     return can.poses, np.array([joint.shown(x) for x in position]), joint
 
 
+def _drawn_reach(found: Inspection) -> np.ndarray:
+    """Return the poses of the first coordinate's reach; of one that turns fully, those of most of one turn from home."""
+    poses = found.reaches[0].poses
+    if not found.reaches[0].turns_fully:
+        return poses
+    index = found.mechanism.independent[0]
+    travel = poses[:, index] - found.mechanism.home[index]
+    return poses[(travel >= 0) & (travel <= 1.6 * np.pi)]
+
+
 def draw_mechanism(axes, found: Inspection) -> None:
     """Draw the bodies as sticks at poses spread over the reach, the home pose strong."""
-    poses = found.reaches[0].poses
+    poses = _drawn_reach(found)
     chosen = poses[np.linspace(0, len(poses) - 1, 5).astype(int)]
-    drawn = sticks(found.mechanism, np.vstack([chosen, found.mechanism.home]))
+    draw_poses(axes, found.mechanism, np.vstack([chosen, found.mechanism.home]))
+    outside_legend(axes, narrow=True, fontsize=8)
+
+
+def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray) -> None:
+    """Draw the bodies as sticks at poses (n, n_q), the last one strong."""
     colours = iter(SERIES * 10)
-    for stick in drawn:
+    for depth, stick in enumerate(sticks(mechanism, poses)):
         colour = GREY if stick.fixed else next(colours)
-        for k, pins in enumerate(stick.pins):
-            home = k == len(chosen)
+        for k, pins in enumerate(stick.pins):  # a body lies over those that it carries
+            last = k == len(poses) - 1
             loop = np.vstack([pins, pins[:1]]) if len(pins) > 2 and not stick.fixed else pins
             axes.plot(
                 loop[:, 0],
                 loop[:, 1],
                 color=colour,
                 marker="^" if stick.fixed else "o",
-                markersize=5 if home else 3,
+                markersize=5 if last else 3,
                 linestyle="" if stick.fixed else "-",
-                linewidth=2.6 if home else 1.2,
-                alpha=1.0 if home else 0.3,
-                label=stick.body if home else None,
+                linewidth=2.6 if last else 1.2,
+                alpha=1.0 if last else 0.3,
+                zorder=3.0 - 0.01 * depth,
+                label=stick.body if last else None,
             )
     axes.set_aspect("equal", adjustable="datalim")
+    axes.locator_params(axis="x", nbins=6)
     axes.set_xlabel("[m]")
     axes.set_ylabel("[m]")
-    outside_legend(axes, fontsize=8)
 
 
 def _mark_singular(axes, found: Inspection, joint) -> None:
@@ -73,13 +93,18 @@ def draw_dependent(axes, found: Inspection) -> None:
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
     axes.set_ylabel("dependent joints")
     if len(found.mechanism.dependent):
-        outside_legend(axes)
+        outside_legend(axes, narrow=True)
 
 
 def draw_inertia(axes, found: Inspection) -> None:
-    """Draw the reduced inertia about the first independent joint, logarithmic: it rises without end at a singular pose."""
+    """Draw the reduced inertia about the first independent joint, logarithmic where it rises without end."""
     poses, x, joint = _shown(found)
-    axes.semilogy(x, sampled(found.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0], color=BLACK)
+    inertia = sampled(found.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
+    axes.plot(x, inertia, color=BLACK)
+    if inertia.max() > _LOGARITHMIC * inertia.min() > 0:
+        axes.set_yscale("log")
+    else:
+        axes.set_ylim(0.0, 1.2 * inertia.max())
     _mark_singular(axes, found, joint)
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
     axes.set_ylabel(f"reduced inertia [{'kg m2' if joint.kind == 'hinge' else 'kg'}]")

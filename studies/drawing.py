@@ -12,6 +12,11 @@ SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
 TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE}
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
 
+# A legend's row holds about so many letters over half of a page's width; what is longer goes on in a further row.
+_LETTERS_A_ROW = 56
+# What a legend's line and gaps take beside its text, in letters.
+_LETTERS_BESIDE = 8
+
 _STYLE = {
     "axes.grid": True,
     "axes.spines.right": False,
@@ -36,7 +41,10 @@ def page(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] 
         figure.savefig(path)
 
 
-def outside_legend(axes, **options) -> None:
-    """Put a legend above the axes, where it hides no data."""
+def outside_legend(axes, *, narrow: bool = False, **options) -> None:
+    """Put a legend above the axes, where it hides no data: in one row, or in as many as half of a page's width asks for."""
     handles, labels = axes.get_legend_handles_labels()
-    axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=len(labels), frameon=False, **options)
+    columns = max(1, len(labels))
+    if narrow and sum(len(label) + _LETTERS_BESIDE for label in labels) > _LETTERS_A_ROW:
+        columns = max(1, _LETTERS_A_ROW // (max(map(len, labels)) + _LETTERS_BESIDE))
+    axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)

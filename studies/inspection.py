@@ -12,6 +12,8 @@ from models.mechanism import Joint, Mechanism
 
 # A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
 OPEN_M = 1e-6
+# A direction of motion that the actuators reach by less than this share of the best-reached one is beyond them.
+_UNREACHED = 1e-9
 # An actuator does not drive a coordinate on which its effort is below this share of the largest: rounding.
 _NO_ARM = 1e-9
 
@@ -102,21 +104,27 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
     notes += mechanism.notes
     reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
     driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > _NO_ARM * reached.max()}
+    steerable = bool(driven) and _steerable(mechanism)
     for column, can in enumerate(reaches):
         index = int(mechanism.independent[column])
         joint = mechanism.joints[index]
         if driven and index not in driven and index not in mechanism.idle and mechanism.n_u < mechanism.dof:
-            damped = float(mechanism.model.dof_damping[index]) > 0
-            problems.append(
-                f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}"
-            )
+            if steerable:
+                notes.append(f"joint {joint.name} has no actuator: it is moved through the others only (underactuated)")
+            else:
+                damped = float(mechanism.model.dof_damping[index]) > 0
+                problems.append(
+                    f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}"
+                )
         for end in (can.lower, can.upper):
             if end.joint is not None and end.joint != index:
                 other = mechanism.joints[end.joint]
-                problems.append(
-                    f"joint {other.name}'s range {_range(other)} stops the loop at {joint.name} ="
-                    f" {joint.shown(end.position):.4g} {joint.unit} ({joint.name}'s own range: {_range(joint)})"
-                )
+                stop = f"joint {other.name}'s range {_range(other)} stops the loop at {joint.name} ="
+                stop += f" {joint.shown(end.position):.4g} {joint.unit}"
+                if np.isfinite([joint.lower, joint.upper]).any():
+                    problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
+                else:  # the coordinate has no range of its own that says otherwise: the stop is meant
+                    notes.append(stop)
         for position in can.singular:
             notes.append(
                 f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: there the loop ends or branches"
@@ -134,6 +142,28 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}")
     return problems, notes
+
+
+def _steerable(mechanism: Mechanism) -> bool:
+    """Return whether the actuators together reach every degree of freedom next to home.
+
+    Controllability of the linearised motion at home under the effort nearest to holding it: the rank of
+    [B, A B, A^2 B, ...] with time in units of the fastest mode (Kailath, Linear Systems, 1980, 2.3).
+    """
+    n_s, still = mechanism.dof, np.zeros(mechanism.dof)
+    dynamics, pose = mechanism.dynamics, mechanism.home
+    holding = np.array(dynamics.inverse_dynamics(pose, still, still)).ravel()
+    effort = np.linalg.pinv(np.array(dynamics.effort_map(pose))) @ holding
+    by_s, by_v, by_u = (np.array(x) for x in dynamics.linearisation(pose, still, effort))
+    A = np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [by_s, by_v]])
+    rate = max(float(np.abs(np.linalg.eigvals(A)).max()), 1.0)
+    scale = np.concatenate([np.ones(n_s), np.full(n_s, rate)])
+    A = A * scale / (scale[:, None] * rate)
+    B = np.vstack([np.zeros_like(by_u), by_u]) / max(float(np.abs(by_u).max()), np.finfo(float).tiny)
+    reached = [B]
+    for _ in range(2 * n_s - 1):
+        reached.append(A @ reached[-1])
+    return int(np.linalg.matrix_rank(np.hstack(reached), tol=_UNREACHED)) == 2 * n_s
 
 
 def _range(joint: Joint) -> str:

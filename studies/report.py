@@ -112,7 +112,7 @@ def comparison_text(comparison: Comparison) -> str:
     """Return the trackers side by side."""
     plan = comparison.plan
     lines = []
-    unit = "deg" if plan.problem.mechanism.independent_joints[0].kind == "hinge" else "m"
+    units = list(dict.fromkeys(joint.unit for joint in plan.problem.mechanism.independent_joints))
     cases = [(comparison.title, comparison.nominal)]
     if comparison.mismatch is not None:
         cases.append((comparison.mismatch.name, comparison.mismatched))
@@ -129,7 +129,7 @@ def comparison_text(comparison: Comparison) -> str:
             rows.append(
                 [
                     name,
-                    *(record[f"{which}_error_{unit}"] for which in ("rms", "max", "final")),
+                    *(record[f"{which}_error_{unit}"] for unit in units for which in ("rms", "max", "final")),
                     max(record["peak_effort"].values()),
                     100 * record["saturated_fraction"],
                     1e6 * record["loop_gap_max_m"],
@@ -139,9 +139,7 @@ def comparison_text(comparison: Comparison) -> str:
         effort = plan.problem.mechanism.actuators[0].unit
         head = [
             "tracker",
-            f"rms [{unit}]",
-            f"max [{unit}]",
-            f"final [{unit}]",
+            *(f"{which} [{unit}]" for unit in units for which in ("rms", "max", "final")),
             f"peak [{effort}]",
             "saturated [%]",
             "gap [um]",

@@ -20,6 +20,8 @@ from numpy.polynomial.legendre import leggauss
 
 G = 9.81
 LINKS = ("crank", "coupler", "rocker")
+# The built-in problems of the knee driven at O, of which this file is the closed form.
+KNEE_PROBLEMS = ("knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare")
 # Gauss points on each arc of the time's quadrature, whose integrand is smooth: its error is at rounding.
 _POINTS = 120
 # Degree of the Chebyshev interpolants of M and V over a swing: their error is at rounding.

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -79,8 +80,9 @@ def ask_json(ask):
 def test_list_names_every_built_in(ask_json):
     code, said = ask_json("list")
     assert code == 0
-    assert set(said["models"]) == {"optimus-knee", "optimus-knee-source"}
-    assert set(said["problems"]) == {"knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare"}
+    root = Path(__file__).parent.parent
+    assert set(said["models"]) == {path.stem for path in (root / "models" / "mjcf").glob("*.xml")}
+    assert set(said["problems"]) == {path.stem for path in (root / "planner" / "problems").glob("*.toml")}
 
 
 def test_check_of_the_mended_knee_finds_one_freedom_rank_two_and_no_problem(ask_json):

@@ -16,7 +16,7 @@ from controllers.rollout import Loop, Rollout, run, scaled_model
 from controllers.tracker import Tracker
 from models.mechanism import load_mechanism
 from models.payload import BODY_NAME
-from planner.tables import BUILT_IN
+from tests.fourbar import KNEE_PROBLEMS
 from tests.test_controllers_trackers import hinge_reference
 from tests.test_planner_plans import GOAL, optimal
 from tests.test_planner_schemes import HINGE, HINGE_INERTIA
@@ -34,7 +34,7 @@ from tests.tolerances_planner import (
 # How long each built-in plan is tracked here [s]: the motion and a rest, or one period.
 DURATION = {"knee-sine": 0.25, "knee-sine-shank": 0.25, "knee-reach": 0.24, "knee-sprint": 0.2, "knee-sprint-bare": 0.005}
 TRACKERS = ("pd", "pd+ff", "lqr")
-every_plan = pytest.mark.parametrize("name", BUILT_IN)
+every_plan = pytest.mark.parametrize("name", KNEE_PROBLEMS)
 every_tracker = pytest.mark.parametrize("kind", TRACKERS)
 
 

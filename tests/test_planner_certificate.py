@@ -8,9 +8,8 @@ import pytest
 from models.assembly import follow
 from models.errors import AssemblyError
 from planner.certificate import Certificate, certify
-from planner.tables import BUILT_IN
 from planner.trajectory import Trajectory
-from tests.fourbar import SHANK, knee
+from tests.fourbar import KNEE_PROBLEMS, SHANK, knee
 from tests.test_planner_plans import planned, problem_of
 from tests.tolerances_planner import CLOSURE_M, EXCESS, EXTREME, PEAK_ON_A_GRID, SAME_FIGURE, SINGULARITY
 
@@ -162,7 +161,7 @@ def test_a_motion_on_the_other_branch_does_not_pass():
     assert not found(replace(motion(), start_pose=start)).passed
 
 
-@pytest.mark.parametrize("name", BUILT_IN)
+@pytest.mark.parametrize("name", KNEE_PROBLEMS)
 def test_the_peak_effort_is_the_largest_of_the_carried_ones(name):
     plan = planned(name)
     effort = np.abs(plan.trajectory.effort_at(plan.trajectory.dense_times(100)))

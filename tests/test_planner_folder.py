@@ -16,13 +16,13 @@ from models.assembly import follow
 from models.errors import PlanFileError
 from planner.folders import RECORDS, check_target, plain, write_json, write_whole
 from planner.plan_folder import FORMAT, read_plan, record, write_plan
-from planner.tables import BUILT_IN
+from tests.fourbar import KNEE_PROBLEMS
 from tests.test_planner_plans import optimal, planned
 from tests.tolerances_planner import CERTIFIED_AGAIN, CSV, ROUNDING
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 FILES = ["plan.json", "trajectory.csv", "trajectory.npz"]
-every_plan = pytest.mark.parametrize("name", BUILT_IN)
+every_plan = pytest.mark.parametrize("name", KNEE_PROBLEMS)
 
 
 def save(name: str, folder: Path) -> Path:

@@ -15,8 +15,7 @@ from planner.plan import Plan
 from planner.planning import plan_motion
 from planner.problem import PlanningProblem
 from planner.problem_file import load_problem
-from planner.tables import BUILT_IN
-from tests.fourbar import SHANK, FourBar, Lump, Swing, knee, random_swing, rate_of
+from tests.fourbar import KNEE_PROBLEMS, SHANK, FourBar, Lump, Swing, knee, random_swing, rate_of
 from tests.tolerances_planner import (
     AT_LIMIT,
     BINDS_DEG,
@@ -43,7 +42,7 @@ TABLE = json.loads((Path(__file__).parent / "data" / "knee.json").read_text(enco
 START, GOAL = np.radians([-49.07, 56.27])
 LIMIT = 100.0
 REACHES = ("knee-reach", "knee-sprint", "knee-sprint-bare")
-every_plan = pytest.mark.parametrize("name", BUILT_IN)
+every_plan = pytest.mark.parametrize("name", KNEE_PROBLEMS)
 every_reach = pytest.mark.parametrize("name", REACHES)
 
 
