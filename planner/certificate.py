@@ -14,8 +14,9 @@ from scipy.integrate import solve_ivp
 
 from models.along import joint_rates, needed_effort, sampled
 from models.assembly import follow
+from models.controls import control_excess
 from models.mechanism import Mechanism
-from planner.margins import Margin, actuator_speeds, closure_forces, margins, singularity_ratios
+from planner.margins import Margin, actuator_speeds, closure_forces, least_between, margins, singularity_ratios
 from planner.motion import Waypoint
 from planner.problem import PlanningProblem
 from planner.trajectory import Trajectory
@@ -141,6 +142,14 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
                     f"joint {joint.name} leaves its {what} by {-joint.shown(value):.3g} {joint.unit}"
                     f"{'/s' if 'speed' in what else ''} at t = {worst[f'{what} of {joint.name}']:.4g} s"
                 )
+    servos = any(a.is_servo for a in mechanism.actuators)
+    cut = control_excess(mechanism, q, v, u) if servos else np.zeros_like(u)
+    for j in np.flatnonzero(cut.max(axis=0) > RANGE_SLACK):
+        at = int(np.argmax(cut[:, j]))
+        failures.append(
+            f"{mechanism.actuators[j].name} would need a ctrl {cut[at, j]:.3g} beyond its range at t = {time[at]:.4g} s to"
+            " give the planned effort"
+        )
     failures += [margin.sentence() for margin in others if not margin.kept]
     return Certificate(
         effort_excess=effort_excess,
@@ -177,20 +186,8 @@ def _margins(mechanism: Mechanism, limits, q, v, time, worst) -> tuple[np.ndarra
         inside = np.minimum(values - bounds[:, 0], bounds[:, 1] - values)
         for joint, column in zip(mechanism.joints, inside.T, strict=True):
             worst[f"{what} of {joint.name}"] = float(time[int(np.argmin(column))])
-        margins.append(np.array([_least(column) for column in inside.T]))
+        margins.append(np.array([least_between(column, SAMPLES_PER_INTERVAL) for column in inside.T]))
     return margins[0], margins[1]
-
-
-def _least(values: np.ndarray) -> float:
-    """Return the least value of a curve smooth on each interval: sampled, or at a parabola's vertex between samples."""
-    rows = values.reshape(-1, SAMPLES_PER_INTERVAL + 1)
-    if not np.all(np.isfinite(rows)):
-        return float(values.min())
-    before, at, after = rows[:, :-2], rows[:, 1:-1], rows[:, 2:]
-    bend, slope = before - 2 * at + after, 0.5 * (after - before)
-    inside = (bend > 0) & (np.abs(slope) <= bend)
-    vertex = at[inside] - slope[inside] ** 2 / (2 * bend[inside])
-    return float(min(values.min(), vertex.min(initial=np.inf)))
 
 
 def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: float) -> float:
@@ -207,7 +204,10 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
         asked, wanted = ends[::-1], speeds[::-1]
     else:
         return 0.0
-    missed = [float(np.abs(ends - asked).max()) / span, float(np.abs(speeds - wanted).max()) / speed]
+    apart = np.stack([np.abs(ends - asked) / span, np.abs(speeds - wanted) / speed])
+    if motion.kind == "reach":  # what spins idly may end anywhere
+        apart[:, 1, np.isin(problem.mechanism.independent, problem.mechanism.idle)] = 0.0
+    missed = [float(apart.max())]
     missed += [_missed(trajectory, waypoint, span, speed) for waypoint in motion.waypoints]
     return max(missed)
 
@@ -239,7 +239,11 @@ def _integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float) -> tu
         on_interval = rate(trajectory.effort[:, k], width)
         atol = _ATOL * np.maximum(1.0, np.abs(state))
         looks = np.array([0.0, 0.5, 1.0])
-        result = solve_ivp(on_interval, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=looks * width)
+        # A motion that is none may run away: that shows in the outcome, and needs no warnings.
+        with np.errstate(all="ignore"):
+            result = solve_ivp(
+                on_interval, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=looks * width
+            )
         if not result.success or result.y.shape[1] != len(looks):
             errors[k:], velocity_error = np.inf, np.inf
             break

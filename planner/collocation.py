@@ -208,8 +208,9 @@ def _start(formulation: Formulation, start: Start, chosen: Scheme, layout: Layou
         x[layout.effort()] = coefficients / unit
         x[layout.extra()] = 1.1 * np.max(np.abs(coefficients) / np.abs(limit).max(axis=1))
         return x
-    middle, half = 0.5 * limit.sum(axis=1), 0.5 * np.diff(limit, axis=1).ravel()
-    finite = np.isfinite(half)
+    finite = np.all(np.isfinite(limit), axis=1)
+    both = np.where(finite[:, None], limit, 0.0)
+    middle, half = 0.5 * both.sum(axis=1), 0.5 * np.diff(both, axis=1).ravel()
     low = np.where(finite, middle - _GUESS_ROOM * half, limit[:, 0])
     high = np.where(finite, middle + _GUESS_ROOM * half, limit[:, 1])
     x[layout.effort()] = np.clip(coefficients, low, high) / unit

@@ -47,7 +47,7 @@ def formulate(
         motors=motors,
         powers=tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.power).any(axis=1))),
         closures=limits.limited_closures,
-        singular=limits.singular_margin > 0,
+        singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
     )
     rows = IntervalRows(
         costs=costs,
@@ -82,13 +82,15 @@ def formulate(
     }
     limited = [("speed", joint) for joint in speed_joints] + [("motor", j) for j in motors]
     limited += [("power", j) for j in asked.powers] + [("closure_force", c) for c in asked.closures]
-    limited += [("singular_margin", 0)] * asked.singular + [("work", j) for j in range(n_u if works else 0)]
+    limited += [("singular_margin", block) for block in range(asked.singular)] + [
+        ("work", j) for j in range(n_u if works else 0)
+    ]
     path = [
         limits.speed[list(speed_joints)] * scales.time_s,
         np.tile([-1.0, 1.0], (len(motors), 1)),
         limits.power[list(asked.powers)] / scales.power,
         np.tile([-np.inf, 1.0], (len(asked.closures), 1)),
-        np.tile([limits.singular_margin, np.inf], (int(asked.singular), 1)),
+        np.tile([limits.singular_margin, np.inf], (asked.singular, 1)),
         np.tile([0.0, np.inf], (n_u if works else 0, 1)),
     ]
     path = np.vstack([part.reshape(-1, 2) for part in path])
@@ -205,15 +207,18 @@ def _eta(
 
 def knots_of(problem: PlanningProblem, scales: Scales) -> tuple[Knot, ...]:
     """Return a problem's knots, scaled: start, the middle of a periodic motion between two poses, waypoints, goal."""
-    motion, n_s = problem.motion, problem.mechanism.dof
+    motion, mechanism, n_s = problem.motion, problem.mechanism, problem.mechanism.dof
     unit = np.concatenate([scales.position, scales.position / scales.time_s])
+
+    # What spins idly, as a rod between two balls, is asked for nothing: where it comes to is of no effect.
+    idle = np.isin(mechanism.independent, mechanism.idle)
 
     def knot(s, v, time: tuple[float, float], share: float | None = None) -> Knot:
         state = np.full((2 * n_s, 2), [-np.inf, np.inf])
         for value, place in ((s, slice(0, n_s)), (v, slice(n_s, None))):
             if value is not None:
                 asked = np.asarray(value, dtype=float) / unit[place]
-                given = ~np.isnan(asked)
+                given = ~np.isnan(asked) & ~(idle & (time[1] > 0))
                 state[place][given] = asked[given, None]
         return Knot(state=state, time=(time[0] / scales.time_s, time[1] / scales.time_s), share=share)
 

@@ -91,9 +91,7 @@ def bent_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[t
     base = first_guess(problem, start_pose)
     times = np.linspace(0.0, base.duration_s, _SAMPLES)
     s = base.position(times)
-    unit = np.array(
-        [1.0 if j.kind == "hinge" else problem.mechanism.model.stat.extent for j in problem.mechanism.independent_joints]
-    )
+    unit = np.array([1.0 if j.kind == "hinge" else problem.mechanism.extent_m for j in problem.mechanism.independent_joints])
     span = np.maximum(np.ptp(s, axis=0), 0.1 * unit)
     waves = np.sin(np.pi * np.outer(times / base.duration_s, 1 + np.arange(_WAVES)))
     number = 0
@@ -196,15 +194,15 @@ def _guess_along(path: BPoly | CubicSpline, duration: float, start_pose: np.ndar
 
 
 def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[Guess]:
-    """Yield motions for a reach of free duration that gather way first: back from the goal before it, or beyond it and back.
+    """Yield motions for a reach that gather way first: back from the goal before it, or beyond it and back.
 
     Where effort is short of gravity's, the way straight there is not open, and a solver that starts on it finds none.
     """
     motion = problem.motion
-    if motion.kind != "reach" or motion.duration_s is not None or motion.waypoints:
+    if motion.kind != "reach" or motion.waypoints:
         return
     way, rest = motion.goal - motion.start, np.zeros_like(motion.goal)
-    duration = _within(problem, 4.0 * _shortest_duration(problem, start_pose))
+    duration = motion.duration_s or _within(problem, 4.0 * _shortest_duration(problem, start_pose))
     for via, at in ((motion.start - 0.5 * way, 0.4), (motion.goal + 0.5 * way, 0.6)):
         states = [[motion.start, rest, rest], [via, rest, rest], [motion.goal, rest, rest]]
         path = BPoly.from_derivatives([0.0, at * duration, duration], states)

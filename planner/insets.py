@@ -9,6 +9,8 @@ from planner.margins import Margin
 
 # A little more than the overrun is taken off, so that the next motion keeps the limit and does not creep towards it.
 _MORE = 1.1
+# Bounds are never drawn in beyond this share of what lies between them.
+_MOST = 0.45
 # The limits that are rows of nodes, and so can be overrun between them.
 AT_NODES = ("motor", "power", "closure_force", "singular_margin")
 
@@ -21,6 +23,7 @@ class Inset:
     item: int
     breaks: np.ndarray
     share: np.ndarray
+    upper: bool = True  # of which of the limit's two ends the share is
 
 
 def insets_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[Inset, ...]:
@@ -29,7 +32,9 @@ def insets_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[Inset,
     found = []
     for margin in margins:
         if margin.what in AT_NODES and not margin.kept:
-            found.append(Inset(what=margin.what, item=margin.item, breaks=relative, share=_MORE * margin.overrun))
+            found.append(
+                Inset(what=margin.what, item=margin.item, breaks=relative, share=_MORE * margin.overrun, upper=margin.upper)
+            )
     return tuple(found)
 
 
@@ -42,7 +47,8 @@ def drawn_in(
     """
     if not insets:
         return None
-    size = np.where(np.isfinite(path), np.abs(path), 0.0).max(axis=1)
+    size = np.where(np.isfinite(path), np.where(path == 0, 1.0, np.abs(path)), 0.0)
+    most = np.where(np.all(np.isfinite(path), axis=1), _MOST * (path[:, 1] - path[:, 0]), np.inf)
 
     def inset(breaks_s: np.ndarray) -> np.ndarray:
         middle = (0.5 * (breaks_s[1:] + breaks_s[:-1]) - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
@@ -51,7 +57,7 @@ def drawn_in(
             if (one.what, one.item) in rows:
                 column = rows.index((one.what, one.item))
                 share = one.share[np.clip(np.searchsorted(one.breaks, middle, side="right") - 1, 0, len(one.share) - 1)]
-                drawn[:, column] += size[column] * (2 * share if one.what == "closure_force" else share)
-        return drawn
+                drawn[:, column] += size[column, int(one.upper)] * (2 * share if one.what == "closure_force" else share)
+        return np.minimum(drawn, most)
 
     return inset

@@ -196,8 +196,12 @@ class _Parts:
     def __init__(self, layout: Layout, scheme: Scheme, w: ca.SX, share: ca.SX) -> None:
         n_s = layout.n_s
         left, right = w[: layout.n_state], w[layout.block : layout.block + layout.n_state]
-        self.s0, self.v0, self.x0 = left[:n_s].T, left[n_s : 2 * n_s].T, left[2 * n_s :].T
-        self.s1, self.v1, self.x1 = right[:n_s].T, right[n_s : 2 * n_s].T, right[2 * n_s :].T
+
+        def row(values: ca.SX) -> ca.SX:
+            return ca.reshape(values, 1, values.numel())  # CasADi makes a row of an empty slice of one value
+
+        self.s0, self.v0, self.x0 = row(left[:n_s]), row(left[n_s : 2 * n_s]), row(left[2 * n_s :])
+        self.s1, self.v1, self.x1 = row(right[:n_s]), row(right[n_s : 2 * n_s]), row(right[2 * n_s :])
 
         def rows(indices: np.ndarray) -> ca.SX:
             return ca.reshape(w[[int(i) for i in indices.ravel()]], indices.shape[-1], indices.shape[-2]).T

@@ -30,6 +30,7 @@ class Margin:
     unit: str
     time_s: float
     overrun: np.ndarray  # (n_intervals,) by how much of itself the limit is overrun in each, 0 where it is kept
+    upper: bool  # whether the limit is an upper one
 
     @property
     def kept(self) -> bool:
@@ -55,6 +56,18 @@ class Margin:
         return f"{self.title} {verb} {amount} at t = {self.time_s:.4g} s, {off} {beyond} its limit of {abs(self.limit):.4g}"
 
 
+def least_between(values: np.ndarray, per_interval: int) -> float:
+    """Return the least value of a curve smooth on each interval: sampled, or at a parabola's vertex between samples."""
+    rows = values.reshape(-1, per_interval + 1)
+    if not np.all(np.isfinite(rows)):
+        return float(values.min())
+    before, at, after = rows[:, :-2], rows[:, 1:-1], rows[:, 2:]
+    bend, slope = before - 2 * at + after, 0.5 * (after - before)
+    inside = (bend > 0) & (np.abs(slope) <= bend)
+    vertex = at[inside] - slope[inside] ** 2 / (2 * bend[inside])
+    return float(min(values.min(), vertex.min(initial=np.inf)))
+
+
 def actuator_speeds(problem: PlanningProblem, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return the actuators' speeds (n, n_u) [rad/s or m/s], (Gamma^T B)^T v, at poses q (n, n_q)."""
     return np.einsum("ksu,ks->ku", sampled(problem.mechanism.dynamics.effort_map, q), v)
@@ -78,17 +91,22 @@ def margins(problem: PlanningProblem, trajectory: Trajectory, time, q, v, a, u) 
         inside = np.minimum(values - low, high - values)
         at = int(np.argmin(inside))
         limit = high if high - values[at] <= values[at] - low else low
+        rows = inside.reshape(n, -1)
+        least = np.array([least_between(row, rows.shape[1] - 1) for row in rows])
+        left = float(least.min())
+        value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
         found.append(
             Margin(
                 what=what,
                 item=item,
                 name=name,
-                value=float(values[at]),
+                value=float(value),
                 limit=float(limit),
-                left=float(inside[at]),
+                left=left,
                 unit=unit,
                 time_s=float(time[at]),
-                overrun=np.maximum(0.0, -inside).reshape(n, -1).max(axis=1) / (abs(limit) or 1.0),
+                overrun=np.maximum(0.0, -least) / (abs(limit) or 1.0),
+                upper=bool(limit == high),
             )
         )
 
@@ -113,16 +131,25 @@ def margins(problem: PlanningProblem, trajectory: Trajectory, time, q, v, a, u) 
             bounds = (-np.inf, limits.closure_force[c])
             add("closure_force", c, mechanism.closure_names[c], forces[:, c], bounds, "N")
     if limits.singular_margin > 0:
-        add("singular_margin", 0, mechanism.name, singularity_ratios(problem, q), (limits.singular_margin, np.inf), "")
+        for block, ratios in enumerate(block_ratios(problem, q).T):
+            add("singular_margin", block, mechanism.name, ratios, (limits.singular_margin, np.inf), "")
     return tuple(found)
 
 
+def block_ratios(problem: PlanningProblem, q: np.ndarray) -> np.ndarray:
+    """Return the determinants of J_z's blocks (n, n_blocks), of loops that close together, as shares of those at home."""
+    block = problem.mechanism.dynamics.block_singularity
+    return sampled(block, q)[:, :, 0] / np.array(block(problem.mechanism.home)).ravel()
+
+
 def singularity_ratios(problem: PlanningProblem, q: np.ndarray) -> np.ndarray:
-    """Return det J_z at poses q (n, n_q) as a share of that at home: 0 at a singular pose, 1 without loops."""
-    mechanism = problem.mechanism
-    if len(mechanism.dependent) == 0:
+    """Return the least of J_z's blocks' determinants at poses q (n, n_q), as shares of home's: 0 at a singular pose.
+
+    1 without loops.
+    """
+    if len(problem.mechanism.dependent) == 0:
         return np.ones(len(q))
-    return sampled(mechanism.dynamics.singularity, q)[:, 0, 0] / float(mechanism.dynamics.singularity(mechanism.home))
+    return block_ratios(problem, q).min(axis=1)
 
 
 def _effort_rates(trajectory: Trajectory, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -54,7 +54,7 @@ class Asked:
     """What is looked at in a node, the structure of its functions: running costs out of `RUNNING`, and path quantities.
 
     `speed_joints` are dependent joints, `motors` and `powers` actuators, `closures` those whose force is limited; `singular`
-    says whether the determinant of J_z is.
+    is the number of blocks of J_z whose determinants are.
     """
 
     running: tuple[str, ...] = ()
@@ -62,7 +62,7 @@ class Asked:
     motors: tuple[int, ...] = ()
     powers: tuple[int, ...] = ()
     closures: tuple[int, ...] = ()
-    singular: bool = False
+    singular: int = 0
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -83,7 +83,7 @@ def mechanism_system(mechanism: Mechanism, asked: Asked) -> System:
     node = node_symbols(n_s, 0, n_q - n_s + (n_u if works else 0), n_u)
     sizes = {"weight": len(asked.running), "reference": n_s if "tracking" in asked.running else 0}
     sizes |= {"time": 1, "position": n_s, "effort": n_u, "residual": n_s, "length": 1, "power": 1, "force": 1}
-    sizes |= {"line": 2 * len(asked.motors), "rating": len(asked.closures), "home": int(asked.singular)}
+    sizes |= {"line": 2 * len(asked.motors), "rating": len(asked.closures), "home": asked.singular}
     sizes |= {"payload": 0 if mechanism.payload is None else len(mechanism.payload.numbers())}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     rate = given["position"] / given["time"]
@@ -138,7 +138,7 @@ def _path(mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], call: Cal
         for item, c in enumerate(asked.closures):
             path.append(ca.sumsqr(force[mechanism.closure_slice(c)]) * given["rating"][item])
     if asked.singular:
-        path.append(call("singularity", q) * given["home"])
+        path.append(call("block_singularity", q) * given["home"])
     return path
 
 
@@ -174,7 +174,7 @@ def node_numbers(
     """
     after = [scales.vector(), np.ravel(lines), 1.0 / np.square(ratings)]
     if asked.singular:
-        after.append([1.0 / float(mechanism.dynamics.singularity(mechanism.home))])
+        after.append(1.0 / np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel())
     if mechanism.payload is not None:
         after.append(mechanism.payload.numbers())
     return np.asarray(weights, dtype=float), np.concatenate([np.asarray(part, dtype=float) for part in after])

@@ -14,6 +14,7 @@ import numpy as np
 from models.errors import InfeasibleError
 from planner.collocation import Transcribed, collocate, curves_of
 from planner.formulation import Start, Units
+from planner.insets import Inset
 from planner.mesh import Mesh, broken, uniform
 from planner.ode_certificate import INTEGRATION, SLACK, OdeCertificate, certify_ode
 from planner.ode_formulation import completed, formulate_ode, start_from, start_of, straight_guess, units_of
@@ -62,6 +63,7 @@ class OdeCase:
     problem: OdeProblem
     asked: OdeProblem
     units: Units
+    insets: tuple[Inset, ...] = ()
 
     @property
     def mesh(self) -> MeshSettings:
@@ -97,7 +99,10 @@ class OdeCase:
         self, start: Start, mesh: Mesh, durations: np.ndarray, *, position_rows=False, pinned=None, least_limit=False
     ) -> Transcribed:
         """Return the program from a start."""
-        formulation = formulate_ode(self.problem, self.units, state_rows=position_rows, least_limit=least_limit)
+        limited = bool(np.any(np.isfinite(self.problem.state_limit)))
+        formulation = formulate_ode(
+            self.problem, self.units, state_rows=position_rows or limited, least_limit=least_limit, insets=self.insets
+        )
         return collocate(
             formulation,
             scheme(self.mesh.scheme, self.mesh.effort),
@@ -144,11 +149,16 @@ class OdeCase:
 
     def tightened(self, certificate: OdeCertificate, motion: OdeTrajectory) -> "OdeCase":
         """Return the case with limits drawn in by what the solution overran them."""
-        del motion
+        breaks = (motion.breaks_s - motion.breaks_s[0]) / motion.duration_s
+        further = []
+        for k, (overrun, limit) in enumerate(zip(certificate.path_overrun, self.asked.path_limit, strict=True)):
+            if overrun.max() > 0:
+                upper = bool(np.isfinite(limit[1]) and (limit[1] or not np.isfinite(limit[0])))
+                share = _MORE * overrun / (abs(limit[int(upper)]) or 1.0)
+                further.append(Inset(what="path", item=k, breaks=breaks, share=share, upper=upper))
         inward = np.array([1.0, -1.0])
-        path = self.problem.path_limit + _MORE * np.maximum(0.0, -certificate.path_margin)[:, None] * inward
         state = self.problem.state_limit + _MORE * np.maximum(0.0, -certificate.state_margin)[:, None] * inward
-        return replace(self, problem=replace(self.problem, path_limit=path, state_limit=state))
+        return replace(self, problem=replace(self.problem, state_limit=state), insets=(*self.insets, *further))
 
     def with_scheme(self, name: str) -> "OdeCase":
         """Return the case with another transcription."""
@@ -190,7 +200,7 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
 def _refined(problem: OdeProblem, case: OdeCase, solved, mesh: Mesh, history: list[Step], say: Say) -> OdePlan:
     refined = refine(case, solved, mesh, history, say)
     assert refined is not None  # a user's solution always has a certificate
-    trajectory, solution, certificate = refined
+    trajectory, solution, certificate, settled = refined
     status, message = "optimal", f"optimum {solution.objective:.10g} in {trajectory.duration_s:.8g} s"
     if not certificate.passed:
         status = "failed"
@@ -200,6 +210,12 @@ def _refined(problem: OdeProblem, case: OdeCase, solved, mesh: Mesh, history: li
         message = (
             f"failed: the integrated state ends {certificate.integration_error:.3g} of its size from the solution, more than"
             f" the tolerance {problem.tolerance:g}"
+        )
+    elif not settled:
+        status = "failed"
+        message = (
+            f"failed: the objective still changes from mesh to mesh by more than objective_tolerance ="
+            f" {problem.objective_tolerance:g}, at {solution.objective:.10g}"
         )
     return OdePlan(
         problem=problem,

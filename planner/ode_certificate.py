@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from planner.margins import least_between
 from planner.ode_problem import OdeProblem
 from planner.ode_trajectory import OdeTrajectory
 
@@ -31,6 +32,7 @@ class OdeCertificate:
     integrated_objective: float
     state_margin: np.ndarray  # (n_x,)
     path_margin: np.ndarray  # (n_path,)
+    path_overrun: np.ndarray  # (n_path, n_intervals)
     boundary_error: float
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed
     residual_share: np.ndarray  # (n_intervals,), zero: the integration tells all
@@ -54,7 +56,10 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     p = np.tile(problem.parameters[:, None], (1, len(time)))
     path = np.array(problem.at_instant("path").map(len(time))(x.T, u.T, p, time[None])).reshape(-1, len(time))
     limit = problem.path_limit
-    path_margin = np.minimum(path - limit[:, :1], limit[:, 1:] - path).min(axis=1, initial=np.inf)
+    inside = np.minimum(path - limit[:, :1], limit[:, 1:] - path)
+    n = len(trajectory.breaks_s) - 1
+    by_interval = np.array([[least_between(part, _SAMPLES) for part in row.reshape(n, -1)] for row in inside]).reshape(-1, n)
+    path_margin = by_interval.min(axis=1, initial=np.inf)
     boundary = _boundary_error(problem, trajectory, size)
     error = float(errors.max())
     failures = []
@@ -78,6 +83,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         integrated_objective=integrated,
         state_margin=state_margin,
         path_margin=path_margin,
+        path_overrun=np.maximum(0.0, -by_interval),
         boundary_error=boundary,
         growth=np.nan_to_num(growth, nan=np.inf),
         residual_share=np.zeros(len(growth)),

@@ -6,6 +6,7 @@ from scipy.interpolate import PchipInterpolator
 
 from models.errors import ProblemError
 from planner.formulation import Formulation, Knot, Start, Units
+from planner.insets import Inset, drawn_in
 from planner.interval import IntervalRows
 from planner.ode_problem import OdeProblem, StateGuess
 from planner.ode_trajectory import OdeTrajectory
@@ -60,7 +61,14 @@ def _p(problem: OdeProblem, n: int) -> np.ndarray:
     return np.tile(problem.parameters[:, None], (1, n))
 
 
-def formulate_ode(problem: OdeProblem, units: Units, *, state_rows: bool = False, least_limit: bool = False) -> Formulation:
+def formulate_ode(
+    problem: OdeProblem,
+    units: Units,
+    *,
+    state_rows: bool = False,
+    least_limit: bool = False,
+    insets: tuple[Inset, ...] = (),
+) -> Formulation:
     """Return a problem's formulation.
 
     Args:
@@ -68,6 +76,7 @@ def formulate_ode(problem: OdeProblem, units: Units, *, state_rows: bool = False
         units: of its unknowns.
         state_rows: whether limited states are kept between the nodes by constraint rows.
         least_limit: leave the objective out: only a motion is sought.
+        insets: how far path limits are drawn in over the motion, where it overran them between nodes.
     """
     timed = depends_on_time(problem)
     n_x, X = problem.n_x + timed, units.state
@@ -77,6 +86,8 @@ def formulate_ode(problem: OdeProblem, units: Units, *, state_rows: bool = False
     limited = tuple(int(i) for i in np.flatnonzero(np.isfinite(state).any(axis=1)))
     low, high = problem.duration
     p = problem.parameters
+    endpoint = _endpoint(problem, units, timed, least_limit)
+    inset = drawn_in(insets, [("path", k) for k in range(len(problem.path_limit))], problem.path_limit)
 
     def theta(times: np.ndarray) -> np.ndarray:
         return np.broadcast_to(p, (*times.shape, len(p)))
@@ -103,9 +114,10 @@ def formulate_ode(problem: OdeProblem, units: Units, *, state_rows: bool = False
         smooth=False,
         eta=np.zeros(0),
         theta=theta,
-        endpoint=_endpoint(problem, units, timed, least_limit),
+        inset=inset,
+        endpoint=endpoint,
         endpoint_bounds=np.array(problem.ends_limit),
-        endpoint_parameters=p,
+        endpoint_parameters=p if endpoint is not None else np.zeros(0),
     )
 
 

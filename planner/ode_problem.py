@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import casadi as ca
 import numpy as np
 
-from models.errors import ProblemError
+from models.errors import ProblemError, one_line
 from planner.limits import free
 from planner.motion import frozen
 from planner.problem import MeshSettings, SolverSettings
@@ -29,11 +29,13 @@ class StateGuess:
     duration_s: float | None = None
 
     def __post_init__(self) -> None:
+        if self.duration_s is not None and not (_is_number(self.duration_s) and self.duration_s > 0):
+            raise ProblemError(f"a guess's duration_s is a positive number, got {self.duration_s!r}")
         for name in ("state", "effort"):
             value = getattr(self, name)
             if value is None:
                 continue
-            array = frozen(value)
+            array = frozen(_array(f"a guess's {name}", value))
             if array.ndim != 2 or len(array) < 2 or not np.all(np.isfinite(array)):
                 raise ProblemError(f"a guess's {name} is two or more finite rows, got shape {array.shape}")
             object.__setattr__(self, name, array)
@@ -86,7 +88,8 @@ class OdeProblem:
         limit = free(n_x) if self.state_limit is None else _limits("state_limit", self.state_limit)
         if len(limit) != n_x:
             raise ProblemError(f"state_limit has one [low, high] for each of {n_x} states, got {len(limit)}")
-        values = {"start": start, "goal": goal, "state_limit": limit, "parameters": np.ravel(self.parameters)}
+        parameters = np.ravel(_array("parameters", self.parameters))
+        values = {"start": start, "goal": goal, "state_limit": limit, "parameters": parameters}
         values |= {name: _limits(name, getattr(self, name)) for name in ("effort_limit", "path_limit", "ends_limit")}
         for name, value in values.items():
             object.__setattr__(self, name, frozen(value))
@@ -94,7 +97,7 @@ class OdeProblem:
             raise ProblemError("effort_limit has one [low, high] for each effort; a problem has at least one")
         if not np.all(np.isfinite(self.parameters)):
             raise ProblemError(f"parameters are finite numbers, got {self.parameters}")
-        low, high = self.duration
+        low, high = _duration(self.duration_s)
         if not (0 <= low <= high and high > 0 and np.isfinite(low)):
             raise ProblemError(
                 f"duration_s is a positive number, or (low, high) with 0 <= low < high, got {self.duration_s!r}"
@@ -106,14 +109,16 @@ class OdeProblem:
             object.__setattr__(self, name, labels)
         object.__setattr__(self, "returns", tuple(self.returns))
         object.__setattr__(self, "guesses", tuple(self.guesses))
-        if any(not 0 <= i < n_x for i in self.returns):
+        if any(not isinstance(i, int | np.integer) or not 0 <= i < n_x for i in self.returns):
             raise ProblemError(f"returns are states from 0 to {n_x - 1}, got {list(self.returns)}")
         for guess in self.guesses:
             wrong = guess.state.shape[1] != n_x or (guess.effort is not None and guess.effort.shape[1] != self.n_u)
             if wrong:
                 raise ProblemError(f"a guess has {n_x} states and {self.n_u} efforts, got {guess.state.shape[1]} states")
-        if not 0 < self.tolerance <= 1:
-            raise ProblemError(f"tolerance is above 0 and at most 1, got {self.tolerance!r}")
+        for name in ("tolerance", "objective_tolerance"):
+            value = getattr(self, name)
+            if (value is not None or name == "tolerance") and not (_is_number(value) and 0 < value <= 1):
+                raise ProblemError(f"{name} is above 0 and at most 1, got {value!r}")
         if self.running_cost is None and self.final_cost is None:
             raise ProblemError("a problem needs running_cost, final_cost or both: otherwise no motion is the best")
         self._check_functions()
@@ -143,10 +148,7 @@ class OdeProblem:
     @property
     def duration(self) -> tuple[float, float]:
         """The bounds on the duration [s]."""
-        if isinstance(self.duration_s, int | float | np.number):
-            return float(self.duration_s), float(self.duration_s)
-        low, high = self.duration_s
-        return float(low), float(high)
+        return _duration(self.duration_s)
 
     def at_instant(self, name: str) -> ca.Function:
         """Return `rate`, `running_cost` or `path` as a function of (x, u, p, t); empty where there is none."""
@@ -163,25 +165,62 @@ class OdeProblem:
         try:
             value = ca.SX(0, 1) if given is None else given(*symbols)
             column = ca.vec(ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value))
-        except (IndexError, TypeError, NotImplementedError, RuntimeError) as error:
-            raise ProblemError(f"{name} of '{self.name}' cannot be written in CasADi's SX: {error}") from error
-        return ca.Function(name, list(symbols), [ca.densify(column)])
+            return ca.Function(name, list(symbols), [ca.densify(column)])
+        except Exception as error:  # whatever a user's function raises is said, with its name
+            raise ProblemError(
+                f"{name} of '{self.name}' cannot be written in CasADi's SX: {type(error).__name__}: {one_line(error)}"
+            ) from error
 
 
 def _rows(name: str, value: object) -> np.ndarray:
     """Return boundary values as [low, high] rows (n, 2), infinite where they are free."""
-    array = np.array(value, dtype=float)
+    array = _array(name, value)
+    if np.any(np.isinf(array)) and array.ndim == 1:
+        raise ProblemError(f"{name} has finite values, NaN where a state is free, got {array.tolist()}")
     if array.ndim == 1:
         array = np.column_stack([np.where(np.isnan(array), -np.inf, array), np.where(np.isnan(array), np.inf, array)])
     if array.ndim != 2 or array.shape[1] != 2:
         raise ProblemError(f"{name} has one value, or [low, high], a state, got shape {array.shape}")
-    if np.any(np.isnan(array)) or np.any(array[:, 0] > array[:, 1]):
-        raise ProblemError(f"{name} has rows [low, high] with low <= high, got {array.tolist()}")
-    return array
+    return _ordered(name, array)
 
 
 def _limits(name: str, value: object) -> np.ndarray:
-    array = np.array(value, dtype=float).reshape(-1, 2) if np.size(value) else np.zeros((0, 2))
-    if np.any(np.isnan(array)) or np.any(array[:, 0] > array[:, 1]):
-        raise ProblemError(f"{name} has rows [low, high] with low <= high, got {array.tolist()}")
-    return array
+    array = _array(name, value)
+    if array.size == 0:
+        return np.zeros((0, 2))
+    if array.ndim != 2 or array.shape[1] != 2:
+        raise ProblemError(f"{name} has one [low, high] a row, got shape {array.shape}")
+    return _ordered(name, array)
+
+
+def _ordered(name: str, rows: np.ndarray) -> np.ndarray:
+    """Return rows of [low, high], refused where they are not."""
+    if (
+        np.any(np.isnan(rows))
+        or np.any(rows[:, 0] > rows[:, 1])
+        or np.any(rows[:, 0] == np.inf)
+        or np.any(rows[:, 1] == -np.inf)
+    ):
+        raise ProblemError(f"{name} has rows [low, high] with low <= high, got {rows.tolist()}")
+    return rows
+
+
+def _array(name: str, value: object) -> np.ndarray:
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"{name} is numbers, got {value!r}") from error
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+
+
+def _duration(value: object) -> tuple[float, float]:
+    """Return the bounds on a duration: twice the same where it is given."""
+    if _is_number(value):
+        return float(value), float(value)
+    ends = _array("duration_s", value).ravel()
+    if len(ends) != 2:
+        raise ProblemError(f"duration_s is a positive number, or (low, high) where it is free, got {value!r}")
+    return float(ends[0]), float(ends[1])

@@ -98,7 +98,8 @@ def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], his
             continue
         mesh, durations = first_mesh(problem, guess)
         word = "first solve" if number == 0 else f"start from {what}"
-        found = attempt(case_of(problem), guess, mesh, durations, word, history, say)
+        patient = problem if number == 0 else replace(problem, solver=_patient(problem.solver))
+        found = attempt(case_of(patient), guess, mesh, durations, word, history, say)
         if found is None:
             if history[-1].solver_status in (OUT_OF_TIME, INVALID):
                 return None
@@ -168,7 +169,7 @@ def _certified(problem: PlanningProblem, found, mesh: Mesh, history: list[Step],
             message="failed: the motion that the solver returned leaves the branch on which the mechanism was assembled",
             history=tuple(history),
         )
-    trajectory, solution, certificate = refined
+    trajectory, solution, certificate, _ = refined
     plan = finished(problem, trajectory, certificate, solution.objective, history, None)
     plan = replace(plan, solved=replace(solution.transcribed, start=solution.x))
     if plan.status == "optimal" and case.tolerance_given and not case.exact(certificate):

@@ -11,6 +11,7 @@ from planner.limits import Limits, Motor
 from planner.motion import KINDS, Motion, Waypoint, frozen
 from planner.objective import Objective, objective_from
 from planner.reference import Sine
+from planner.schemes import scheme
 from planner.trajectory import Trajectory
 
 __all__ = [
@@ -30,6 +31,9 @@ __all__ = [
 ]
 
 
+REFINE = ("both", "intervals", "degree")
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MeshSettings:
     """The transcription's name, the number of intervals to begin with, and what efforts are over an interval."""
@@ -40,6 +44,18 @@ class MeshSettings:
     tolerance_deg: float | None = None  # on the integrated state; None: refined towards 1e-6 while the mesh stays small
     refine: str = "both"  # what is added where a mesh is too coarse: "intervals", "degree", or "both", each where it pays
     breaks: np.ndarray | None = None  # of the first mesh, from 0 to 1, in place of `intervals` equal ones
+
+    def __post_init__(self) -> None:
+        scheme(self.scheme, self.effort)  # refuses what it does not know
+        if not isinstance(self.intervals, int | np.integer) or self.intervals < 2:
+            raise ProblemError(f"mesh.intervals is a whole number from 2 on, got {self.intervals!r}")
+        if self.refine not in REFINE:
+            raise ProblemError(f"mesh.refine is one of {', '.join(REFINE)}, got {self.refine!r}")
+        if self.breaks is not None:
+            breaks = frozen(self.breaks)
+            if breaks.ndim != 1 or len(breaks) < 3 or breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) <= 0):
+                raise ProblemError(f"mesh.breaks is three or more increasing numbers from 0 to 1, got {self.breaks!r}")
+            object.__setattr__(self, "breaks", breaks)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -57,7 +73,6 @@ class SolverSettings:
     max_iterations: int | None = None  # None: as many as a hard problem takes
 
 
-REFINE = ("both", "intervals", "degree")
 SOLVERS = ("ipopt", "fatrop")
 COMPILE = ("auto", "always", "never")
 

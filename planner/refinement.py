@@ -134,9 +134,10 @@ def step_of(what: str, transcribed: Transcribed, solution: Solution) -> Step:
 
 
 def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[Step], say: Say):
-    """Return the best motion towards the tolerance: (motion, solution, certificate), or None where none can be certified.
+    """Return the best motion towards the tolerance: (motion, solution, certificate, settled), or None without a certificate.
 
-    The certificate may not pass: then the motion is the last one tried.
+    The certificate may not pass: then the motion is the last one tried. `settled` says whether the objective has, where
+    that is asked for.
     """
     motion, solution = found
     pinned = None
@@ -145,8 +146,8 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     certificate = _certify(case, motion, history)
     position_rows, kept, finest = False, case, _MOST * case.mesh.intervals
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
+    settled = True
     for _ in range(_ROUNDS):
-        settled = True
         if certificate is not None and certificate.passed:
             passed = motion, solution, certificate
             wanted = case.objective_tolerance
@@ -184,7 +185,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         certificate = _certify(case, motion, history)
     if passed is not None and (certificate is None or not certificate.passed):
         motion, solution, certificate = passed
-    return None if certificate is None else (motion, solution, certificate)
+    return None if certificate is None else (motion, solution, certificate, settled)
 
 
 def _certify(case: Case, motion: Any, history: list[Step]) -> Any | None:

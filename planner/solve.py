@@ -26,7 +26,7 @@ __all__ = ["INVALID", "OUT_OF_TIME", "Solution", "build_solver", "run_solver", "
 # number: measured at 2,000 intervals, three quarters of a solve. Smaller programs keep it for its better pivots.
 _LARGE = 200
 # How near its end a warm solve begins, and how far its point is pushed off bounds that hold it: next to an answer with its
-# multipliers, four iterations do where a barrier of 1e-4 took five; much nearer, and limits that come to bind take twice as long.
+# multipliers, four iterations do where a barrier of 1e-4 took five; nearer yet, limits that come to bind take twice as long.
 _WARM_BARRIER, _WARM_PUSH = 1e-6, 1e-9
 
 
@@ -147,13 +147,27 @@ def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0
     ):  # what CasADi says there, the status says too
         if isinstance(solver, FatropSolver):
             solver.watch(interrupted)
-        result = solver(
-            x0=transcribed.start,
-            p=transcribed.parameters,
-            lbx=transcribed.lower,
-            ubx=transcribed.upper,
-            lbg=transcribed.row_lower,
-            ubg=transcribed.row_upper,
+        try:
+            result = solver(
+                x0=transcribed.start,
+                p=transcribed.parameters,
+                lbx=transcribed.lower,
+                ubx=transcribed.upper,
+                lbg=transcribed.row_lower,
+                ubg=transcribed.row_upper,
+            )
+        except RuntimeError:  # bounds that contradict each other, or are not numbers
+            result = None
+    if result is None:
+        return Solution(
+            transcribed=transcribed,
+            x=np.array(transcribed.start),
+            objective=np.nan,
+            converged=False,
+            status=INVALID,
+            iterations=0,
+            build_s=build_s,
+            solve_s=time.perf_counter() - begin,
         )
     stats = solver.stats()
     return Solution(

@@ -37,7 +37,7 @@ def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
     else:
         effort = np.where(largest > 0, np.minimum(largest, need), need)
     effort = np.where(effort > 0, effort, 1.0)
-    extent = float(mechanism.model.stat.extent)
+    extent = mechanism.extent_m
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in mechanism.independent_joints])
     span = np.ptp(s, axis=0)
     maps = np.array([np.array(mechanism.dynamics.effort_map(q)) for q in poses[::10]])

@@ -89,6 +89,25 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
     )
 
 
+def _pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
+    """Return the sentence on an independent joint that actuators only push to one side, with nothing to bring it back."""
+    index, dynamics = int(mechanism.independent[column]), mechanism.dynamics
+    joint, model = mechanism.joints[index], mechanism.model
+    arms = np.array(dynamics.effort_map(mechanism.home))[column]
+    acting = [(a, arm) for a, arm in zip(mechanism.actuators, arms, strict=True) if abs(arm) > _NO_ARM * np.abs(arms).max()]
+    ends = np.array([sorted((arm * a.lower, arm * a.upper)) for a, arm in acting]).reshape(-1, 2)
+    if not len(ends) or (np.any(ends[:, 0] < 0) and np.any(ends[:, 1] > 0)):
+        return None
+    held = (
+        np.any(model.jnt_stiffness)
+        or np.abs(np.array(dynamics.gravity_effort(mechanism.home))[column]) > 0.01 * np.abs(ends).max()
+    )
+    if held:
+        return None
+    who = ", ".join(f"{a.name} ({a.lower:g} to {a.upper:g} {a.unit})" for a, _ in acting)
+    return f"joint {joint.name} moves freely: {who} pushes it one way only, and no spring or weight brings it back"
+
+
 def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str], list[str]]:
     """Return the problems, and the notes on what is worth knowing but no fault, each a sentence."""
     problems, notes = [], []
@@ -116,6 +135,9 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
                 problems.append(
                     f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}"
                 )
+        one_sided = _pushed_one_way(mechanism, column)
+        if one_sided is not None:
+            problems.append(one_sided)
         for end in (can.lower, can.upper):
             if end.joint is not None and end.joint != index:
                 other = mechanism.joints[end.joint]
