@@ -9,6 +9,7 @@ from planner.margins import Margin
 
 # A little more than the overrun is taken off, so that the next motion keeps the limit and does not creep towards it.
 _MORE = 1.1
+_FLOOR = 1e-7
 # Bounds are never drawn in beyond this share of what lies between them.
 _MOST = 0.45
 # The limits that are rows of nodes, and so can be overrun between them.
@@ -26,6 +27,11 @@ class Inset:
     upper: bool = True  # of which of the limit's two ends the share is
 
 
+def drawn(overrun: np.ndarray) -> np.ndarray:
+    """Return by how much of itself (n,) a limit is drawn in on intervals where it is overrun by so much."""
+    return np.where(overrun > 0, _MORE * overrun + _FLOOR, 0.0)
+
+
 def insets_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[Inset, ...]:
     """Return what limits are to be drawn in by after a motion with breaks (n + 1,) [s]."""
     relative = (breaks_s - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
@@ -33,7 +39,7 @@ def insets_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[Inset,
     for margin in margins:
         if margin.what in AT_NODES and not margin.kept:
             found.append(
-                Inset(what=margin.what, item=margin.item, breaks=relative, share=_MORE * margin.overrun, upper=margin.upper)
+                Inset(what=margin.what, item=margin.item, breaks=relative, share=drawn(margin.overrun), upper=margin.upper)
             )
     return tuple(found)
 
@@ -52,12 +58,12 @@ def drawn_in(
 
     def inset(breaks_s: np.ndarray) -> np.ndarray:
         middle = (0.5 * (breaks_s[1:] + breaks_s[:-1]) - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
-        drawn = np.zeros((len(middle), len(path)))
+        amount = np.zeros((len(middle), len(path)))
         for one in insets:
             if (one.what, one.item) in rows:
                 column = rows.index((one.what, one.item))
                 share = one.share[np.clip(np.searchsorted(one.breaks, middle, side="right") - 1, 0, len(one.share) - 1)]
-                drawn[:, column] += size[column, int(one.upper)] * (2 * share if one.what == "closure_force" else share)
-        return np.minimum(drawn, most)
+                amount[:, column] += size[column, int(one.upper)] * (2 * share if one.what == "closure_force" else share)
+        return np.minimum(amount, most)
 
     return inset

@@ -14,7 +14,7 @@ import numpy as np
 from models.errors import InfeasibleError
 from planner.collocation import Transcribed, collocate, curves_of
 from planner.formulation import Start, Units
-from planner.insets import Inset
+from planner.insets import Inset, drawn
 from planner.mesh import Mesh, broken, uniform
 from planner.ode_certificate import INTEGRATION, SLACK, OdeCertificate, certify_ode
 from planner.ode_formulation import completed, formulate_ode, start_from, start_of, straight_guess, units_of
@@ -99,9 +99,8 @@ class OdeCase:
         self, start: Start, mesh: Mesh, durations: np.ndarray, *, position_rows=False, pinned=None, least_limit=False
     ) -> Transcribed:
         """Return the program from a start."""
-        limited = bool(np.any(np.isfinite(self.problem.state_limit)))
         formulation = formulate_ode(
-            self.problem, self.units, state_rows=position_rows or limited, least_limit=least_limit, insets=self.insets
+            self.problem, self.units, state_rows=position_rows, least_limit=least_limit, insets=self.insets
         )
         return collocate(
             formulation,
@@ -154,7 +153,7 @@ class OdeCase:
         for k, (overrun, limit) in enumerate(zip(certificate.path_overrun, self.asked.path_limit, strict=True)):
             if overrun.max() > 0:
                 upper = bool(np.isfinite(limit[1]) and (limit[1] or not np.isfinite(limit[0])))
-                share = _MORE * overrun / (abs(limit[int(upper)]) or 1.0)
+                share = drawn(overrun / (abs(limit[int(upper)]) or 1.0))
                 further.append(Inset(what="path", item=k, breaks=breaks, share=share, upper=upper))
         inward = np.array([1.0, -1.0])
         state = self.problem.state_limit + _MORE * np.maximum(0.0, -certificate.state_margin)[:, None] * inward

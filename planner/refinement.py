@@ -182,6 +182,8 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         if finer is None:
             break
         motion, solution = finer
+        if position_rows and not begun and case.least_time:
+            motion, solution, mesh, pinned = settle_switches(kept, motion, solution, mesh, history, say, position_rows=True)
         certificate = _certify(case, motion, history)
     if passed is not None and (certificate is None or not certificate.passed):
         motion, solution, certificate = passed
@@ -237,13 +239,15 @@ def _widths(motion: Any, marked: np.ndarray) -> np.ndarray:
     return np.repeat(widths / pieces, pieces)
 
 
-def settle_switches(case: Case, motion: Any, solution: Solution, mesh: Mesh, history: list[Step], say: Say):
+def settle_switches(
+    case: Case, motion: Any, solution: Solution, mesh: Mesh, history: list[Step], say: Say, *, position_rows: bool = False
+):
     """Return a solution with mesh cuts at its switches: motion, solution, mesh, and the efforts held between the cuts.
 
     First with efforts held at the limits that the arcs showed, which leaves the cuts alone to be found; where that is
     slower than the solution without cuts, the arcs were read wrongly and the efforts are set free again.
     """
-    pinned, no_worse = None, NO_WORSE
+    pinned, no_worse = None, _SETTLED if position_rows else NO_WORSE
     for _ in range(_SETTLINGS):
         knots = motion.breaks_s[mesh.knots()]
         cuts = find_cuts(motion, case.effort_limit, knots)
@@ -254,7 +258,9 @@ def settle_switches(case: Case, motion: Any, solution: Solution, mesh: Mesh, his
         held, start = pinned_efforts(motion, case.effort_limit, ends[1:-1]), case.start_from(motion)
         better = None
         for efforts, what in ((held, "cuts at the switches"), (None, "cuts at the switches, efforts free")):
-            found = attempt(case, start, finer, durations, what, history, say, pinned=efforts, warm=True)
+            found = attempt(
+                case, start, finer, durations, what, history, say, pinned=efforts, warm=True, position_rows=position_rows
+            )
             if found is not None and found[1].objective <= solution.objective + no_worse * abs(solution.objective):
                 better = found
                 break

@@ -68,9 +68,6 @@ def test_an_oscillator_switches_every_half_period():
     np.testing.assert_allclose(time[np.flatnonzero(np.diff(np.sign(effort)))], ends[:-1], atol=ODE_SWITCH)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a problem with one state and no clock: SX slices of a 1x1 have the wrong shape in _Parts"
-)
 def test_production_is_invested_until_one_time_constant_is_left():
     """x' = u x, int (1 - u) x dt as large as it gets over 3 s: invest for 2 s, then consume e^2."""
     plan = solved(
@@ -160,7 +157,6 @@ def quickest_cart(**limits) -> OdePlan:
     )
 
 
-@pytest.mark.xfail(strict=True, reason="cuts are settled before states are kept between the nodes: 8e-6 too slow")
 def test_a_speed_limit_on_a_cart_makes_a_trapezium():
     plan = quickest_cart(state_limit=[[-INF, INF], [-INF, 0.8]])
     assert plan.objective == pytest.approx(2 / 0.8 + 0.8, rel=ODE_CLOSED_FORM)

@@ -92,9 +92,6 @@ def test_a_path_limit_that_falls_with_time_is_kept_at_every_instant():
 # Ends, returns, free states and durations.
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a problem with one state and no clock: SX slices of a 1x1 have the wrong shape in _Parts"
-)
 def test_a_distance_asked_between_two_free_ends_costs_its_square_over_time():
     plan = solved(
         OdeProblem(
@@ -114,9 +111,6 @@ def test_a_distance_asked_between_two_free_ends_costs_its_square_over_time():
     assert plan.trajectory.duration_s == pytest.approx(3, abs=ODE_STATE)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a problem with one state and no clock: SX slices of a 1x1 have the wrong shape in _Parts"
-)
 def test_a_bound_on_a_combination_of_ends_binds_on_its_cheaper_side():
     """x(T) + x(0) >= 4, x(T) - x(0) <= 1, cost x(0)^2 + int u^2 over T = 1: x(0) = 1.5, u = 1."""
     plan = solved(
@@ -137,7 +131,6 @@ def test_a_bound_on_a_combination_of_ends_binds_on_its_cheaper_side():
     assert plan.objective == pytest.approx((8 / 5) ** 2 + (4 / 5) ** 2, rel=ODE_CLOSED_FORM)
 
 
-@pytest.mark.xfail(strict=True, reason="parameters without a final cost or ends: endpoint_parameters has no endpoint")
 @pytest.mark.parametrize("weight", [0.05, 2.0])
 def test_a_periodic_follower_of_a_sinusoid_has_the_amplitude_of_its_fourier_balance(weight):
     omega, T = 3.0, 2 * np.pi / 3.0
@@ -288,9 +281,6 @@ def test_the_gramian_of_the_oscillator_is_the_integral_that_defines_it():
 # Parameters.
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a problem with one state and no clock: SX slices of a 1x1 have the wrong shape in _Parts"
-)
 def test_parameters_enter_the_rate_the_cost_the_path_and_the_ends():
     """x' = a u, cost b int u^2 + c T, u <= d, x(T) - x(0) = e: with u = d all along, T = e / (a d)."""
     a, b, c, d, e = 2.0, 0.1, 5.0, 0.5, 3.0

@@ -294,9 +294,6 @@ def test_bryson_and_denham_s_problem_costs_its_closed_form(limit, exact):
 
 # Van der Pol's oscillator.
 
-# A strict mark: it fails itself once the fault is gone.
-ONE_SIDED = pytest.mark.xfail(strict=True, reason="collocate adds infinity to minus infinity for a one-sided effort limit")
-
 
 @cache
 def van_der_pol_plan(low: float, high: float) -> OdePlan:
@@ -314,7 +311,7 @@ def van_der_pol_plan(low: float, high: float) -> OdePlan:
     )
 
 
-@pytest.mark.parametrize(("low", "high"), [(-INF, INF), (-0.75, 1.0), pytest.param(-INF, 0.8, marks=ONE_SIDED)])
+@pytest.mark.parametrize(("low", "high"), [(-INF, INF), (-0.75, 1.0), (-INF, 0.8)])
 def test_van_der_pol_s_oscillator_costs_what_pontryagin_s_conditions_say(low, high):
     plan = van_der_pol_plan(low, high)
     cost = extremal(plan, lambda drive: np.clip(-drive / 2, low, high))

@@ -158,7 +158,7 @@ def amount(plan: Plan, what: str) -> float:
 every_limit = pytest.mark.parametrize("what", KNEE)
 
 
-@pytest.mark.parametrize("what", [pytest.param(what, marks=SAMPLED if what == "power" else ()) for what in KNEE])
+@every_limit
 def test_a_limit_that_a_motion_exceeds_is_kept_at_every_instant_once_it_is_asked_for(what):
     given, override, limit = KNEE[what]
     bare, kept = optimal(*given), optimal(*given, override)
