@@ -110,7 +110,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
     channels = np.array([actuator.index for actuator in actuators], dtype=int)
     gains = np.array([actuator.gain for actuator in actuators])
     for actuator, (low, high) in zip(actuators, limit, strict=True):
-        _admit(model, actuator, low, high)
+        admit(model, actuator, low, high)
 
     data = mujoco.MjData(model)
     data.qpos[:] = reference.pose[0]
@@ -224,7 +224,7 @@ def conditions(mechanism: Mechanism, model: mujoco.MjModel, reference: SampledRe
     }
 
 
-def _admit(model: mujoco.MjModel, actuator, low: float, high: float) -> None:
+def admit(model: mujoco.MjModel, actuator, low: float, high: float) -> None:
     """Let MuJoCo's own clamps admit the loop's limits: the problem's limits stand in for the file's."""
     index, joint = actuator.index, int(model.actuator_trnid[actuator.index, 0])
     ends = sorted((low / actuator.gain, high / actuator.gain))

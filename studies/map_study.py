@@ -1,0 +1,137 @@
+"""The study behind `linkplan bode --map`: stable gains over all angles, borders tried in MuJoCo, the longest control period."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from controllers.sampling import sampling
+from models.errors import LinkplanError
+from studies.bode import BodeStudy
+from studies.loops import OperatingPoint, operating_point, pd_gain
+from studies.stability_map import StabilityMap, critical_kd, effort_map, longest_period, stability_map
+from studies.tables import table
+
+ANGLES = 9
+_GRID = 48
+# The map reaches from a thousandth of the largest stable gain to a few times it, so that the border runs through it.
+_BELOW, _BEYOND = 1e-3, 4.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class MapStudy:
+    """A stability map, the stable kd (low, high) at the study's kp for each angle (n, 2), and the longest control period [s].
+
+    `longest_s` is None where the gains are unstable however short the period, and infinite where none is too long.
+    """
+
+    found: StabilityMap
+    kp: float
+    kd: float
+    critical: np.ndarray
+    longest_s: float | None
+    longest_at: OperatingPoint | None
+    delay_periods: float
+
+
+def map_study(study: BodeStudy, say: Callable[[str], None] = lambda text: None) -> MapStudy:
+    """Return the map about a bode study's gains, over nine angles from its first pose to its last.
+
+    Raises:
+        LinkplanError: for a mechanism of more than one degree of freedom.
+    """
+    mechanism, settings = study.mechanism, study.settings
+    if mechanism.dof != 1:
+        raise LinkplanError(
+            f"a stability map needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}"
+        )
+    at = [float(entry.point.state[0]) for entry in study.points]
+    positions = np.linspace(min(at), max(at), ANGLES if len(at) > 1 else 1)
+    points = [operating_point(mechanism, np.array([x]), study.effort_limit) for x in positions]
+    critical = np.array([_critical(point, settings.kp, study.timing) for point in points])
+    inertia = np.array([float(point.inertia[0, 0]) for point in points])
+    bearable = 2 * inertia.max() / settings.period_s
+    most = _BEYOND * max(bearable, settings.kd)
+    kd = np.geomspace(_BELOW * bearable, most, _GRID)
+    kp = np.geomspace(
+        min(settings.kp, 1e-4 * inertia.min() / settings.period_s**2) / 3, 10 * inertia.max() / settings.period_s**2, _GRID
+    )
+    found = stability_map(points, study.timing, kp, kd, study.effort_limit, say)
+    delay = study.timing.delay_steps / study.timing.substeps
+    try:
+        longest, where = longest_period(
+            points, lambda p, T: pd_gain(effort_map(p), settings.kp, settings.kd), delay, settings.period_s
+        )
+    except LinkplanError:
+        longest, where = None, None
+    return MapStudy(
+        found=found,
+        kp=settings.kp,
+        kd=settings.kd,
+        critical=critical,
+        longest_s=longest,
+        longest_at=where,
+        delay_periods=delay,
+    )
+
+
+def _critical(point: OperatingPoint, kp: float, timing) -> tuple[float, float]:
+    try:
+        return critical_kd(point, kp, timing)
+    except LinkplanError:
+        return np.nan, np.nan
+
+
+def agreement(found: StabilityMap) -> tuple[int, int]:
+    """Return how many gains tried in MuJoCo do as the sampled model says, and how many were tried."""
+    if found.trials is None:
+        return 0, 0
+    from studies.stability_map import pd_loop
+
+    said = [pd_loop(found.points[i], kp, kd, found.timing).stable for kp, kd, i in found.tried]
+    return int(np.sum(np.array(said) == found.trials.settles)), len(said)
+
+
+def map_record(study: MapStudy) -> dict:
+    """Return what files say of the map."""
+    found = study.found
+    joint = found.points[0].mechanism.independent_joints[0]
+    right, tried = agreement(found)
+    return {
+        "kp": found.kp,
+        "kd": found.kd,
+        "radius": found.radius,
+        "critical_kd": [
+            {f"position_{joint.unit}": joint.shown(p.state[0]), "least": low, "largest": high if np.isfinite(high) else None}
+            for p, (low, high) in zip(found.points, np.nan_to_num(study.critical, nan=0.0), strict=True)
+        ],
+        "longest_period_s": study.longest_s if study.longest_s is not None and np.isfinite(study.longest_s) else None,
+        "tried": [
+            {"kp": kp, "kd": kd, "pose": found.points[i].name, "settles_in_mujoco": bool(settles)}
+            for (kp, kd, i), settles in zip(found.tried, [] if found.trials is None else found.trials.settles, strict=True)
+        ],
+        "as_predicted": right,
+        "tried_count": tried,
+    }
+
+
+def map_text(study: MapStudy) -> str:
+    """Return the critical damping gains, the longest period, and what MuJoCo says."""
+    found = study.found
+    joint = found.points[0].mechanism.independent_joints[0]
+    rows = [
+        [f"{joint.shown(p.state[0]):.4g}", float(p.inertia[0, 0]), float(low), float(high)]
+        for p, (low, high) in zip(found.points, study.critical, strict=True)
+    ]
+    head = [f"{joint.name} [{joint.unit}]", "inertia", "least kd", "largest kd"]
+    right, tried = agreement(found)
+    lines = [f"stable kd at kp = {study.kp:g}, sampled every {found.timing.period_s:g} s", table(head, rows), ""]
+    if study.longest_s is None:
+        lines.append(f"kp = {study.kp:g}, kd = {study.kd:g} is unstable however short the control period")
+    elif np.isfinite(study.longest_s):
+        lines.append(
+            f"kp = {study.kp:g}, kd = {study.kd:g} needs a control period below {1e3 * study.longest_s:.4g} ms"
+            f" ({1e-3 / study.longest_s:.4g} kHz), for {study.longest_at.name}"
+        )
+    lines.append(f"{right} of {tried} gains beside the border do in MuJoCo as predicted")
+    return "\n".join(lines)

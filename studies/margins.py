@@ -1,0 +1,153 @@
+"""What a loop can bear: gain, phase, delay and disk margins, bandwidth, resonance, sensitivity peak.
+
+Gain and phase margins and crossings are python-control's, on frequency data up to and including the Nyquist frequency, where
+a sampled PD loop of small inertia loses its gain margin. The disk margin is 1 / max |S - 1/2|: gain and phase may change at
+once within its disk (Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE Control Systems 40, 2020).
+"""
+
+import warnings
+from dataclasses import dataclass, fields, replace
+
+import control
+import numpy as np
+
+from controllers.sampling import MOST_DELAY_PERIODS
+from studies.loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
+
+# Points of the grid per decade: margins are interpolated between them to a thousandth of a dB.
+_PER_DECADE = 600
+_LOWEST_HZ = 0.01
+# Crossings in the lowest part of the grid are the double integrator's own -180 deg, reached as the frequency vanishes.
+_DC_HZ = 0.02
+# A delay border is found to this share of itself, by simulator steps that fine; up to this many periods of delay, beyond
+# which hold and steps do not matter and the phase margin says the same.
+_DELAY_SHARE = 0.01
+_MOST_EXACT_PERIODS = 40
+_FINEST_STEPS = 200
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Margins:
+    """What one loop can bear; None where a figure has no meaning (infinite, or the loop is unstable)."""
+
+    stable: bool
+    gain_margin_db: float | None = None
+    gain_reduction_margin_db: float | None = None
+    phase_margin_deg: float | None = None
+    delay_margin_s: float | None = None
+    disk_margin: float | None = None
+    disk_gain_margin_db: float | None = None
+    disk_phase_margin_deg: float | None = None
+    crossover_hz: float | None = None
+    bandwidth_hz: float | None = None
+    resonance_db: float | None = None  # the complementary sensitivity's peak over its value at rest
+    resonance_hz: float | None = None
+    sensitivity_peak: float | None = None
+    sensitivity_peak_hz: float | None = None
+    spectral_radius: float | None = None  # of the sampled closed loop; below one is stable
+
+    def record(self) -> dict:
+        """Return the figures by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+def frequency_grid(period_s: float) -> np.ndarray:
+    """Return frequencies [Hz] from a hundredth of a hertz to the Nyquist frequency, both included."""
+    nyquist = 0.5 / period_s
+    lowest = min(_LOWEST_HZ, 1e-3 * nyquist)
+    return np.geomspace(lowest, nyquist, max(200, int(_PER_DECADE * np.log10(nyquist / lowest))))
+
+
+def margins(loop: FeedbackLoop, channel: int = 0, *, refine: bool = True) -> Margins:
+    """Return the margins of the loop at one joint's actuator, the others closed; the delay margin as poles have it if refined."""
+    radius = loop.radius
+    if not loop.stable:
+        return Margins(stable=False, spectral_radius=radius)
+    frequency = frequency_grid(loop.timing.period_s)
+    gain = loop.gains("loop", frequency, channel)
+    sensitivity = 1.0 / (1.0 + gain)
+    found = _from_data(frequency, gain, sensitivity, radius)
+    if not refine or loop.kind == CONTINUOUS or found.delay_margin_s is None:
+        return found
+    return replace(found, delay_margin_s=delay_margin(loop, found.delay_margin_s)[0])
+
+
+def delay_margin(loop: FeedbackLoop, guess_s: float) -> tuple[float, int]:
+    """Return the further delay [s] at which a stable sampled loop loses its stability, and the steps a period it is cut in.
+
+    The period is cut into simulator steps of about a hundredth of the margin, and the border sought among whole steps of
+    delay by the closed loop's poles: MuJoCo run in those steps is stable just below and not just above. `guess_s`, the phase
+    margin over the crossing's frequency, is returned where it is many periods long, for there the two agree.
+
+    """
+    timing = loop.timing
+    fine = int(np.clip(np.ceil(timing.period_s / (_DELAY_SHARE * guess_s)), 1, _FINEST_STEPS))
+    substeps = timing.substeps * int(np.ceil(fine / timing.substeps))
+    begin = timing.delay_steps * substeps // timing.substeps
+    if guess_s + timing.delay_s > min(_MOST_EXACT_PERIODS, 0.5 * MOST_DELAY_PERIODS) * timing.period_s:
+        return guess_s, timing.substeps
+    finer = replace(timing, substeps=substeps, delay_steps=begin)
+
+    def radius(steps: int) -> float:
+        return feedback_loop(loop.point, loop.gain, finer.delayed(steps), SIMULATED).radius
+
+    low, high = begin, begin + max(1, int(np.ceil(1.5 * guess_s / finer.timestep_s)))
+    while radius(high) < 1.0:
+        low, high = high, begin + 2 * (high - begin)
+        if high > MOST_DELAY_PERIODS * substeps // 2:
+            return guess_s, timing.substeps
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if radius(middle) < 1.0 else (low, middle)
+    ends = radius(low), radius(high)
+    share = (1.0 - ends[0]) / (ends[1] - ends[0]) if ends[0] < 1.0 <= ends[1] and ends[1] > ends[0] else 0.0
+    return (low - begin + share) * finer.timestep_s, substeps
+
+
+def _from_data(frequency: np.ndarray, gain: np.ndarray, sensitivity: np.ndarray, radius: float | None) -> Margins:
+    omega = 2 * np.pi * frequency
+    data = control.frd(gain, omega)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # division by a vanishing gain at the end of a grid
+        gm, pm, _, w_pc, w_gc, _ = (np.atleast_1d(x) for x in control.stability_margins(data, returnall=True))
+    gm = gm[w_pc > 2 * np.pi * max(_DC_HZ, 2 * frequency[0])]
+    # At the Nyquist frequency a sampled gain is real: a crossing that lies on the grid's last point and not inside it.
+    if radius is not None and gain[-1].real < 0:
+        gm = np.append(gm, 1.0 / abs(gain[-1].real))
+    raised, lowered = gm[gm > 1], gm[(gm < 1) & (gm > 0)]
+    delays = np.mod(np.radians(pm), 2 * np.pi) / w_gc
+    alpha = 1.0 / np.max(np.abs(sensitivity - 0.5))
+    complementary = 1.0 - sensitivity
+    at_peak, at_resonance = int(np.argmax(np.abs(sensitivity))), int(np.argmax(np.abs(complementary)))
+    return Margins(
+        stable=True,
+        gain_margin_db=_finite(20 * np.log10(raised.min())) if raised.size else None,
+        gain_reduction_margin_db=_finite(-20 * np.log10(lowered.max())) if lowered.size else None,
+        phase_margin_deg=_finite(pm[np.argmin(np.abs(pm))]) if pm.size else None,
+        delay_margin_s=_finite(delays.min()) if delays.size else None,
+        disk_margin=float(alpha),
+        disk_gain_margin_db=_finite(20 * np.log10((2 + alpha) / (2 - alpha))) if alpha < 2 else None,
+        disk_phase_margin_deg=float(np.degrees(2 * np.arctan(alpha / 2))),
+        crossover_hz=_finite(w_gc.max() / (2 * np.pi)) if w_gc.size else None,
+        bandwidth_hz=bandwidth(complementary, frequency),
+        resonance_db=float(20 * np.log10(np.abs(complementary[at_resonance] / complementary[0]))),
+        resonance_hz=float(frequency[at_resonance]),
+        sensitivity_peak=float(np.abs(sensitivity[at_peak])),
+        sensitivity_peak_hz=float(frequency[at_peak]),
+        spectral_radius=radius,
+    )
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def bandwidth(closed: np.ndarray, frequency_hz: np.ndarray) -> float | None:
+    """Return the first frequency [Hz] at which a response falls 3 dB below its first value; None if it does not."""
+    drop = 20 * np.log10(np.abs(closed) / np.abs(closed[0])) + 3.0
+    below = np.flatnonzero(drop < 0)
+    if below.size == 0:
+        return None
+    k = below[0]
+    share = drop[k - 1] / (drop[k - 1] - drop[k])
+    return float(np.exp((1 - share) * np.log(frequency_hz[k - 1]) + share * np.log(frequency_hz[k])))
