@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode --along`: the tracked loop frozen along a plan, and its Floquet multipliers where it repeats."""
+"""The study behind `linkplan bode --along`: the loop frozen along a plan, and Floquet multipliers where it repeats."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -8,6 +8,7 @@ import numpy as np
 from controllers.reference import SampledReference, sample
 from controllers.sampling import Sampling, sampling
 from planner.plan import Plan
+from planner.planning import silent
 from planner.problem import Tracking
 from studies.compare import build_tracker
 from studies.floquet import Floquet, floquet, floquet_record, floquet_text, frozen_radii, tracker_gains
@@ -20,7 +21,7 @@ _INSTANTS = 25
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class AlongMotion:
-    """A tracker along a plan: frozen margins at instants (m,), the frozen loop's largest pole at all (n,), the multipliers."""
+    """A tracker along a plan: frozen margins at instants (m,), the largest frozen pole at all (n,), the multipliers."""
 
     plan: Plan
     law: str
@@ -38,7 +39,7 @@ class AlongMotion:
         return int(np.argmin(values))
 
 
-def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], None] = lambda text: None) -> AlongMotion:
+def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], None] = silent) -> AlongMotion:
     """Return a tracker's loop along a plan, with the plan's own gains replaced by `settings`."""
     plan = replace(plan, problem=replace(plan.problem, tracking=settings))
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
@@ -96,8 +97,8 @@ def along_text(found: AlongMotion) -> str:
         f"disk margin {bounds.disk_margin:.3g}" if bounds.stable else f"unstable, largest pole {bounds.spectral_radius:.4g}"
     )
     lines = [
-        f"{found.law} frozen along {found.plan.problem.name}: the worst instant is {1e3 * found.reference.time_s[k]:.4g} ms ({said});"
-        f" the largest frozen pole is {found.radius.max():.5g}"
+        f"{found.law} frozen along {found.plan.problem.name}: the worst instant is"
+        f" {1e3 * found.reference.time_s[k]:.4g} ms ({said}); the largest frozen pole is {found.radius.max():.5g}"
     ]
     lines.append("the motion does not repeat: no multipliers" if found.floquet is None else floquet_text(found.floquet))
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode`: a tracker's loop over joint angles, predicted and measured in MuJoCo, with its worst case."""
+"""The study behind `linkplan bode`: a tracker's loop over joint angles, predicted and measured, with its worst case."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -9,6 +9,7 @@ from controllers.sampling import Sampling, sampling
 from models.assembly import reach
 from models.errors import LinkplanError
 from models.mechanism import Mechanism
+from planner.planning import silent
 from planner.problem import Tracking
 from studies.excitation import Setup
 from studies.loops import (
@@ -145,7 +146,7 @@ class BodeStudy:
 
 
 def default_positions(mechanism: Mechanism, positions: np.ndarray | None = None) -> np.ndarray:
-    """Return positions (n, n_s): five over given ones of a single freedom (m,), or over the middle of its reach; else home."""
+    """Return positions (n, n_s): for a single freedom five, over given ones (m,) or the middle of its reach; else home."""
     if mechanism.dof != 1:
         return mechanism.home[mechanism.independent][None]
     if positions is not None and len(positions):
@@ -169,7 +170,7 @@ def bode_study(
     positions: np.ndarray,
     settings: Tracking,
     effort_limit: np.ndarray,
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = silent,
     *,
     law: str = "pd",
     setup: Setup | None = None,
@@ -248,9 +249,8 @@ def _scans(mechanism, where: Sequence[OperatingPoint], settings, effort_limit, t
         low, high = _middle_of_reach(mechanism, channel)
         asked = [float(point.state[channel]) for point in where]
         positions = np.linspace(min(low, *asked), max(high, *asked), count)
-        say(
-            f"margins over {joint.name} from {joint.shown(positions[0]):.4g} to {joint.shown(positions[-1]):.4g} {joint.unit}"
-        )
+        ends = f"{joint.shown(positions[0]):.4g} to {joint.shown(positions[-1]):.4g} {joint.unit}"
+        say(f"margins over {joint.name} from {ends}")
         kept, found = [], []
         for position in positions:
             s = where[0].state[: mechanism.dof].copy()

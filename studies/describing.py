@@ -1,14 +1,15 @@
-"""Large signals: the closed loop against amplitude, up to and past the effort limit, beside the saturation's describing function.
+"""Large signals: the closed loop against amplitude, up to and past the effort limit, beside the describing function.
 
-With N(A) the describing function of the saturation about the holding effort, python-control's, harmonic balance says of a command
-of amplitude A (Gelb & Vander Velde, Multiple-Input Describing Functions, 1968, ch. 3)
+With N(A) the describing function, python-control's, of the saturation about the holding effort, harmonic balance says of a
+command of amplitude A (Gelb & Vander Velde, Multiple-Input Describing Functions, 1968, ch. 3)
 
     A |1 + N(A) L_0| = |drive|,   Y = P_0 N(A) U
 
-for the loop L_0 and plant P_0 without saturation. It neglects harmonics and the shift of the mean that limits of unequal distance make.
+for the loop L_0 and plant P_0 without saturation. It neglects harmonics, and the shift of the mean that limits at unequal
+distances make.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import control
@@ -16,6 +17,7 @@ import numpy as np
 import scipy.optimize
 
 from models.errors import LinkplanError
+from planner.planning import silent
 from studies import sinestream
 from studies.excitation import Setup, whole_samples
 from studies.loops import FeedbackLoop, actuator_of
@@ -97,11 +99,11 @@ def large_signals(
     effort_limit: np.ndarray,
     frequency_hz: np.ndarray,
     *,
-    multiples: np.ndarray = np.array(MULTIPLES),
+    multiples: Sequence[float] = MULTIPLES,
     quantity: str = "reference",
     channel: int = 0,
     farthest: float | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = silent,
 ) -> LargeSignals:
     """Return a loop's reference response against amplitude.
 

@@ -41,7 +41,7 @@ def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -> N
         for column, (quantity, title) in enumerate(titles.items()):
             axes[0, column].set_title(title)
             for colour, entry in zip(SERIES * len(entries), entries, strict=False):
-                draw_response(axes[:2, column], study, entry, quantity, colour)
+                draw_response(axes[:2, column], entry, quantity, colour)
                 if measured:
                     draw_difference(axes[2:, column], entry, quantity, colour)
             axes[-1, column].set_xlabel("frequency [Hz]")
@@ -57,7 +57,7 @@ def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -> N
         figure.suptitle(f"{study.mechanism.name}, {study.law}: {study.message}\n{how}", fontsize=10.5, wrap=True)
 
 
-def draw_response(axes, study: BodeStudy, entry: BodePoint, quantity: str, colour: str) -> None:
+def draw_response(axes, entry: BodePoint, quantity: str, colour: str) -> None:
     """Draw gain (axes[0]) and phase (axes[1]) of a quantity at a pose."""
     name = entry.point.name + ("" if entry.margins.stable else " (unstable)")
     lowest = _lowest(entry)
@@ -224,7 +224,7 @@ def _lowest(entry: BodePoint) -> float:
 
 
 def _turned(phase: np.ndarray, gain: np.ndarray, quantity: str) -> np.ndarray:
-    """Return a phase [deg] turned by whole turns: an open loop's to within half a turn of -180 deg where its gain crosses one."""
+    """Return a phase [deg] by whole turns: an open loop's to half a turn about -180 deg where its gain crosses one."""
     if quantity != "loop":
         return phase - 360.0 * np.round(phase[0] / 360.0)
     crossing = int(np.argmin(np.abs(np.log(np.abs(gain)))))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.drawing import BLACK, GREY, ORANGE, RED, SERIES, page
+from studies.drawing import BLACK, GREY, ORANGE, RED, SERIES, outside_legend, page
 from studies.large_study import LargeStudy
 
 
@@ -35,8 +35,8 @@ def draw_large_gain(axes, study: LargeStudy) -> None:
         )
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel("reference to angle [dB]")
-    axes.legend(title="wanted effort\nover the limit", fontsize=8, title_fontsize=8, loc="lower left")
-    axes.set_title("dots MuJoCo, lines harmonic balance")
+    axes.set_title("wanted effort over the limit; dots MuJoCo, lines harmonic balance", fontsize=9, pad=24)
+    outside_legend(axes, fontsize=8, handletextpad=0.1, columnspacing=0.9)
 
 
 def draw_describing(axes, study: LargeStudy) -> None:

@@ -1,4 +1,4 @@
-"""Figure of a stability map: stable gains over all angles, contours of the phase margin, MuJoCo's own points, gains marked."""
+"""Figure of a stability map: stable gains over all angles, contours of the phase margin, MuJoCo's own points."""
 
 from collections.abc import Sequence
 from pathlib import Path

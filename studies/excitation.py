@@ -24,7 +24,7 @@ EXCITATIONS = {
     "reference+ff": ("reference+ff",),
 }
 METHODS = ("sinestream", "multisine", "chirp")
-# A test signal moves the joint by so much [rad; m on a slide, of the model's extent], unless its command would take more than
+# A test signal moves the joint by so much [rad; on a slide, of the model's extent], unless its command would take more than
 # this share of what the limits leave beside the holding effort.
 SMALL = np.radians(0.02)
 EFFORT_SHARE = 0.05

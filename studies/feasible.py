@@ -1,6 +1,6 @@
 """The feasible-amplitude curve: how fast a sinusoid of a given amplitude can be followed at all, whatever the controller.
 
-    s(t) = s_0 + a cos(w t):  inverse dynamics at every phase within the effort limits, every joint within its range and speed
+    s(t) = s_0 + a cos(w t):  inverse dynamics at every phase within the effort limits, every joint within range and speed
 
 A pure inertia needs a J w^2: a = u_max / (J w^2).
 """

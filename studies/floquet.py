@@ -1,9 +1,10 @@
 """Along a periodic motion: the Floquet multipliers of the sampled closed loop, and the decay measured in MuJoCo.
 
-About the motion the tracked loop is linear and periodic, z_{k+1} = (A_k - B_k K_k) z_k, z the state and the commands under way. The
-product over a cycle is the monodromy matrix; its eigenvalues, the multipliers, say by which factor a disturbance shrinks in a cycle
-(Floquet 1883; Bittanti & Colaneri, Periodic Systems, 2009, 3.1). In MuJoCo the same product is measured column by column: runs that begin a
-little off the motion in one coordinate each, less the run that does not.
+About its reference the tracked loop is linear and periodic, z_{k+1} = (A_k - B_k K_k) z_k, z the state and the commands on
+the way. The product over a cycle is the monodromy matrix; its eigenvalues, the multipliers, say by which factor a
+disturbance shrinks in a cycle (Bittanti & Colaneri, Periodic Systems, 2009, 3.1). In MuJoCo the same product is measured
+column by column: runs that begin a little off the motion in one coordinate each, less the run that does not. Where a loop
+follows its reference badly, as soft PD without feedforward does, the two are about different motions and differ.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from controllers.feedforward import Feedforward
 from controllers.lqr import LQR
 from controllers.pd import PD
 from controllers.reference import SampledReference
-from controllers.sampling import Sampling, augmented, closed, simulated
+from controllers.sampling import Sampling, augmented, closed, simulated, spectral_radius
 from controllers.tracker import Tracker
 from models.assembly import close_at
 from models.errors import LinkplanError
@@ -31,8 +32,8 @@ _SEEN = 1e-6
 class Floquet:
     """A tracked periodic motion: predicted and measured monodromy matrices (M, M), and the decay of disturbances.
 
-    `multipliers` and `measured_multipliers` (M,) complex, the largest first. `size` and `measured_size` (n,) are the largest singular
-    values of the scaled transition from the start to `time_s` (n,), one at the start: how much of the worst disturbance is left.
+    `multipliers` and `measured_multipliers` (M,) complex, the largest first. `size` and `measured_size` (n,) are the largest
+    singular values of the scaled transition from the start to `time_s` (n,): how much of the worst disturbance is left.
     """
 
     period_s: float
@@ -98,8 +99,6 @@ def feeds_forward(tracker: Tracker) -> bool:
 
 def frozen_radii(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling) -> np.ndarray:
     """Return the largest pole's size (n,) of the loop frozen at every control instant of a motion."""
-    from controllers.sampling import spectral_radius
-
     return spectral_radius(_closed_along(mechanism, reference, tracker, timing))
 
 
@@ -126,8 +125,8 @@ def floquet(
     n = reference.cycle
     if n is None or n > reference.n:
         raise LinkplanError(
-            f"Floquet multipliers need a motion that repeats after whole control periods; this one of {reference.n} periods of"
-            f" {reference.period_s:g} s does not: choose tracking.period_s so that it divides the motion's duration"
+            f"Floquet multipliers need a motion that repeats after whole control periods; this one of {reference.n} periods"
+            f" of {reference.period_s:g} s does not: choose tracking.period_s so that it divides the motion's duration"
         )
     one = _cut(reference, n)
     steps = _closed_along(mechanism, one, _cut_tracker(tracker, n), timing)
@@ -244,7 +243,8 @@ def floquet_text(found: Floquet) -> str:
     verdict = "dies away" if found.converges else "grows"
     seen_s, predicted, measured = found.measured_decay
     return (
-        f"along the motion a disturbance {verdict}: the largest Floquet multiplier is {size:.3g} a cycle of {found.cycle_s:g} s"
+        f"along the motion a disturbance {verdict}: the largest Floquet multiplier is {size:.3g} a cycle of"
+        f" {found.cycle_s:g} s"
         f" ({found.decay_rate:.4g} 1/s); over {1e3 * seen_s:.3g} ms MuJoCo leaves {np.exp(measured):.3g} of it,"
         f" predicted {np.exp(predicted):.3g}"
     )

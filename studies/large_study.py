@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.errors import LinkplanError
+from planner.planning import silent
 from planner.problem import Limits
 from studies.bode import BodeStudy
 from studies.describing import LargeSignals, default_large_frequencies, large_record, large_signals
@@ -20,7 +21,7 @@ class LargeStudy:
     curve: FeasibleCurve
 
 
-def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], None] = lambda text: None) -> LargeStudy:
+def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], None] = silent) -> LargeStudy:
     """Return the large signals of a bode study's middle pose.
 
     Args:

@@ -2,7 +2,7 @@
 
     command u = u_hold + K (x_ref - x),   x = (s, v),   X = G U
 
-G is the way from commands to the state: (j w I - A)^-1 B as s-plane design has it, without hold or delay; sampled, z = e^(j w T),
+G is the way from commands to the state: (j w I - A)^-1 B as s-plane design has it, without hold or delay; with z = e^(j w T)
 G = (z I - A)^-1 (B z^-d + B_late z^-d-1). S = (I + K G)^-1. The loop at actuator j, the others closed, is 1 / S_jj - 1
 (Skogestad & Postlethwaite, Multivariable Feedback Control, 2005, 3.2).
 """
@@ -42,7 +42,7 @@ _HELD = 1e-9
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class OperatingPoint:
-    """A closed pose (n_q,) that the efforts `hold` (n_u,) keep at rest, or a state of a motion with its own velocity (n_s,)."""
+    """A closed pose (n_q,) that efforts `hold` (n_u,) keep at rest, or a state of a motion with its velocity (n_s,)."""
 
     mechanism: Mechanism
     pose: np.ndarray
@@ -51,7 +51,7 @@ class OperatingPoint:
 
     @property
     def state(self) -> np.ndarray:
-        """x = (s, v) (2 n_s,) [rad or m, and a second]."""
+        """X = (s, v) (2 n_s,) [rad or m, and a second]."""
         return np.concatenate([self.pose[self.mechanism.independent], self.velocity])
 
     @property
@@ -97,8 +97,8 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
     for actuator, effort, (low, high) in zip(mechanism.actuators, hold[0], limit, strict=True):
         if not low < effort < high:
             raise LinkplanError(
-                f"'{mechanism.name}' cannot be held at {point.name}: {actuator.name} would need {effort:.4g} {actuator.unit},"
-                f" its limits are {low:g} to {high:g}"
+                f"'{mechanism.name}' cannot be held at {point.name}: {actuator.name} would need {effort:.4g}"
+                f" {actuator.unit}, its limits are {low:g} to {high:g}"
             )
     return point
 
@@ -178,11 +178,11 @@ class FeedbackLoop:
     def system(self) -> control.StateSpace:
         """Return the open loop from commands to K x, others closed or not there, as python-control's state space."""
         if self.kind == CONTINUOUS:
-            return control.ss(self.A, self.B, self.gain, 0)
+            return control.StateSpace(self.A, self.B, self.gain, 0)
         A, B = augmented(self.A, self.B, self.B_late, self.timing)
         C = np.zeros((len(self.gain), len(A)))
         C[:, : self.gain.shape[1]] = self.gain
-        return control.ss(A, B, C, 0, self.timing.period_s)
+        return control.StateSpace(A, B, C, 0, self.timing.period_s)
 
     def plant(self, frequency_hz: np.ndarray) -> np.ndarray:
         """Return G (n, 2 n_s, n_u), commands to the state, at frequencies [Hz].
@@ -200,8 +200,8 @@ class FeedbackLoop:
             nyquist = self.timing.nyquist_hz
             if frequency.max() > nyquist * (1 + 1e-9):
                 raise LinkplanError(
-                    f"{frequency.max():.6g} Hz is above the Nyquist frequency: a loop sampled every {self.timing.period_s:g} s"
-                    f" has none above {nyquist:.6g} Hz"
+                    f"{frequency.max():.6g} Hz is above the Nyquist frequency: a loop sampled every"
+                    f" {self.timing.period_s:g} s has none above {nyquist:.6g} Hz"
                 )
             at = np.exp(1j * omega * self.timing.period_s)
             back = at[:, None, None] ** -float(self.timing.whole)

@@ -1,12 +1,12 @@
-"""The study behind `linkplan bode --map`: stable gains over all angles, borders tried in MuJoCo, the longest control period."""
+"""The study behind `linkplan bode --map`: stable gains over all angles, borders tried in MuJoCo, the longest period."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from controllers.sampling import sampling
 from models.errors import LinkplanError
+from planner.planning import silent
 from studies.bode import BodeStudy
 from studies.loops import OperatingPoint, operating_point, pd_gain
 from studies.stability_map import StabilityMap, critical_kd, effort_map, longest_period, stability_map
@@ -20,7 +20,7 @@ _BELOW, _BEYOND = 1e-3, 4.0
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MapStudy:
-    """A stability map, the stable kd (low, high) at the study's kp for each angle (n, 2), and the longest control period [s].
+    """A stability map, the stable kd (low, high) at the study's kp for each angle (n, 2), the longest control period [s].
 
     `longest_s` is None where the gains are unstable however short the period, and infinite where none is too long.
     """
@@ -34,7 +34,7 @@ class MapStudy:
     delay_periods: float
 
 
-def map_study(study: BodeStudy, say: Callable[[str], None] = lambda text: None) -> MapStudy:
+def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy:
     """Return the map about a bode study's gains, over nine angles from its first pose to its last.
 
     Raises:
@@ -60,7 +60,7 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = lambda text: None) 
     delay = study.timing.delay_steps / study.timing.substeps
     try:
         longest, where = longest_period(
-            points, lambda p, T: pd_gain(effort_map(p), settings.kp, settings.kd), delay, settings.period_s
+            points, lambda point, _: pd_gain(effort_map(point), settings.kp, settings.kd), delay, settings.period_s
         )
     except LinkplanError:
         longest, where = None, None

@@ -59,7 +59,7 @@ def frequency_grid(period_s: float) -> np.ndarray:
 
 
 def margins(loop: FeedbackLoop, channel: int = 0, *, refine: bool = True) -> Margins:
-    """Return the margins of the loop at one joint's actuator, the others closed; the delay margin as poles have it if refined."""
+    """Return the margins of the loop at one joint's actuator, the others closed; `refine` the delay margin by poles."""
     radius = loop.radius
     if not loop.stable:
         return Margins(stable=False, spectral_radius=radius)
@@ -67,9 +67,10 @@ def margins(loop: FeedbackLoop, channel: int = 0, *, refine: bool = True) -> Mar
     gain = loop.gains("loop", frequency, channel)
     sensitivity = 1.0 / (1.0 + gain)
     found = _from_data(frequency, gain, sensitivity, radius)
-    if not refine or loop.kind == CONTINUOUS or found.delay_margin_s is None:
+    classical = found.delay_margin_s
+    if not refine or loop.kind == CONTINUOUS or classical is None:
         return found
-    return replace(found, delay_margin_s=delay_margin(loop, found.delay_margin_s)[0])
+    return replace(found, delay_margin_s=delay_margin(loop, classical)[0])
 
 
 def delay_margin(loop: FeedbackLoop, guess_s: float) -> tuple[float, int]:
@@ -78,7 +79,6 @@ def delay_margin(loop: FeedbackLoop, guess_s: float) -> tuple[float, int]:
     The period is cut into simulator steps of about a hundredth of the margin, and the border sought among whole steps of
     delay by the closed loop's poles: MuJoCo run in those steps is stable just below and not just above. `guess_s`, the phase
     margin over the crossing's frequency, is returned where it is many periods long, for there the two agree.
-
     """
     timing = loop.timing
     fine = int(np.clip(np.ceil(timing.period_s / (_DELAY_SHARE * guess_s)), 1, _FINEST_STEPS))
@@ -89,8 +89,10 @@ def delay_margin(loop: FeedbackLoop, guess_s: float) -> tuple[float, int]:
     finer = replace(timing, substeps=substeps, delay_steps=begin)
 
     def radius(steps: int) -> float:
-        return feedback_loop(loop.point, loop.gain, finer.delayed(steps), SIMULATED).radius
+        return float(feedback_loop(loop.point, loop.gain, finer.delayed(steps), SIMULATED).radius or 0.0)
 
+    if radius(begin) >= 1.0:  # stable in coarse steps only
+        return 0.0, substeps
     low, high = begin, begin + max(1, int(np.ceil(1.5 * guess_s / finer.timestep_s)))
     while radius(high) < 1.0:
         low, high = high, begin + 2 * (high - begin)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from models.errors import LinkplanError
+from planner.planning import silent
 from studies import broadband, sinestream
 from studies.excitation import EXCITATIONS, Measurement, Setup
 from studies.loops import FeedbackLoop
@@ -18,7 +19,7 @@ def measure(
     *,
     excitations: Sequence[str] = tuple(EXCITATIONS),
     channel: int = 0,
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = silent,
 ) -> Measurement:
     """Return the responses of loops of one mechanism and one timing, measured in MuJoCo about their operating points.
 

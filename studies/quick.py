@@ -1,6 +1,6 @@
 """Margins of many gains at once about one point, on a coarse grid: for maps and searches. This file's job is speed.
 
-Figures agree with `studies.margins` to some tenths of a degree and of a percent; what is reported to people comes from there.
+Figures agree with `studies.margins` to some tenths of a degree and of a percent; what people are told comes from there.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ _LOWEST = 1e-5
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class QuickMargins:
-    """Figures (n,) of n gains: the largest pole, least phase margin [deg], peak of |S|, bandwidth of T [Hz]; infinite if none."""
+    """Figures (n,) of n gains: largest pole, least phase margin [deg], peak of |S|, bandwidth of T [Hz] or infinite."""
 
     radius: np.ndarray
     phase_margin_deg: np.ndarray

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from controllers.batch import BatchLoop
-from studies.loops import FeedbackLoop, actuator_of
 from studies.excitation import Measurement, Setup, quantities, signal_amplitude, whole_samples
+from studies.loops import FeedbackLoop, actuator_of
 
 # Harmonics of the fundamental that count as distortion.
 _HARMONICS = 5
@@ -32,7 +32,7 @@ def run(
     say: Callable[[str], None],
     amplitudes: np.ndarray | None = None,
 ) -> Measurement:
-    """Return a sinestream's measurement; see `measure.measure`. `amplitudes` (loops, excitations, n) of the signals, if any."""
+    """Return a sinestream's measurement; see `measure.measure`. `amplitudes` (loops, excitations, n) replace the setup's."""
     timing, mechanism = loops[0].timing, loops[0].point.mechanism
     cycles, samples = whole_samples(frequency_hz, timing.period_s)
     frequency = cycles / (samples * timing.period_s)
@@ -40,7 +40,6 @@ def run(
     rows = [(loop, excitation) for loop in loops for excitation in excitations]
     n = len(rows) * n_f
     p, N = np.tile(cycles, len(rows)), np.tile(samples, len(rows))
-    window = N * np.maximum(1, -(-_FEWEST_SAMPLES // N))
     if amplitudes is None:
         amplitude = np.concatenate([signal_amplitude(loop, frequency, e, effort_limit, setup, channel) for loop, e in rows])
     else:

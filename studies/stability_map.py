@@ -1,7 +1,7 @@
 """Where PD gains keep a sampled loop stable, over all angles: borders, margins and the longest control period.
 
-The closed loop's poles are those of the sampled model in MuJoCo's own steps; the figures' contours are the least phase margin,
-read off the sampled loop, and the sensitivity peak.
+The closed loop's poles are those of the sampled model in MuJoCo's own steps; beside them stand the least phase margin and
+the sensitivity peak.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,8 +12,9 @@ import numpy as np
 from controllers.pd import pd
 from controllers.sampling import Sampling, augmented, closed, sampling, spectral_radius
 from models.errors import LinkplanError
-from studies.quick import quick_margins
+from planner.planning import silent
 from studies.loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop, pd_gain
+from studies.quick import quick_margins
 from studies.trial import Trials, settle_trials
 
 # Gains are sought within this factor of what the inertia and the period alone would bear, on a grid this fine.
@@ -149,7 +150,7 @@ def stability_map(
     kp: np.ndarray,
     kd: np.ndarray,
     effort_limit: np.ndarray | None = None,
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = silent,
     channel: int = 0,
 ) -> StabilityMap:
     """Return the map over gains kp (n,) and kd (m,), tried in MuJoCo on both sides of its border where limits are given."""

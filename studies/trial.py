@@ -13,6 +13,8 @@ from studies.loops import FeedbackLoop
 _KICK, _ROOM = 1e-3, 1e-3
 # The verdict is plain when speeds have grown or shrunk by this factor, and is the trend's at the end of the time.
 _PLAIN = 300.0
+# A speed this many times the kick's is growth, and still well below what the limits would make of it.
+_GROWN = 100.0
 _CHUNK = 100
 _MOST_PERIODS = 40_000
 
@@ -63,7 +65,7 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
         over = plain | ~np.isfinite(change) | (batch.k >= most_periods)
         # Where all is over within the first stretch, the kick itself is the measure.
         gone = speed[active] < kick[active] / _PLAIN
-        blown = ~(speed[active] < _PLAIN * kick[active] * 10)
+        blown = ~(speed[active] < _GROWN * kick[active])
         over |= gone | blown
         trend = np.where(plain | ~np.isfinite(change), change, rate)
         done = active[over]

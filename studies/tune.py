@@ -1,8 +1,9 @@
 """Gains from requirements: PD gains or LQR weights for a bandwidth and margins at the worst angle, or why there are none.
 
-Every candidate is judged by the sampled loop in the simulator's steps, at every angle: stable, bandwidth of the complementary
-sensitivity, phase margin, sensitivity peak. Candidates lie on a grid of crossover and phase lead about the wanted bandwidth, then on finer
-grids about the best; the best one has the least damping gain that meets what is wanted, for that is what makes noise of measured speeds.
+Every candidate is judged by the sampled loop in the simulator's steps, at every angle: stable, bandwidth of the
+complementary sensitivity, phase margin, sensitivity peak. Candidates lie on a grid of natural frequency and damping ratio
+about the wanted bandwidth, then on finer grids about the best, which has the least damping gain that meets what is wanted:
+that gain is what makes noise of measured speeds.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,6 +14,7 @@ import numpy as np
 from controllers.sampling import Sampling
 from models.errors import LinkplanError
 from models.mechanism import Mechanism
+from planner.planning import silent
 from planner.problem import Tracking
 from studies.loops import LAWS, OperatingPoint, feedback_loop, law_gain
 from studies.margins import Margins, margins
@@ -46,7 +48,7 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Judged:
-    """One set of gains over all angles: margins at each, and by how much it misses what is wanted, zero where it does not."""
+    """One set of gains over all angles: margins at each, and the worst relative shortfall, zero where there is none."""
 
     settings: Tracking
     bounds: tuple[Margins, ...]
@@ -81,7 +83,7 @@ def tune(
     effort_limit: np.ndarray,
     *,
     law: str = "pd",
-    say: Callable[[str], None] = lambda text: None,
+    say: Callable[[str], None] = silent,
 ) -> Tuning:
     """Return gains that do what is wanted at every point, or the nearest miss and why.
 
@@ -137,13 +139,13 @@ def tune(
 
 
 def _settings(points, wanted: Wanted, settings: Tracking, law: str, natural: float, damping: float) -> Tracking:
-    """Return gains for a natural frequency (in wanted bandwidths) and damping ratio on the mean inertia; LQR weights likewise."""
+    """Return gains for a natural frequency (in wanted bandwidths) and damping ratio on the mean inertia, or LQR weights."""
     omega = 2 * np.pi * wanted.bandwidth_hz * natural
     inertia = float(np.exp(np.mean([np.log(point.inertia[0, 0]) for point in points])))
     kp, kd = inertia * omega**2, 2 * damping * inertia * omega
     if law != "lqr":
         return replace(settings, kp=kp, kd=kd)
-    # The stationary LQR of a double integrator has kp = u / s_w and kd^2 = 2 J kp + (u / v_w)^2; kp, kd name the weights here.
+    # The stationary LQR of a double integrator has kp = u / s_w and kd^2 = 2 J kp + (u / v_w)^2: weights for these gains.
     limit = _effort_weight(points)
     extra = max(kd**2 - 2 * inertia * kp, (1e-4 * kd) ** 2)
     return replace(settings, lqr_position=limit / kp, lqr_velocity=limit / np.sqrt(extra))
@@ -230,11 +232,12 @@ def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, f
         why = f"the nearest has {' and '.join(lacking)}"
     # A hold of T and a delay cost so much phase at the wanted bandwidth, whatever the gains.
     cost = 360.0 * wanted.bandwidth_hz * (0.5 * timing.period_s + timing.delay_s)
-    return f"{law} cannot give {asked} at all {len(points)} angles, {sampled}: {why}; hold and delay alone cost {cost:.3g} deg there"
+    cannot = f"{law} cannot give {asked} at all {len(points)} angles, {sampled}"
+    return f"{cannot}: {why}; hold and delay alone cost {cost:.3g} deg at {wanted.bandwidth_hz:g} Hz"
 
 
 def motor_gains(tuning: Tuning) -> dict[str, float]:
-    """Return PD gains on the motor's side of the transmission: torque at the motor over its own angle, both through the gear."""
+    """Return PD gains on the motor's side of the transmission: its torque over its own angle, both through the gear."""
     actuator = tuning.mechanism.actuators[0]
     settings = tuning.best.settings
     return {"gear": actuator.gear, "kp": settings.kp / actuator.gear**2, "kd": settings.kd / actuator.gear**2}
@@ -287,8 +290,8 @@ def tune_text(tuning: Tuning) -> str:
         motor = motor_gains(tuning)
         lines.append(f"at the joint: kp = {settings.kp:.5g} {force}/{turn}, kd = {settings.kd:.5g} {force}.s/{turn}")
         lines.append(
-            f"at the motor {actuator.name}, gear {motor['gear']:g}: kp = {motor['kp']:.5g}, kd = {motor['kd']:.5g} in the motor's"
-            " own units"
+            f"at the motor {actuator.name}, gear {motor['gear']:g}: kp = {motor['kp']:.5g}, kd = {motor['kd']:.5g},"
+            " its own effort over its own motion"
         )
     rows = [
         [
