@@ -288,5 +288,5 @@ def _refuse_frequencies(frequency_hz: np.ndarray, timing: Sampling) -> None:
 
 def response_curves(loop: FeedbackLoop, channel: int, quantities: Sequence[str] = tuple(QUANTITIES)) -> dict[str, Response]:
     """Return a loop's predicted responses on the dense grid, for figures."""
-    grid = frequency_grid(loop.timing.period_s)[::6]
+    grid = frequency_grid(loop.timing.period_s)[::2]
     return {quantity: loop.response(quantity, grid, channel) for quantity in quantities}

@@ -175,7 +175,7 @@ def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
     """Draw the sensitivity over position and frequency as a heat map, and the margins over position, the worst marked."""
     joint = study.mechanism.independent_joints[scan.channel]
     positions = np.array([joint.shown(x) for x in scan.positions])
-    grid = frequency_grid(study.timing.period_s)[::12]
+    grid = frequency_grid(study.timing.period_s)[::4]
     grid = grid[grid >= min((_lowest(entry) for entry in study.points), default=grid[0])]
     limit = study.effort_limit
     heat = np.full((len(grid), len(positions)), np.nan)

@@ -26,6 +26,8 @@ from models.mechanism import Mechanism
 _POSITION, _SPEED, _EFFORT = 1e-5, 1e-3, 1e-4
 # What is below this share of its beginning is lost in rounding; the decay is measured up to where the prediction is there.
 _SEEN = 1e-6
+# Products that grow past this are scaled; what is kept of them ends at this logarithm.
+_HUGE, _MOST_LOG = 1e50, 460.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -134,9 +136,14 @@ def floquet(
     scale = _scale(mechanism, size)
     transition = np.empty((n + 1, size, size))
     transition[0] = np.eye(size)
+    product, log = np.eye(size), 0.0  # a growing product is kept within numbers
     for k in range(n):
-        transition[k + 1] = steps[k] @ transition[k]
-    measured = _measured(mechanism, one, tracker, timing, effort_limit, scale)
+        product = steps[k] @ product
+        largest = np.abs(product).max()
+        if largest > _HUGE:
+            product, log = product / largest, log + np.log(largest)
+        transition[k + 1] = product * np.exp(min(log, _MOST_LOG))
+    measured = np.nan_to_num(_measured(mechanism, one, tracker, timing, effort_limit, scale), nan=_HUGE, posinf=_HUGE)
     scaled = transition / scale[:, None] * scale
     measured_scaled = measured / scale[:, None] * scale
     return Floquet(

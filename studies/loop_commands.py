@@ -27,6 +27,8 @@ def run_bode(arguments: argparse.Namespace) -> int:
     choose("way to measure", arguments.measure, (*METHODS, "none"), ProblemError)
     target, say = _output(arguments), _say(arguments)
     problem, mechanism, settings, limit = _loop_of(arguments)
+    if arguments.along and problem is None:
+        raise ProblemError("--along needs a problem, for its motion; a model has none")
     setup = None
     if arguments.measure != "none":
         amplitude = arguments.amplitude_deg
@@ -198,8 +200,6 @@ def _along(study, problem: PlanningProblem | None, say: Say):
     from studies.along_motion import along_motion, along_record, along_text
     from studies.draw_along import along_figure
 
-    if problem is None:
-        raise ProblemError("--along needs a problem, for its motion; a model has none")
     plan = plan_motion(problem, say)
     if plan.trajectory is None:
         raise LinkplanError(f"--along: {problem.name} has no motion: {plan.message}")

@@ -1,22 +1,24 @@
 """What a loop can bear: gain, phase, delay and disk margins, bandwidth, resonance, sensitivity peak.
 
-Gain and phase margins and crossings are python-control's, on frequency data up to and including the Nyquist frequency, where
-a sampled PD loop of small inertia loses its gain margin. The disk margin is 1 / max |S - 1/2|: gain and phase may change at
+Crossings are bracketed on a grid up to and including the Nyquist frequency, where a sampled PD loop of small inertia loses its
+gain margin, and refined on the loop itself. The disk margin is 1 / max |S - 1/2|: gain and phase may change at
 once within its disk (Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE Control Systems 40, 2020).
 """
 
-import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
-import control
 import numpy as np
+import scipy.optimize
 
 from controllers.sampling import MOST_DELAY_PERIODS
 from studies.loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
 
-# Points of the grid per decade: margins are interpolated between them to a thousandth of a dB.
-_PER_DECADE = 600
+# Points of the grid per decade: crossings closer together than this are one, peaks are met to a thousandth of themselves.
+_PER_DECADE = 200
 _LOWEST_HZ = 0.01
+# Crossings are refined to this share of their frequency.
+_CROSSING = 1e-10
 # Crossings in the lowest part of the grid are the double integrator's own -180 deg, reached as the frequency vanishes.
 _DC_HZ = 0.02
 # A delay border is found to this share of itself, by simulator steps that fine; up to this many periods of delay, beyond
@@ -63,10 +65,7 @@ def margins(loop: FeedbackLoop, channel: int = 0, *, refine: bool = True) -> Mar
     radius = loop.radius
     if not loop.stable:
         return Margins(stable=False, spectral_radius=radius)
-    frequency = frequency_grid(loop.timing.period_s)
-    gain = loop.gains("loop", frequency, channel)
-    sensitivity = 1.0 / (1.0 + gain)
-    found = _from_data(frequency, gain, sensitivity, radius)
+    found = _bounds(loop, channel, radius)
     classical = found.delay_margin_s
     if not refine or loop.kind == CONTINUOUS or classical is None:
         return found
@@ -106,18 +105,25 @@ def delay_margin(loop: FeedbackLoop, guess_s: float) -> tuple[float, int]:
     return (low - begin + share) * finer.timestep_s, substeps
 
 
-def _from_data(frequency: np.ndarray, gain: np.ndarray, sensitivity: np.ndarray, radius: float | None) -> Margins:
-    omega = 2 * np.pi * frequency
-    data = control.frd(gain, omega)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # division by a vanishing gain at the end of a grid
-        gm, pm, _, w_pc, w_gc, _ = (np.atleast_1d(x) for x in control.stability_margins(data, returnall=True))
-    gm = gm[w_pc > 2 * np.pi * max(_DC_HZ, 2 * frequency[0])]
+def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
+    """Return the margins of a stable loop from its response."""
+    frequency = frequency_grid(loop.timing.period_s)
+    gain = loop.gains("loop", frequency, channel)
+    sensitivity = 1.0 / (1.0 + gain)
+
+    def at(f: float) -> complex:
+        return complex(loop.gains("loop", np.array([f]), channel)[0])
+
+    crossover = _roots(np.log(np.abs(gain)), frequency, lambda f: np.log(abs(at(f))))
+    there = np.array([at(f) for f in crossover])
+    pm = np.angle(-there)
+    turned = _roots(np.where(gain.real < 0, gain.imag, np.nan), frequency, lambda f: at(f).imag)
+    gm = np.array([-1.0 / at(f).real for f in turned if f > max(_DC_HZ, 2 * frequency[0])])
     # At the Nyquist frequency a sampled gain is real: a crossing that lies on the grid's last point and not inside it.
     if radius is not None and gain[-1].real < 0:
         gm = np.append(gm, 1.0 / abs(gain[-1].real))
     raised, lowered = gm[gm > 1], gm[(gm < 1) & (gm > 0)]
-    delays = np.mod(np.radians(pm), 2 * np.pi) / w_gc
+    delays = np.mod(pm, 2 * np.pi) / (2 * np.pi * crossover)
     alpha = 1.0 / np.max(np.abs(sensitivity - 0.5))
     complementary = 1.0 - sensitivity
     at_peak, at_resonance = int(np.argmax(np.abs(sensitivity))), int(np.argmax(np.abs(complementary)))
@@ -125,12 +131,12 @@ def _from_data(frequency: np.ndarray, gain: np.ndarray, sensitivity: np.ndarray,
         stable=True,
         gain_margin_db=_finite(20 * np.log10(raised.min())) if raised.size else None,
         gain_reduction_margin_db=_finite(-20 * np.log10(lowered.max())) if lowered.size else None,
-        phase_margin_deg=_finite(pm[np.argmin(np.abs(pm))]) if pm.size else None,
+        phase_margin_deg=_finite(np.degrees(pm[np.argmin(np.abs(pm))])) if pm.size else None,
         delay_margin_s=_finite(delays.min()) if delays.size else None,
         disk_margin=float(alpha),
         disk_gain_margin_db=_finite(20 * np.log10((2 + alpha) / (2 - alpha))) if alpha < 2 else None,
         disk_phase_margin_deg=float(np.degrees(2 * np.arctan(alpha / 2))),
-        crossover_hz=_finite(w_gc.max() / (2 * np.pi)) if w_gc.size else None,
+        crossover_hz=_finite(crossover.max()) if crossover.size else None,
         bandwidth_hz=bandwidth(complementary, frequency),
         resonance_db=float(20 * np.log10(np.abs(complementary[at_resonance] / complementary[0]))),
         resonance_hz=float(frequency[at_resonance]),
@@ -138,6 +144,14 @@ def _from_data(frequency: np.ndarray, gain: np.ndarray, sensitivity: np.ndarray,
         sensitivity_peak_hz=float(frequency[at_peak]),
         spectral_radius=radius,
     )
+
+
+def _roots(values: np.ndarray, frequency: np.ndarray, function: Callable[[float], float]) -> np.ndarray:
+    """Return the frequencies (n,) [Hz] at which a function crosses zero, bracketed by its values on a grid."""
+    with np.errstate(invalid="ignore"):
+        k = np.flatnonzero(values[:-1] * values[1:] < 0)
+    ends = [(frequency[i], frequency[i + 1]) for i in k]
+    return np.array([scipy.optimize.brentq(function, low, high, rtol=_CROSSING) for low, high in ends])
 
 
 def _finite(value: float) -> float | None:

@@ -24,7 +24,8 @@ from studies.stability_map import effort_map
 # Natural frequencies are sought within these factors of the wanted bandwidth, damping ratios between these.
 _NATURAL = (0.08, 4.0)
 _DAMPING = (0.15, 8.0)
-_GRID, _REFINED = 17, 3
+# Points of the grid each way, and finer grids after the first; LQR solves a Riccati equation for every point and angle.
+_GRID, _REFINED = {"pd": 17, "pd+ff": 17, "lqr": 9}, 3
 # The search is on quick figures: it asks for this much more than is wanted.
 _HAIR = 1.005
 
@@ -114,7 +115,7 @@ def tune(
     best: tuple[float, float, Tracking] | None = None
     for level in range(_REFINED + 1):
         say(f"gains, grid {level + 1} of {_REFINED + 1}" + ("" if best is None else f", misses by {best[0]:.3g}"))
-        axis = np.linspace(-1.0, 1.0, _GRID)
+        axis = np.linspace(-1.0, 1.0, _GRID[law])
         at = [(a, b) for a in centre[0] + half[0] * axis for b in centre[1] + half[1] * axis]
         candidates = [_settings(points, wanted, settings, law, float(np.exp(a)), float(np.exp(b))) for a, b in at]
         misses = _misses(points, candidates, wanted, timing, effort_limit, law)
@@ -123,7 +124,7 @@ def tune(
         row = float(misses[ranked]), sum(at[ranked]), candidates[ranked]
         if best is None or row[:2] <= best[:2]:
             best, centre = row, np.array(at[ranked])
-        half = half * 2.5 / _GRID
+        half = half * 2.5 / _GRID[law]
     judged = _judged(points, best[2], wanted, timing, effort_limit, law)
     found = judged.misses == 0.0
     return Tuning(
