@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from studies.drawing import BLACK, BLUE, GREY, ORANGE, RED, page
-from studies.map_study import MapStudy
+from studies.map_study import BESIDE, MapStudy
 
-_CONTOURS_DEG = (15, 30, 45, 60, 70)
+_CONTOURS_DEG = (15, 30, 45, 60)
 
 
 def map_figure(study: MapStudy, path: Path, marked: Sequence[tuple[str, float, float]] | None = None) -> None:
@@ -20,9 +20,14 @@ def map_figure(study: MapStudy, path: Path, marked: Sequence[tuple[str, float, f
         marked: (name, kp, kd) of gains to show; the study's own by default.
     """
     marked = [("these gains", study.kp, study.kd)] if marked is None else marked
-    with page(path, rows=1, columns=2, size=(12.0, 5.0), gridspec_kw={"width_ratios": [1.25, 1]}) as axes:
+    with page(path, rows=1, columns=2, size=(12.0, 5.4), gridspec_kw={"width_ratios": [1.25, 1]}) as axes:
         draw_map(axes[0, 0], study, marked)
         draw_critical(axes[0, 1], study, marked)
+        entries: dict[str, object] = {}
+        for cell in axes[0]:
+            handles, labels = cell.get_legend_handles_labels()
+            entries |= {label: handle for handle, label in zip(handles, labels, strict=True) if label not in entries}
+        axes[0, 0].figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=4, frameon=False)
 
 
 def draw_map(axes, study: MapStudy, marked) -> None:
@@ -31,12 +36,16 @@ def draw_map(axes, study: MapStudy, marked) -> None:
     joint = found.points[0].mechanism.independent_joints[0]
     force = "N.m" if joint.kind == "hinge" else "N"
     turn = "rad" if joint.kind == "hinge" else "m"
-    axes.contourf(found.kd, found.kp, found.radius, levels=[1.0, np.inf], colors=[RED], alpha=0.18)
-    axes.contour(found.kd, found.kp, found.radius, levels=[1.0], colors=[RED], linewidths=1.8)
-    lines = axes.contour(
-        found.kd, found.kp, found.phase_margin_deg, levels=_CONTOURS_DEG, colors=[BLUE], linewidths=0.9, alpha=0.8
-    )
-    axes.clabel(lines, fmt=lambda value: f"{value:g} deg", fontsize=8)
+    kp, kd, radius = found.border
+    axes.contourf(kd, kp, radius, levels=[1.0, np.inf], colors=[RED], alpha=0.18)
+    axes.contour(kd, kp, radius, levels=[1.0], colors=[RED], linewidths=1.8)
+    axes.contour(found.kd, found.kp, found.phase_margin_deg, levels=_CONTOURS_DEG, colors=[BLUE], linewidths=0.9, alpha=0.8)
+    row = len(found.kp) // 3
+    for level in _CONTOURS_DEG:
+        enough = np.flatnonzero(np.nan_to_num(found.phase_margin_deg[row]) >= level)
+        if enough.size:
+            place = found.kd[enough[0]], found.kp[row]
+            axes.text(*place, f"{level:g} deg", rotation=45, fontsize=8, color=BLUE, ha="center", va="bottom")
     axes.plot([], [], color=RED, linewidth=1.8, label="predicted border, worst angle")
     axes.plot([], [], color=BLUE, linewidth=0.9, label="least phase margin")
     if found.trials is not None:
@@ -57,7 +66,6 @@ def draw_map(axes, study: MapStudy, marked) -> None:
     axes.set_ylabel(f"kp [{force}/{turn}]")
     delay = f", delay {found.timing.delay_s:g} s" if found.timing.delay_steps else ""
     axes.set_title(f"stable gains, sampled every {found.timing.period_s:g} s{delay}")
-    axes.legend(loc="upper left", fontsize=8)
 
 
 def draw_critical(axes, study: MapStudy, marked) -> None:
@@ -67,15 +75,19 @@ def draw_critical(axes, study: MapStudy, marked) -> None:
     at = np.array([joint.shown(point.state[0]) for point in found.points])
     high = study.critical[:, 1]
     inertia = np.array([float(point.inertia[0, 0]) for point in found.points])
-    axes.plot(at, high, "o-", color=RED, linewidth=1.8, label=f"largest stable kd at kp = {study.kp:g}")
+    axes.plot(at, high, color=RED, linewidth=1.8, label=f"largest stable kd at kp = {study.kp:g}")
     if not found.timing.delay_steps:
-        axes.plot(at, 2 * inertia / found.timing.period_s, color=GREY, linestyle="--", linewidth=1.2, label="2 J / T")
+        axes.plot(at, 2 * inertia / found.timing.period_s, color=BLACK, linestyle=":", linewidth=1.2, label="2 J / T")
+    for column, share in enumerate((1 - BESIDE, 1 + BESIDE)):
+        for settles, marker in ((True, "o"), (False, "x")):
+            which = study.beside[:, column] == settles
+            axes.plot(at[which], share * high[which], marker, color=BLACK, markersize=5)
     axes.fill_between(at, high, max(np.nanmax(high), *[kd for _, _, kd in marked]) * 3, color=RED, alpha=0.18, linewidth=0)
     for (name, _, kd), style in zip(marked, ("-", "-.", ":", "--"), strict=False):
-        axes.axhline(kd, color=ORANGE, linestyle=style, linewidth=1.6, label=name)
+        axes.axhline(kd, color=ORANGE, linestyle=style, linewidth=1.6)
+        axes.text(at[0], 1.05 * kd, name, fontsize=8.5, va="bottom")
     axes.set_yscale("log")
     force = "N.m.s/rad" if joint.kind == "hinge" else "N.s/m"
     axes.set_ylabel(f"kd [{force}]")
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
     axes.set_title("over the angle")
-    axes.legend(loc="lower left", fontsize=8)

@@ -9,10 +9,13 @@ from models.errors import LinkplanError
 from planner.planning import silent
 from studies.bode import BodeStudy
 from studies.loops import OperatingPoint, operating_point, pd_gain
-from studies.stability_map import StabilityMap, critical_kd, effort_map, longest_period, stability_map
+from studies.stability_map import StabilityMap, critical_kd, effort_map, longest_period, pd_loop, stability_map
 from studies.tables import table
+from studies.trial import settle_trials
 
 ANGLES = 9
+# Gains tried in MuJoCo lie this share to either side of the border.
+BESIDE = 0.02
 _GRID = 48
 # The map reaches from a thousandth of the largest stable gain to a few times it, so that the border runs through it.
 _BELOW, _BEYOND = 1e-3, 4.0
@@ -26,6 +29,7 @@ class MapStudy:
     """
 
     found: StabilityMap
+    beside: np.ndarray  # (n, 2) whether MuJoCo settles a share below and above the largest stable kd of each angle
     kp: float
     kd: float
     critical: np.ndarray
@@ -64,8 +68,10 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
         )
     except LinkplanError:
         longest, where = None, None
+    say("both sides of the border at every angle in MuJoCo")
     return MapStudy(
         found=found,
+        beside=_beside(points, settings.kp, critical[:, 1], study.timing, study.effort_limit),
         kp=settings.kp,
         kd=settings.kd,
         critical=critical,
@@ -82,12 +88,17 @@ def _critical(point: OperatingPoint, kp: float, timing) -> tuple[float, float]:
         return np.nan, np.nan
 
 
+def _beside(points, kp: float, critical: np.ndarray, timing, effort_limit: np.ndarray) -> np.ndarray:
+    """Return whether MuJoCo settles (n, 2) at a share below and above critical gains (n,); above all where there is none."""
+    kd = np.where(np.isfinite(critical), critical, 1.0)[:, None] * np.array([1 - BESIDE, 1 + BESIDE])
+    loops = [pd_loop(point, kp, value, timing) for point, pair in zip(points, kd, strict=True) for value in pair]
+    return settle_trials(loops, effort_limit).settles.reshape(-1, 2)
+
+
 def agreement(found: StabilityMap) -> tuple[int, int]:
     """Return how many gains tried in MuJoCo do as the sampled model says, and how many were tried."""
     if found.trials is None:
         return 0, 0
-    from studies.stability_map import pd_loop
-
     said = [pd_loop(found.points[i], kp, kd, found.timing).stable for kp, kd, i in found.tried]
     return int(np.sum(np.array(said) == found.trials.settles)), len(said)
 
@@ -102,8 +113,16 @@ def map_record(study: MapStudy) -> dict:
         "kd": found.kd,
         "radius": found.radius,
         "critical_kd": [
-            {f"position_{joint.unit}": joint.shown(p.state[0]), "least": low, "largest": high if np.isfinite(high) else None}
-            for p, (low, high) in zip(found.points, np.nan_to_num(study.critical, nan=0.0), strict=True)
+            {
+                f"position_{joint.unit}": joint.shown(p.state[0]),
+                "least": float(low),
+                "largest": float(high) if np.isfinite(high) else None,
+                "settles_below_in_mujoco": bool(below),
+                "settles_above_in_mujoco": bool(above),
+            }
+            for p, (low, high), (below, above) in zip(
+                found.points, np.nan_to_num(study.critical, nan=0.0), study.beside, strict=True
+            )
         ],
         "longest_period_s": study.longest_s if study.longest_s is not None and np.isfinite(study.longest_s) else None,
         "tried": [

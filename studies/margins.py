@@ -1,7 +1,7 @@
 """What a loop can bear: gain, phase, delay and disk margins, bandwidth, resonance, sensitivity peak.
 
-Crossings are bracketed on a grid up to and including the Nyquist frequency, where a sampled PD loop of small inertia loses its
-gain margin, and refined on the loop itself. The disk margin is 1 / max |S - 1/2|: gain and phase may change at
+Crossings are bracketed on a grid up to and including the Nyquist frequency, where a sampled PD loop of small inertia loses
+its gain margin, and refined on the loop itself. The disk margin is 1 / max |S - 1/2|: gain and phase may change at
 once within its disk (Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE Control Systems 40, 2020).
 """
 

@@ -20,6 +20,8 @@ from studies.trial import Trials, settle_trials
 # Gains are sought within this factor of what the inertia and the period alone would bear, on a grid this fine.
 _GRID = 60
 _WIDE = 1e4
+# Points each way of the grid that borders are drawn from.
+_FINE = 240
 # A border is bisected to this share of itself.
 _BORDER = 1e-6
 
@@ -29,7 +31,8 @@ class StabilityMap:
     """The loop over grids of gains kp (n,) and kd (m,), the worst over the points at each.
 
     `radius` (n, m): the largest pole; `phase_margin_deg` and `sensitivity_peak` (n, m), not a number where unstable;
-    `worst` (n, m): the point of the largest pole. `trials`: points (kp, kd, index of the operating point) tried in MuJoCo.
+    `worst` (n, m): the point of the largest pole. `border` (kp, kd, radius): the same radius on a finer grid. `tried`: gains
+    (kp, kd, index of the point) run in MuJoCo, `trials` what came of them.
     """
 
     points: tuple[OperatingPoint, ...]
@@ -40,6 +43,7 @@ class StabilityMap:
     phase_margin_deg: np.ndarray
     sensitivity_peak: np.ndarray
     worst: np.ndarray
+    border: tuple[np.ndarray, np.ndarray, np.ndarray]
     tried: tuple[tuple[float, float, int], ...] = ()
     trials: Trials | None = None
 
@@ -157,10 +161,13 @@ def stability_map(
     shape = len(kp), len(kd)
     radius, margin, peak = np.zeros(shape), np.full(shape, np.inf), np.zeros(shape)
     worst = np.zeros(shape, dtype=int)
+    fine_kp, fine_kd = (np.geomspace(axis[0], axis[-1], _FINE) for axis in (kp, kd))
+    fine = np.zeros((_FINE, _FINE))
     for index, point in enumerate(points):
         say(f"gains at {point.name}")
         here = radii(point, kp[:, None], kd[None, :], timing)
         worst = np.where(here > radius, index, worst)
+        fine = np.maximum(fine, radii(point, fine_kp[:, None], fine_kd[None, :], timing))
         radius = np.maximum(radius, here)
         phase, Ms = np.empty(shape), np.empty(shape)
         for i, p in enumerate(kp):
@@ -178,6 +185,7 @@ def stability_map(
         phase_margin_deg=margin,
         sensitivity_peak=peak,
         worst=worst,
+        border=(fine_kp, fine_kd, fine),
     )
     if effort_limit is None:
         return found

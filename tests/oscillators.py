@@ -51,7 +51,8 @@ def mass_on_a_spring(integrator: str = "Euler", gear: float = 2.0, timestep: flo
     """Return 1.3 kg on 90 N/m with 2.5 N.s/m, driven through a gear."""
     m, d, k = 1.3, 2.5, 90.0
     mjcf = f"""<mujoco><option gravity="0 0 0" timestep="{timestep}" integrator="{integrator}"/><worldbody><body>
-      <joint name="s" type="slide" axis="1 0 0" stiffness="{k}" damping="{d}"/><geom size="0.1" mass="{m}"/></body></worldbody>
+      <joint name="s" type="slide" axis="1 0 0" stiffness="{k}" damping="{d}"/><geom size="0.1" mass="{m}"/>
+      </body></worldbody>
       <actuator><motor name="push" joint="s" gear="{gear}" ctrlrange="-200 200"/></actuator></mujoco>"""
     return Oscillator(mass=m, damping=d, stiffness=k, mjcf=mjcf, position=0.05)
 

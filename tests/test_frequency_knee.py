@@ -18,8 +18,8 @@ from studies.margins import margins
 from studies.measure import measure
 from tests.test_frequency_models import MEASURED_DB, MEASURED_DEG
 
-# Measured closed loops against the prediction where the coherence is above 0.99. The loop constraint of the model gives way by
-# a thousandth of its load, which the rigid prediction leaves out. Measured 0.018 dB and 0.11 deg, near the Nyquist frequency.
+# Measured closed loops against the prediction where the coherence is above 0.99. The loop constraint of the model gives way
+# by a thousandth of its load, which the rigid prediction leaves out. Measured 0.018 dB and 0.11 deg, near Nyquist.
 KNEE_DB, KNEE_DEG = 0.1, 1.0
 ANGLES_DEG = (-49.07, -20.0, 3.6, 30.0, 56.27)
 CASES = {

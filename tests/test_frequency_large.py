@@ -1,4 +1,4 @@
-"""Large signals: the measured describing function beside python-control's, and the feasible-amplitude curve beside exact ones."""
+"""Large signals: the describing function beside python-control's, and the feasible-amplitude curve beside exact ones."""
 
 import control
 import numpy as np

@@ -41,7 +41,7 @@ def test_gains_found_do_what_is_wanted_at_every_angle(payload, law, bandwidth, p
         assert bounds.phase_margin_deg >= phase
 
 
-def test_a_sensitivity_peak_is_kept(capsys):
+def test_a_sensitivity_peak_is_kept():
     loose, tight = tuned(None, "pd", 60.0, 30.0, 1e-3), tuned(None, "pd", 60.0, 30.0, 1e-3, peak=1.5)
     assert tight.found
     assert tight.best.worst("sensitivity_peak", largest=True)[0] <= 1.5
