@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from studies.drawing import BLACK, BLUE, GREY, ORANGE, RED, page
+from studies.drawing import BLACK, BLUE, ORANGE, RED, page
 from studies.map_study import BESIDE, MapStudy
 
 _CONTOURS_DEG = (15, 30, 45, 60)

@@ -48,7 +48,7 @@ class Setup:
     ramp_cycles: int = 2
     windows: int = 3
     tolerance: float = 1e-4
-    longest_s: float = 60.0
+    longest_s: float = 10.0
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
