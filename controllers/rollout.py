@@ -1,8 +1,8 @@
 """The closed loop in MuJoCo: a tracker, sampled, delayed and saturated, on the real closed chain.
 
-Beside batch.py the only file that holds simulator state. A run starts from an assembled pose with joint rates consistent with the loop (q' =
-Gamma v). At every control instant the independent joints are read, the tracker is asked, its command is delayed by whole
-periods, cut at the actuators' limits and held while MuJoCo steps.
+Beside batch.py the only file that holds simulator state. A run starts from an assembled pose with joint rates consistent
+with the loop (q' = Gamma v). At every control instant the independent joints are read, the tracker is asked, its command is
+delayed by whole periods, cut at the actuators' limits and held while MuJoCo steps.
 """
 
 import copy

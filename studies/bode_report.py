@@ -9,7 +9,7 @@ def bode_record(study: BodeStudy) -> dict:
     """Return what `linkplan bode --json` says."""
     mechanism, settings = study.mechanism, study.settings
     hinges = [joint.kind == "hinge" for joint in mechanism.joints]
-    by_pose: dict[str, dict] = {}
+    by_pose: dict[bytes, dict] = {}
     for entry in study.points:
         point = entry.point
         loop = {
@@ -23,7 +23,7 @@ def bode_record(study: BodeStudy) -> dict:
                 db, deg = response.against(entry.predicted[name])
                 loop["measured"][name] = response.record() | {"less_predicted_db": db, "less_predicted_deg": deg}
         row = by_pose.setdefault(
-            point.name,
+            point.pose.tobytes(),
             {
                 "q_deg": {
                     j.name: j.shown(x) for j, x, turns in zip(mechanism.joints, point.pose, hinges, strict=True) if turns

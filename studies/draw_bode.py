@@ -14,7 +14,7 @@ from studies.response import Response
 # Curves begin this many times below the lowest frequency measured.
 _BELOW = 5.0
 # What is drawn of a Nyquist curve: the square about the origin, in units of the critical point's distance.
-_NYQUIST = 2.5
+_NYQUIST, _FAR = 2.5, 30.0
 
 
 def save_bode(study: BodeStudy, place: Path) -> None:
@@ -99,6 +99,7 @@ def nyquist_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -
         cell.plot([-1], [0], "+", color=BLACK, markersize=11, markeredgewidth=2)
         for colour, entry in zip(SERIES * len(entries), entries, strict=False):
             gain = entry.sampled.gains("loop", frequency_grid(study.timing.period_s), entry.channel)
+            gain = np.where(np.abs(gain) < _FAR, gain, np.nan)  # no chord across a resonance
             cell.plot(gain.real, gain.imag, color=colour, linewidth=1.2, label=entry.point.name)
             if "loop" in entry.measured:
                 points = entry.measured["loop"].gain

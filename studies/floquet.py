@@ -28,6 +28,7 @@ _POSITION, _SPEED, _EFFORT = 1e-5, 1e-3, 1e-4
 _SEEN = 1e-6
 # Products that grow past this are scaled; what is kept of them ends at this logarithm.
 _HUGE, _MOST_LOG = 1e50, 460.0
+_NOTHING = 1e-300
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -64,7 +65,7 @@ class Floquet:
     @property
     def decay_rate(self) -> float:
         """The predicted rate [1/s] at which the largest multiplier shrinks."""
-        return float(-np.log(np.abs(self.multipliers[0])) / self.cycle_s)
+        return float(-np.log(max(np.abs(self.multipliers[0]), _NOTHING)) / self.cycle_s)
 
     @property
     def seen(self) -> int:
@@ -76,7 +77,8 @@ class Floquet:
     def measured_decay(self) -> tuple[float, float, float]:
         """Time [s] over which the decay is seen, and the logarithm of what is left then: predicted, measured."""
         k = self.seen
-        return float(self.time_s[k]), float(np.log(self.size[k])), float(np.log(self.measured_size[k]))
+        left, measured = (max(float(size[k]), _NOTHING) for size in (self.size, self.measured_size))
+        return float(self.time_s[k]), float(np.log(left)), float(np.log(measured))
 
 
 def tracker_gains(tracker: Tracker) -> np.ndarray:

@@ -57,9 +57,9 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     bearable = 2 * inertia.max() / settings.period_s
     most = _BEYOND * max(bearable, settings.kd)
     kd = np.geomspace(_BELOW * bearable, most, _GRID)
-    kp = np.geomspace(
-        min(settings.kp, 1e-4 * inertia.min() / settings.period_s**2) / 3, 10 * inertia.max() / settings.period_s**2, _GRID
-    )
+    stiff = inertia / settings.period_s**2  # what kp is to be compared with
+    asked = [settings.kp] if settings.kp > 0 else []
+    kp = np.geomspace(min(*asked, 1e-4 * stiff.min(), stiff.min()) / 3, max(*asked, 5 * stiff.max(), stiff.max()) * 2, _GRID)
     found = stability_map(points, study.timing, kp, kd, study.effort_limit, say)
     delay = study.timing.delay_steps / study.timing.substeps
     try:

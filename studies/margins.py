@@ -26,6 +26,8 @@ _DC_HZ = 0.02
 _DELAY_SHARE = 0.01
 _MOST_EXACT_PERIODS = 40
 _FINEST_STEPS = 200
+# A static gain below this is none.
+_NOTHING = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -138,7 +140,7 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
         disk_phase_margin_deg=float(np.degrees(2 * np.arctan(alpha / 2))),
         crossover_hz=_finite(crossover.max()) if crossover.size else None,
         bandwidth_hz=bandwidth(complementary, frequency),
-        resonance_db=float(20 * np.log10(np.abs(complementary[at_resonance] / complementary[0]))),
+        resonance_db=_over(complementary[at_resonance], complementary[0]),
         resonance_hz=float(frequency[at_resonance]),
         sensitivity_peak=float(np.abs(sensitivity[at_peak])),
         sensitivity_peak_hz=float(frequency[at_peak]),
@@ -152,6 +154,11 @@ def _roots(values: np.ndarray, frequency: np.ndarray, function: Callable[[float]
         k = np.flatnonzero(values[:-1] * values[1:] < 0)
     ends = [(frequency[i], frequency[i + 1]) for i in k]
     return np.array([scipy.optimize.brentq(function, low, high, rtol=_CROSSING) for low, high in ends])
+
+
+def _over(value: complex, other: complex) -> float | None:
+    """Return a gain over another [dB]; None over nothing."""
+    return float(20 * np.log10(abs(value) / abs(other))) if abs(other) > _NOTHING and value else None
 
 
 def _finite(value: float) -> float | None:

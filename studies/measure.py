@@ -44,6 +44,8 @@ def measure(
 def refuse_unstable(loops: Sequence[FeedbackLoop]) -> None:
     """Refuse loops that hold no operating point."""
     for loop in loops:
+        if loop.radius is None:
+            raise LinkplanError("a continuous loop cannot be run in MuJoCo: measure a sampled one")
         if not loop.stable:
             raise LinkplanError(
                 f"the loop at {loop.point.name} is unstable and cannot be measured: its largest pole is"

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from studies.cli import main
+from tests.oscillators import mass_on_a_spring
 
 
 @pytest.fixture
@@ -60,6 +61,18 @@ def test_bode_maps_goes_past_the_limit_and_along_the_motion(ask, tmp_path):
         said["along"]["floquet"]["log_left_predicted"], rel=0.05
     )
     assert {path.name for path in folder.glob("*.png")} >= {"map.png", "large.png", "along.png", "bode.png"}
+
+
+def test_bode_looks_at_a_pure_damping_gain_too(ask, tmp_path):
+    path = tmp_path / "mass.xml"
+    path.write_text(mass_on_a_spring().mjcf)
+    command = ["bode", str(path), "--kp", "0", "--kd", "5", "--period-s", "2e-3", "--at-deg", "0.1", "--measure", "none"]
+    code, out, _ = ask(*command, "--map", "--json", "-o", str(tmp_path / "mass"))
+    assert code == 0
+    said = json.loads(out)
+    assert said["points"][0]["q_m"] == {"s": pytest.approx(0.1)}
+    assert said["map"]["critical_kd"][0]["settles_below_in_mujoco"] is True
+    assert said["map"]["critical_kd"][0]["settles_above_in_mujoco"] is False
 
 
 def test_tune_answers_with_gains_or_with_no(ask):
