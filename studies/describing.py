@@ -27,7 +27,6 @@ MULTIPLES = (0.3, 0.9, 1.2, 1.6, 2.2, 3.0)
 _FREQUENCIES = 8
 # A saturated loop settles as it likes: the wait is bounded.
 _LONGEST_S = 3.0
-_DESCRIBING_POINTS = 2000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -61,14 +60,13 @@ def saturation(loop: FeedbackLoop, effort_limit: np.ndarray, channel: int = 0) -
     low, high = effort_limit[actuator] - loop.point.hold[actuator]
     if not (np.isfinite(low) and np.isfinite(high)):
         raise LinkplanError(f"actuator {loop.point.mechanism.actuators[actuator].name} has no limit to saturate at")
-    if np.isclose(-low, high, rtol=1e-12, atol=0):
-        cut = control.saturation_nonlinearity(float(high))
-        return lambda A: np.real(control.describing_function(cut, np.atleast_1d(A)))
+    # Either half of a sine meets one limit: the describing function is the mean of two symmetric saturations'.
+    cuts = [control.saturation_nonlinearity(float(limit)) for limit in (-low, high)]
 
-    def clip(x: float) -> float:
-        return min(max(x, low), high)
+    def mean(A: np.ndarray) -> np.ndarray:
+        return np.mean([np.real(control.describing_function(cut, np.atleast_1d(A))) for cut in cuts], axis=0)
 
-    return lambda A: np.real(control.describing_function(clip, np.atleast_1d(A), num_points=_DESCRIBING_POINTS))
+    return mean
 
 
 def balance(
