@@ -37,12 +37,14 @@ def bode_record(study: BodeStudy) -> dict:
             },
         )
         row["loops"][study.law if mechanism.dof == 1 else _channel_name(study, entry.channel)] = loop
+    names = ("lqr_position", "lqr_velocity") if study.law == "lqr" else ("kp", "kd")
+    names += ("period_s", "delay_periods")
     record = {
         "mechanism": mechanism.name,
         "stable": study.stable,
         "message": study.message,
         "tracker": study.law,
-        "gains": {name: getattr(settings, name) for name in ("kp", "kd", "period_s", "delay_periods")},
+        "gains": {name: getattr(settings, name) for name in names},
         "points": list(by_pose.values()),
         "worst": {},
         "measurement": None,

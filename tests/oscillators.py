@@ -47,9 +47,16 @@ class Oscillator:
         return position, per_position * position
 
 
-def mass_on_a_spring(integrator: str = "Euler", gear: float = 2.0, timestep: float = 1e-3) -> Oscillator:
-    """Return 1.3 kg on 90 N/m with 2.5 N.s/m, driven through a gear."""
-    m, d, k = 1.3, 2.5, 90.0
+def mass_on_a_spring(
+    integrator: str = "Euler",
+    gear: float = 2.0,
+    timestep: float = 1e-3,
+    mass: float = 1.3,
+    damping: float = 2.5,
+    stiffness: float = 90.0,
+) -> Oscillator:
+    """Return 1.3 kg on 90 N/m with 2.5 N.s/m if not otherwise, driven through a gear."""
+    m, d, k = mass, damping, stiffness
     mjcf = f"""<mujoco><option gravity="0 0 0" timestep="{timestep}" integrator="{integrator}"/><worldbody><body>
       <joint name="s" type="slide" axis="1 0 0" stiffness="{k}" damping="{d}"/><geom size="0.1" mass="{m}"/>
       </body></worldbody>

@@ -1,9 +1,13 @@
 """Loops on models with closed forms: predictions to rounding, the simulator's steps reproduced, measurement beside both."""
 
+from dataclasses import replace
+
 import control
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from controllers.integrator import simulator_step
 from controllers.sampling import Sampling, augmented, sampling, simulated
@@ -60,6 +64,25 @@ def test_predicted_responses_are_the_closed_forms(model, kind):
     }
     for name, value in expected.items():
         assert np.abs(loop.gains(name, FREQUENCIES) / value - 1).max() < CLOSED_FORM, name
+
+
+@settings(max_examples=15, deadline=None, derandomize=True)
+@given(
+    mass=st.floats(0.1, 5.0),
+    ratio=st.floats(0.02, 0.9),
+    natural_hz=st.floats(0.2, 20.0),
+    kp=st.floats(0.0, 500.0),
+    kd=st.floats(0.01, 20.0),
+)
+def test_any_oscillators_sampled_loop_is_its_closed_form(mass, ratio, natural_hz, kp, kd):
+    w = 2 * np.pi * natural_hz
+    made = mass_on_a_spring(gear=1.0, mass=mass, damping=2 * ratio * mass * w, stiffness=mass * w**2)
+    made = replace(made, position=0.0)  # at rest, where no spring is too stiff to be held
+    for kind in (EXACT, SIMULATED):
+        loop, _ = loop_of(made, kind, kp=kp, kd=kd)
+        position, velocity = closed_forms(made, kind, FREQUENCIES)
+        expected = kp * position + kd * velocity
+        assert np.abs(loop.gains("loop", FREQUENCIES) / expected - 1).max() < CLOSED_FORM
 
 
 @pytest.mark.parametrize("model", MODELS)
