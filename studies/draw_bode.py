@@ -181,7 +181,9 @@ def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
     limit = study.effort_limit
     heat = np.full((len(grid), len(positions)), np.nan)
     base = study.points[0].point
-    for column, position in enumerate(scan.positions):
+    for column, (position, bounds) in enumerate(zip(scan.positions, scan.margins, strict=True)):
+        if not bounds.stable:  # an unstable loop has no sensitivity
+            continue
         s = base.state[: study.mechanism.dof].copy()
         s[scan.channel] = position
         point = operating_point(study.mechanism, s, np.array([[-np.inf, np.inf]] * len(limit)))
@@ -192,6 +194,7 @@ def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
         image = upper.pcolormesh(positions, grid, heat, shading="nearest", cmap="RdBu_r", vmin=-12, vmax=12)
         upper.set_yscale("log")
         upper.set_ylabel("frequency [Hz]")
+        upper.set_ylim(grid[0], grid[-1])
         upper.figure.colorbar(image, ax=upper, label="|S| [dB]: red amplifies")
         crossover = scan.column("crossover_hz")
         if np.any(np.isfinite(crossover)):
@@ -206,10 +209,10 @@ def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
         lower.axvline(
             positions[worst], color=RED, linestyle="--", linewidth=1.0, label=f"worst: {positions[worst]:.4g} {joint.unit}"
         )
-        for k, bounds in enumerate(scan.margins):
-            if not bounds.stable:
-                lower.plot([positions[k]], [0.0], "x", color=RED)
-        lower.set_ylim(bottom=0.0)
+        lost = positions[[not bounds.stable for bounds in scan.margins]]
+        if lost.size:
+            lower.plot(lost, np.zeros(lost.size), "x", color=RED, label="unstable", clip_on=False)
+        lower.set_ylim(0.0, max(10.0, lower.get_ylim()[1]))
         lower.set_ylabel("margin [deg]")
         lower.set_xlabel(f"{joint.name} [{joint.unit}]")
         lower.legend(loc="best")
