@@ -1,10 +1,10 @@
 """Along a periodic motion: the Floquet multipliers of the sampled closed loop, and the decay measured in MuJoCo.
 
-About its reference the tracked loop is linear and periodic, z_{k+1} = (A_k - B_k K_k) z_k, z the state and the commands on
+About its motion the tracked loop is linear and periodic, z_{k+1} = (A_k - B_k K_k) z_k, z the state and the commands on
 the way. The product over a cycle is the monodromy matrix; its eigenvalues, the multipliers, say by which factor a
 disturbance shrinks in a cycle (Bittanti & Colaneri, Periodic Systems, 2009, 3.1). In MuJoCo the same product is measured
-column by column: runs that begin a little off the motion in one coordinate each, less the run that does not. Where a loop
-follows its reference badly, as soft PD without feedforward does, the two are about different motions and differ.
+column by column: runs that begin a little off the motion in one coordinate each, less the run that does not. A tracker
+without feedforward settles on a motion of its own beside the reference: that one is run first, and looked at in its place.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from controllers.pd import PD
 from controllers.reference import SampledReference
 from controllers.sampling import Sampling, augmented, closed, simulated, spectral_radius
 from controllers.tracker import Tracker
-from models.assembly import close_at
+from models.assembly import close_at, follow
 from models.errors import LinkplanError
 from models.mechanism import Mechanism
 
@@ -29,6 +29,8 @@ _SEEN = 1e-6
 # Products that grow past this are scaled; what is kept of them ends at this logarithm.
 _HUGE, _MOST_LOG = 1e50, 460.0
 _NOTHING = 1e-300
+# A motion that changes by less than this share of itself from cycle to cycle repeats; cycles waited for that.
+_REPEATS, _MOST_CYCLES = 1e-9, 40
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -132,8 +134,12 @@ def floquet(
             f"Floquet multipliers need a motion that repeats after whole control periods; this one of {reference.n} periods"
             f" of {reference.period_s:g} s does not: choose tracking.period_s so that it divides the motion's duration"
         )
-    one = _cut(reference, n)
-    steps = _closed_along(mechanism, one, _cut_tracker(tracker, n), timing)
+    one, tracker = _cut(reference, n), _cut_tracker(tracker, n)
+    if feeds_forward(tracker):
+        motion, before = one, np.repeat(one.effort[:1], timing.memory, axis=0)
+    else:
+        motion, before = _steady(mechanism, one, tracker, timing, effort_limit)
+    steps = _closed_along(mechanism, motion, tracker, timing)
     size = steps.shape[1]
     scale = _scale(mechanism, size)
     transition = np.empty((n + 1, size, size))
@@ -145,7 +151,9 @@ def floquet(
         if largest > _HUGE:
             product, log = product / largest, log + np.log(largest)
         transition[k + 1] = product * np.exp(min(log, _MOST_LOG))
-    measured = np.nan_to_num(_measured(mechanism, one, tracker, timing, effort_limit, scale), nan=_HUGE, posinf=_HUGE)
+    measured = np.nan_to_num(
+        _measured(mechanism, one, motion, before, tracker, timing, effort_limit, scale), nan=_HUGE, posinf=_HUGE
+    )
     scaled = transition / scale[:, None] * scale
     measured_scaled = measured / scale[:, None] * scale
     return Floquet(
@@ -159,47 +167,93 @@ def floquet(
     )
 
 
-def _measured(mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling, effort_limit, scale) -> np.ndarray:
-    """Return MuJoCo's transition matrices (n + 1, M, M) from the start, by disturbed runs less an undisturbed one."""
+def _steady(mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling, effort_limit):
+    """Return the motion that a tracker settles on, over a cycle, and the commands (memory, n_u) under way at its start."""
+    n = reference.n
+    batch = BatchLoop(
+        mechanism,
+        pose=reference.pose[:1],
+        velocity=reference.velocity[:1],
+        gain=tracker_gains(tracker)[:1],
+        first_effort=reference.effort[:1],
+        timing=timing,
+        effort_limit=effort_limit,
+    )
+    along, forward = _signals(reference, tracker, 1)
+    states, commands = np.full((n, 1, 2 * mechanism.dof), np.inf), np.zeros((n, 1, mechanism.n_u))
+    for _ in range(_MOST_CYCLES):
+        last = states[0]
+        states, commands = batch.run(np.arange(1), along, forward, tracker_gains(tracker))
+        if np.all(np.abs(states[0] - last) <= _REPEATS * np.abs(states).max(axis=0)):
+            break
+    position, velocity = states[:, 0, : mechanism.dof], states[:, 0, mechanism.dof :]
+    acting = np.clip(np.roll(commands[:, 0], timing.whole, axis=0), *effort_limit.T)
+    # The cycle after the last: it starts where that one ends, on the same motion.
+    motion = SampledReference(
+        period_s=reference.period_s,
+        time_s=reference.time_s,
+        pose=follow(mechanism, position, reference.pose[0]),
+        position=position,
+        velocity=velocity,
+        effort=acting,
+        cycle=n,
+    )
+    return motion, commands[n - timing.memory :, 0]
+
+
+def _signals(reference: SampledReference, tracker: Tracker, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states (n, count, 2 n_s) and efforts (n, count, n_u) that a tracker is asked to follow."""
+    forward = reference.effort if feeds_forward(tracker) else np.zeros_like(reference.effort)
+    along = np.concatenate([reference.position, reference.velocity], axis=1)
+    return np.repeat(along[:, None], count, axis=1), np.repeat(forward[:, None], count, axis=1)
+
+
+def _measured(
+    mechanism: Mechanism,
+    reference: SampledReference,
+    motion: SampledReference,
+    before: np.ndarray,
+    tracker: Tracker,
+    timing: Sampling,
+    effort_limit: np.ndarray,
+    scale: np.ndarray,
+) -> np.ndarray:
+    """Return MuJoCo's transition matrices (n + 1, M, M) from the motion's start: disturbed runs less an undisturbed one."""
     n, n_s, n_u = reference.n, mechanism.dof, mechanism.n_u
     size = len(scale)
-    pose, velocity = np.tile(reference.pose[0], (size + 1, 1)), np.tile(reference.velocity[0], (size + 1, 1))
+    pose, velocity = np.tile(motion.pose[0], (size + 1, 1)), np.tile(motion.velocity[0], (size + 1, 1))
     for i in range(n_s):
-        s = reference.position[0].copy()
+        s = motion.position[0].copy()
         s[i] += scale[i]
-        pose[i + 1] = close_at(mechanism, s, reference.pose[0])
+        pose[i + 1] = close_at(mechanism, s, motion.pose[0])
         velocity[n_s + i + 1, i] += scale[n_s + i]
     gain = tracker_gains(tracker)[:n]
-    forward = reference.effort if feeds_forward(tracker) else np.zeros_like(reference.effort)
-    first = np.tile(reference.effort[0], (size + 1, 1))
     batch = BatchLoop(
         mechanism,
         pose=pose,
         velocity=velocity,
         gain=np.broadcast_to(gain[0], (size + 1, n_u, 2 * n_s)),
-        first_effort=first,
+        first_effort=np.tile(motion.effort[0], (size + 1, 1)),
         timing=timing,
         effort_limit=effort_limit,
     )
     # The state's commands run from u_{-1} back; slot k mod memory of the queue holds u_{k - memory} before instant k.
     p = timing.memory
+    batch.queue[:] = before
     for back in range(p):
         for j in range(n_u):
             row = 2 * n_s + back * n_u + j
             batch.queue[row + 1, (p - 1 - back) % p, j] += scale[row]
     everyone = np.arange(size + 1)
-    along = np.concatenate([reference.position, reference.velocity], axis=1)
-    states, commands = batch.run(
-        everyone, np.repeat(along[:, None], size + 1, axis=1), np.repeat(forward[:, None], size + 1, axis=1), gain
-    )
+    states, commands = batch.run(everyone, *_signals(reference, tracker, size + 1), gain)
     history = np.empty((n + 1, size + 1, size))
     history[:n, :, : 2 * n_s], history[n, :, : 2 * n_s] = states, batch.state(everyone)
-    before = np.repeat(first[None], p, axis=0)
+    under_way = np.repeat(before[:, None], size + 1, axis=1)
     for back in range(p):
         for j in range(n_u):
             row = 2 * n_s + back * n_u + j
-            before[p - 1 - back, row + 1, j] += scale[row]
-    whole = np.concatenate([before, commands])  # whole[k + p] = u_k
+            under_way[p - 1 - back, row + 1, j] += scale[row]
+    whole = np.concatenate([under_way, commands])  # whole[k + p] = u_k
     for back in range(p):
         columns = slice(2 * n_s + back * n_u, 2 * n_s + (back + 1) * n_u)
         history[:, :, columns] = whole[p - 1 - back : p - back + n]
