@@ -81,7 +81,9 @@ def bode_text(study: BodeStudy) -> str:
         bounds = entry.margins
         rows.append(
             [
-                entry.point.name if mechanism.dof > 1 else f"{joint.shown(entry.point.state[0]):.5g}",
+                f"{mechanism.independent_joints[entry.channel].name} at {entry.point.name}"
+                if mechanism.dof > 1
+                else f"{joint.shown(entry.point.state[0]):.5g}",
                 float(entry.point.inertia[entry.channel, entry.channel]),
                 bounds.stable,
                 entry.settles_in_mujoco,
@@ -96,7 +98,7 @@ def bode_text(study: BodeStudy) -> str:
                 bounds.sensitivity_peak,
             ]
         )
-    head = ["pose" if mechanism.dof > 1 else f"{joint.name} [{joint.unit}]"]
+    head = ["loop" if mechanism.dof > 1 else f"{joint.name} [{joint.unit}]"]
     head += [
         f"inertia [{'kg m2' if joint.kind == 'hinge' else 'kg'}]",
         "stable",
