@@ -34,7 +34,7 @@ _NOTHING = 1e-9
 class Margins:
     """What one loop can bear; None where a figure has no meaning (infinite, or the loop is unstable).
 
-    A sampled loop's delay margin is that of its poles in simulator steps as fine as a hundredth of it (see `delay_margin`): a
+    A sampled loop's delay margin is that of its poles in simulator steps as fine as a hundredth of it, see `delay_margin`: a
     loop simulated in one step a period is a little quicker than the same loop in finer ones, by up to half a period.
     """
 
