@@ -1,9 +1,10 @@
 """The closed loop in MuJoCo: a tracker, sampled, delayed and saturated, on the real closed chain.
 
-The only file that holds MjData. A run starts from an assembled pose with joint rates consistent with the loop (q' =
-Gamma v). At every control instant the independent joints are read, the tracker is asked, its command is delayed by whole
-periods, cut at the actuators' limits and held while MuJoCo steps. What is held is the effort: a servo's ctrl is worked out
-anew whenever MuJoCo evaluates its force, so that gain times ctrl plus bias is that effort where the mechanism stands then.
+Beside batch.py the only file that holds simulator state. A run starts from an assembled pose with joint rates consistent
+with the loop (q' = Gamma v). At every control instant the independent joints are read, the tracker is asked, its command is
+delayed by whole periods, cut at the actuators' limits and held while MuJoCo steps. What is held is the effort: a servo's
+ctrl is worked out anew whenever MuJoCo evaluates its force, so that gain times ctrl plus bias is that effort where the
+mechanism stands then.
 """
 
 import copy
@@ -110,7 +111,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
     limit = loop.effort_limit
     actuators = mechanism.actuators
     for actuator, (low, high) in zip(actuators, limit, strict=True):
-        _admit(model, actuator, low, high)
+        admit(model, actuator, low, high)
 
     data = mujoco.MjData(model)
     rates = np.array(mechanism.dynamics.velocity_map(reference.pose[0])) @ reference.velocity[0]
@@ -260,7 +261,7 @@ def _step(model, data: mujoco.MjData, actuators: tuple[Actuator, ...], effort: n
     return np.array(acted)
 
 
-def _admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) -> None:
+def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) -> None:
     """Let MuJoCo's own clamps admit the loop's limits: the problem's limits stand in for the file's.
 
     A servo keeps the range of its ctrl, which is one of positions or speeds.

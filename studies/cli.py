@@ -1,4 +1,4 @@
-"""The command line: `linkplan list | check | plan | batch | track | compare | bode | view | demo`.
+"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | demo`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
 problems found), said in a sentence; 2 bad input or a disk that refuses, one line. Heavy imports wait for the command
@@ -73,13 +73,31 @@ def build_parser() -> argparse.ArgumentParser:
     compare.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _mismatch(compare, 1.2, 1)
 
-    bode = command("bode", "frequency response, margins and sampled stability of a PD loop over joint angles")
-    bode.add_argument("model", metavar="MODEL-or-PROBLEM", help="a built-in model or problem, or an MJCF or TOML file")
+    bode = command("bode", "frequency response, margins and sampled stability of a loop, predicted and measured in MuJoCo")
+    _loop(bode)
     bode.add_argument("--kp", type=float, metavar="KP", help="proportional gain [N.m/rad] (default: the problem's, 200)")
     bode.add_argument("--kd", type=float, metavar="KD", help="derivative gain [N.m.s/rad] (default: the problem's, 1)")
-    bode.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
-    bode.add_argument("--delay-periods", type=int, metavar="N", help="whole periods of computing delay (default: 0)")
-    _at(bode, "a pose to look at; may be given again (default: five over the motion or the reach)")
+    bode.add_argument(
+        "--measure",
+        default="sinestream",
+        metavar="HOW",
+        help="sinestream, multisine, chirp or none (default: %(default)s)",
+    )
+    bode.add_argument("--from-hz", type=float, metavar="F", help="lowest frequency measured (default: about the crossover)")
+    bode.add_argument("--to-hz", type=float, metavar="F", help="highest frequency measured, below half the sampling rate")
+    bode.add_argument("--frequencies", type=int, metavar="N", help="how many frequencies are measured (default: 20)")
+    bode.add_argument("--amplitude-deg", type=float, metavar="A", help="of the test signal's motion (default: small)")
+    bode.add_argument("--map", action="store_true", help="map the stable gains over all angles, tried beside the border")
+    bode.add_argument("--large", action="store_true", help="go past the effort limit, beside the describing function")
+    bode.add_argument(
+        "--along", action="store_true", help="look along the problem's motion: frozen loops, Floquet multipliers"
+    )
+
+    tune = command("tune", "find PD gains or LQR weights for a bandwidth and margins at the worst angle")
+    _loop(tune)
+    tune.add_argument("--bandwidth-hz", type=float, required=True, metavar="F", help="of the closed loop, at least")
+    tune.add_argument("--phase-margin-deg", type=float, default=60.0, metavar="P", help="at least (default: %(default)s)")
+    tune.add_argument("--sensitivity-peak", type=float, metavar="M", help="largest |S| allowed (default: any)")
 
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer", output=False)
     view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
@@ -89,6 +107,14 @@ def build_parser() -> argparse.ArgumentParser:
 
     command("demo", "run the whole path on the Optimus knee into one folder (default: linkplan-demo)", settings=False)
     return parser
+
+
+def _loop(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL-or-PROBLEM", help="a built-in model or problem, or an MJCF or TOML file")
+    parser.add_argument("--tracker", default="pd", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
+    parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
+    parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
+    _at(parser, "a pose to look at; may be given again (default: five over the motion or the reach)")
 
 
 def _at(parser: argparse.ArgumentParser, text: str) -> None:
@@ -133,9 +159,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     try:
-        from studies import commands
+        from studies import commands, loop_commands
 
-        run: Callable[[argparse.Namespace], int] = getattr(commands, f"run_{arguments.command}")
+        place = loop_commands if hasattr(loop_commands, f"run_{arguments.command}") else commands
+        run: Callable[[argparse.Namespace], int] = getattr(place, f"run_{arguments.command}")
         return run(arguments)
     except LinkplanError as error:
         print(f"linkplan {arguments.command}: {one_line(error)}", file=sys.stderr)

@@ -17,8 +17,7 @@ from planner.folders import check_target, plain, write_json, write_whole
 from planner.plan import Plan
 from planner.plan_folder import read_plan, record, write_plan
 from planner.planning import plan_motion
-from planner.problem import PlanningProblem, Tracking
-from planner.problem_file import mechanism_from_tables, problem_from_tables, tracking_from_tables
+from planner.problem_file import mechanism_from_tables, problem_from_tables
 from planner.schemes import NAMES as SCHEMES
 from planner.tables import BUILT_IN as PROBLEMS
 from planner.tables import apply_override, read_tables
@@ -263,73 +262,6 @@ def _save_tracking(comparison, said: dict, place: Path, name: str, document: dic
     comparison_figure(comparison, place / f"{name}.png")
     if document:
         document_figure(document, KP, place / "desired_and_actual.png")
-
-
-def run_bode(arguments: argparse.Namespace) -> int:
-    """Report on a loop's frequency response; 1 where it is unstable at a pose."""
-    from studies.bode import bode_record, bode_study, default_positions
-    from studies.frequency import Gains
-    from studies.report import bode_text
-
-    target, say = _output(arguments), _say(arguments)
-    _, tables, folder, is_problem = _tables(arguments.model, arguments.set)
-    if is_problem:
-        problem: PlanningProblem | None = problem_from_tables("problem", tables, folder)
-        mechanism, settings, limit = problem.mechanism, problem.tracking, problem.limits.effort
-    else:
-        problem, mechanism = None, mechanism_from_tables(tables, folder)
-        settings, limit = tracking_from_tables(tables), mechanism.effort_limit
-    gains = _gains(arguments, settings, Gains)
-    if mechanism.dof == 1 and arguments.at_deg:
-        joint = mechanism.independent_joints[0].name
-        asked = _positions(arguments, mechanism)
-        wrong = [name for pose in asked for name in pose if name != joint]
-        if wrong:
-            raise ProblemError(f"--at-deg names the independent joint {joint}; {wrong[0]} follows from it")
-        positions = np.array([pose[joint] for pose in asked])
-    else:
-        positions = default_positions(mechanism, _motion_range(problem)) if mechanism.dof == 1 else np.zeros(1)
-    study = bode_study(mechanism, positions, gains, limit, say)
-    said = bode_record(study)
-    if target is not None:
-        from studies.draw_bode import bode_figure
-
-        def write(place: Path) -> None:
-            write_json(place / "bode.json", said)
-            bode_figure(study, place / "bode.png")
-
-        write_whole(target, write, "bode.json")
-    _show(arguments, said, bode_text(study))
-    return DONE if study.stable else NO
-
-
-def _gains(arguments: argparse.Namespace, settings: Tracking, build):
-    values = {
-        "kp": settings.kp if arguments.kp is None else arguments.kp,
-        "kd": settings.kd if arguments.kd is None else arguments.kd,
-        "period_s": settings.period_s if arguments.period_s is None else arguments.period_s,
-        "delay_periods": settings.delay_periods if arguments.delay_periods is None else arguments.delay_periods,
-    }
-    for name in ("kp", "kd"):
-        if not (np.isfinite(values[name]) and values[name] >= 0):
-            raise ProblemError(f"--{name} is a number of at least 0, got {values[name]:g}")
-    if values["kp"] == 0 and values["kd"] == 0:
-        raise ProblemError("--kp and --kd are both 0: there is no loop to look at")
-    if not (np.isfinite(values["period_s"]) and values["period_s"] > 0):
-        raise ProblemError(f"--period-s is a positive number, got {values['period_s']:g}")
-    if not 0 <= values["delay_periods"] <= 1000:
-        raise ProblemError(f"--delay-periods is a whole number from 0 to 1000, got {values['delay_periods']}")
-    return build(**values)
-
-
-def _motion_range(problem: PlanningProblem | None) -> np.ndarray | None:
-    """Return the ends of a problem's motion (2,), or None where there is no problem."""
-    if problem is None:
-        return None
-    if problem.motion.start is not None and problem.motion.goal is not None:
-        return np.array([problem.motion.start[0], problem.motion.goal[0]])
-    values = problem.reference.derivative(np.linspace(0.0, problem.reference.period_s, 181))[:, 0]
-    return np.array([values.min(), values.max()])
 
 
 def run_view(arguments: argparse.Namespace) -> int:

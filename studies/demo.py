@@ -4,28 +4,34 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+
 from models.mechanism import load_mechanism
 from planner.folders import write_json, write_whole
 from planner.plan import Plan
 from planner.plan_folder import record, versions
 from planner.planning import plan_motion
+from planner.problem import Tracking
 from planner.problem_file import load_problem
-from studies.bode import bode_record, bode_study
+from studies.bode import bode_study
+from studies.bode_report import bode_record, bode_text
 from studies.commands import save_plan
 from studies.compare import compare, comparison_record, default_mismatch
 from studies.document import KP, document_record, mended_runs, printed_runs
-from studies.draw_bode import bode_figure
+from studies.draw_bode import save_bode
+from studies.draw_map import map_figure
 from studies.draw_mechanism import inspection_figure
 from studies.draw_tracking import comparison_figure, document_figure
-from studies.frequency import Gains
+from studies.excitation import Setup
 from studies.html import Page
 from studies.inspection import inspect, inspection_record
-from studies.report import bode_text, comparison_text, inspection_text, plan_text
+from studies.map_study import map_record, map_study, map_text
+from studies.report import comparison_text, inspection_text, plan_text
 from studies.tables import table
 
 PLANNED = ("knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare")
 COMPARED = ("knee-sine", "knee-reach", "knee-sine-shank")
-LOOPS = (Gains(kp=200, kd=1, period_s=1e-4), Gains(kp=200, kd=10, period_s=1e-4), Gains(kp=200, kd=10, period_s=1e-5))
+LOOPS = tuple(Tracking(kp=200.0, kd=kd, period_s=period) for kd, period in ((1.0, 1e-4), (10.0, 1e-4), (10.0, 1e-5)))
 ANGLES_DEG = (-49.07, -20.0, 3.6, 30.0, 56.27)
 
 Say = Callable[[str], None]
@@ -141,17 +147,29 @@ def _loops(place: Path, page: Page, said: dict, say: Say) -> None:
     said["bode"] = []
     for gains in LOOPS:
         label = f"kp-{gains.kp:g}-kd-{gains.kd:g}-period-{gains.period_s:g}"
-        positions = [joint.read(angle) for angle in ANGLES_DEG]
         study = bode_study(
-            mechanism, positions, gains, mechanism.effort_limit, lambda text, label=label: say(f"bode {label}: {text}")
+            mechanism,
+            np.array([[joint.read(angle)] for angle in ANGLES_DEG]),
+            gains,
+            mechanism.effort_limit,
+            lambda text, label=label: say(f"bode {label}: {text}"),
+            setup=Setup(),
         )
         folder = place / "bode" / label
         folder.mkdir(parents=True)
         said["bode"].append(bode_record(study))
         write_json(folder / "bode.json", said["bode"][-1])
-        bode_figure(study, folder / "bode.png")
+        save_bode(study, folder)
         page.text(bode_text(study))
         page.figure(f"bode/{label}/bode.png", study.message)
+        page.figure(f"bode/{label}/margins.png", "Sensitivity and margins over the angle, the worst marked")
+        if gains is LOOPS[0]:
+            found = map_study(study, lambda text: say(f"stability map: {text}"))
+            marked = [(f"the document's KP = {g.kp:g}, KD = {g.kd:g}", g.kp, g.kd) for g in LOOPS[:2]]
+            map_figure(found, place / "stability_map.png", marked)
+            said["stability_map"] = map_record(found)
+            page.text(map_text(found))
+            page.figure("stability_map.png", "Stable gains at 0.1 ms over all angles, tried beside the border in MuJoCo")
 
 
 def _document(place: Path, page: Page, said: dict, plan: Plan, say: Say) -> str:

@@ -3,7 +3,6 @@
 import numpy as np
 
 from planner.plan import Plan, not_honoured
-from studies.bode import BodeStudy
 from studies.compare import Comparison, rollout_record
 from studies.inspection import Inspection
 from studies.tables import table
@@ -147,40 +146,3 @@ def comparison_text(comparison: Comparison) -> str:
         ]
         lines.append(table(head, rows))
     return "\n".join(lines[1:])
-
-
-def bode_text(study: BodeStudy) -> str:
-    """Return the margins at every pose."""
-    mechanism, index = study.mechanism, study.mechanism.independent[0]
-    joint = mechanism.independent_joints[0]
-    rows = []
-    for point in study.points:
-        predicted, margins = point.predicted, point.predicted.sampled.margins
-        rows.append(
-            [
-                f"{joint.shown(predicted.pose[index]):.5g}",
-                predicted.reduced_inertia,
-                margins.stable,
-                point.settles_in_mujoco,
-                margins.spectral_radius,
-                margins.gain_margin_db,
-                margins.phase_margin_deg,
-                None if margins.delay_margin_s is None else 1e3 * margins.delay_margin_s,
-                margins.crossover_hz,
-                margins.bandwidth_hz,
-                margins.sensitivity_peak,
-            ]
-        )
-    inertia = "kg m2" if joint.kind == "hinge" else "kg"
-    head = [
-        f"{joint.name} [{joint.unit}]",
-        f"inertia [{inertia}]",
-        "stable",
-        "in MuJoCo",
-        "|pole|",
-        "GM [dB]",
-        "PM [deg]",
-        "DM [ms]",
-    ]
-    head += ["crossover [Hz]", "bandwidth [Hz]", "max |S|"]
-    return f"{study.message[0].upper()}{study.message[1:]}\n\n{table(head, rows)}"

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from tests.bench_loop import bench_loop
+from tests.bench_measurement import bench_measurement
 from tests.bench_peer import bench_peer, bench_plans, between_nodes
 from tests.bench_precision import bench_precision
 from tests.bench_scaling import bench_scaling
@@ -22,6 +23,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "shares": bench_shares,
     "plans": bench_plans,
     "loop": bench_loop,
+    "measurement": bench_measurement,
     "scaling": lambda: bench_scaling(RESULTS),
     "precision": lambda: bench_precision(RESULTS),
 }

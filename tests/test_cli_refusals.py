@@ -58,7 +58,21 @@ REFUSALS = [
     (["bode", "optimus-knee", "--kp", "many"], ["--kp", "many"]),
     (["bode", "optimus-knee", "--delay-periods", "-1"], ["--delay-periods"]),
     (["bode", "{open_tree}"], ["actuator"]),
-    (["bode", "optimus-knee-source"], ["one degree of freedom"]),
+    (["bode", "optimus-knee-source"], ["one actuator for every degree of freedom"]),
+    (["bode", "optimus-knee", "--tracker", "mpc"], ["mpc", "pd, pd+ff, lqr"]),
+    (["bode", "optimus-knee", "--measure", "hammer"], ["hammer", "sinestream, multisine, chirp, none"]),
+    (["bode", "optimus-knee", "--to-hz", "6000"], ["--to-hz 6000", "Nyquist", "5000"]),
+    (["bode", "optimus-knee", "--from-hz", "-1"], ["--from-hz"]),
+    (["bode", "optimus-knee", "--frequencies", "1"], ["--frequencies", "1"]),
+    (["bode", "optimus-knee", "--amplitude-deg", "0"], ["--amplitude-deg"]),
+    (["bode", "optimus-knee", "--period-s", "-0.001"], ["--period-s", "-0.001"]),
+    (["bode", "optimus-knee", "--along"], ["--along", "problem"]),
+    (["bode", "optimus-knee", "--at-deg", "A=10"], ["independent", "O"]),
+    (["bode", "knee-reach", "--set", "limits.effort.act_O=[-2, 2]"], ["cannot be held", "act_O", "N.m"]),
+    (["tune", "optimus-knee"], ["--bandwidth-hz"]),
+    (["tune", "optimus-knee", "--bandwidth-hz", "-5"], ["positive number of hertz"]),
+    (["tune", "optimus-knee", "--bandwidth-hz", "6000"], ["Nyquist"]),
+    (["tune", "optimus-knee", "--bandwidth-hz", "10", "--phase-margin-deg", "200"], ["0 to 180"]),
     (["track", "knee-reach", "--tracker", "mpc"], ["mpc", "pd, pd+ff, lqr"]),
     (["track", "no-such-plan"], ["no-such-plan"]),
     (["track", "{not_a_plan}"], ["plan.json"]),
@@ -102,7 +116,11 @@ def places(tmp_path_factory):
 def test_bad_input_gets_one_line_and_exit_code_two(argv, words, places, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = [part.format(**places) if part.startswith("{") and part.endswith("}") else part for part in argv]
-    if "-o" not in arguments and arguments[0] in ("plan", "track", "compare", "check", "bode") and len(arguments) > 1:
+    if (
+        "-o" not in arguments
+        and arguments[0] in ("plan", "track", "compare", "check", "bode", "tune")
+        and len(arguments) > 1
+    ):
         arguments += ["-o", str(tmp_path / "result")]
     capsys.readouterr()
     code = main(arguments)

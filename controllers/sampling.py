@@ -1,0 +1,159 @@
+"""How a law meets the mechanism in time: control period, simulator steps within it, and computing delay.
+
+A command computed at t_k = k T from the state read there acts from t_k + delay on and is held for a period:
+
+    x_{k+1} = A x_k + B_late u_{k-d-1} + B u_{k-d}
+
+d whole periods of delay; B_late carries the share of a period during which the command before still acts.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from controllers.integrator import repeat, simulator_step
+from controllers.lqr import discretise, linearise
+from models.errors import LinkplanError
+from models.mechanism import Mechanism
+
+# Longer delays than this many periods belong to no loop that anybody would close.
+MOST_DELAY_PERIODS = 1000
+# A delay or period that is off a whole number of simulator steps by less than this share of one is on it.
+_ON_STEP = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Sampling:
+    """A control period [s] of `substeps` simulator steps, and a computing delay of `delay_steps` simulator steps."""
+
+    period_s: float
+    substeps: int = 1
+    delay_steps: int = 0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.period_s) and self.period_s > 0):
+            raise LinkplanError(f"the control period is a positive number of seconds, got {self.period_s:g}")
+        if self.substeps < 1:
+            raise LinkplanError(f"a control period has at least one simulator step, got {self.substeps}")
+        if not 0 <= self.delay_steps <= MOST_DELAY_PERIODS * self.substeps:
+            raise LinkplanError(
+                f"the delay is from 0 to {MOST_DELAY_PERIODS} control periods, got {self.delay_steps / self.substeps:g}"
+            )
+
+    @property
+    def timestep_s(self) -> float:
+        """The simulator's step [s]."""
+        return self.period_s / self.substeps
+
+    @property
+    def delay_s(self) -> float:
+        """The computing delay [s]."""
+        return self.delay_steps * self.timestep_s
+
+    @property
+    def whole(self) -> int:
+        """The delay's whole periods, d."""
+        return self.delay_steps // self.substeps
+
+    @property
+    def late(self) -> int:
+        """The simulator steps of a period during which the command before still acts."""
+        return self.delay_steps % self.substeps
+
+    @property
+    def memory(self) -> int:
+        """The number of past commands that the loop's state holds."""
+        return self.whole + (self.late > 0)
+
+    @property
+    def nyquist_hz(self) -> float:
+        """Half the sampling rate [Hz]."""
+        return 0.5 / self.period_s
+
+    def delayed(self, delay_steps: int) -> "Sampling":
+        """Return the same sampling with another delay, in simulator steps."""
+        return replace(self, delay_steps=delay_steps)
+
+
+def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0, substeps: int | None = None) -> Sampling:
+    """Return the sampling of a control period [s], in the fewest simulator steps that the model's own allows.
+
+    Args:
+        mechanism: whose model says the longest simulator step.
+        period_s: the control period [s].
+        delay_periods: computing delay in control periods; a broken number takes simulator steps that divide it.
+        substeps: simulator steps in a period, where the model's own are not wanted.
+
+    Raises:
+        LinkplanError: for a period or delay that is no time, or a delay between two simulator steps.
+    """
+    if not (np.isfinite(period_s) and period_s > 0):
+        raise LinkplanError(f"the control period is a positive number of seconds, got {period_s:g}")
+    if not (np.isfinite(delay_periods) and 0 <= delay_periods <= MOST_DELAY_PERIODS):
+        raise LinkplanError(f"the delay is from 0 to {MOST_DELAY_PERIODS} control periods, got {delay_periods:g}")
+    if substeps is None:
+        fewest = max(1, int(np.ceil(period_s / float(mechanism.model.opt.timestep) - 1e-9)))
+        off = [abs(delay_periods * n - round(delay_periods * n)) < _ON_STEP for n in range(fewest, 20 * fewest + 1)]
+        substeps = fewest + (off.index(True) if True in off else 0)
+    steps = round(delay_periods * substeps)
+    if abs(delay_periods * substeps - steps) > _ON_STEP:
+        raise LinkplanError(
+            f"a delay of {delay_periods:g} control periods lies between simulator steps: a period has {substeps} of them"
+        )
+    return Sampling(period_s=period_s, substeps=substeps, delay_steps=steps)
+
+
+def simulated(
+    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return A (n, m, m), B and B_late (n, m, n_u) of a period in MuJoCo's own steps about states (n, ...)."""
+    A_h, B_h = simulator_step(mechanism, pose, velocity, effort, timing.timestep_s)
+    A, B = repeat(A_h, B_h, timing.substeps)
+    return _split(A, B, repeat(A_h, B_h, timing.substeps - timing.late)[1])
+
+
+def exact(
+    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return A (n, m, m), B and B_late (n, m, n_u) of a period of the real motion under a held effort."""
+    continuous = linearise(mechanism, pose, velocity, effort)
+    A, B = discretise(*continuous, timing.period_s)
+    return _split(A, B, discretise(*continuous, timing.period_s - timing.late * timing.timestep_s)[1])
+
+
+def _split(A: np.ndarray, B: np.ndarray, B_new: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return A, and B shared between the command that acts to the period's end and the one before it."""
+    return A, B_new, B - B_new
+
+
+def augmented(A: np.ndarray, B: np.ndarray, B_late: np.ndarray, timing: Sampling) -> tuple[np.ndarray, np.ndarray]:
+    """Return A (..., M, M) and B (..., M, n_u) of the state (x, u_{k-1}, ..., u_{k-memory}), its input u_k."""
+    m, n_u = B.shape[-2:]
+    p = timing.memory
+    size = m + p * n_u
+    A_all, B_all = np.zeros((*A.shape[:-2], size, size)), np.zeros((*A.shape[:-2], size, n_u))
+    A_all[..., :m, :m] = A
+    columns = [slice(m + i * n_u, m + (i + 1) * n_u) for i in range(p)]
+    if p:
+        B_all[..., columns[0], :] = np.eye(n_u)
+    for i in range(1, p):
+        A_all[..., columns[i], columns[i - 1]] = np.eye(n_u)
+    if timing.whole == 0:
+        B_all[..., :m, :] = B
+    else:
+        A_all[..., :m, columns[timing.whole - 1]] = B
+    if timing.late:
+        A_all[..., :m, columns[timing.whole]] = B_late
+    return A_all, B_all
+
+
+def closed(A: np.ndarray, B: np.ndarray, gain: np.ndarray) -> np.ndarray:
+    """Return the closed loop's matrix A - B [K 0] (..., M, M) for gains K (..., n_u, m) on the measured state."""
+    full = np.zeros((*np.broadcast_shapes(gain.shape[:-2], A.shape[:-2]), gain.shape[-2], A.shape[-1]))
+    full[..., : gain.shape[-1]] = gain
+    return A - B @ full
+
+
+def spectral_radius(matrix: np.ndarray) -> np.ndarray:
+    """Return the largest size of an eigenvalue (...,) of matrices (..., M, M); below one is stable."""
+    return np.abs(np.linalg.eigvals(matrix)).max(axis=-1)
