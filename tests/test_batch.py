@@ -1,4 +1,4 @@
-"""Batches: every case has the answer that it has alone, solved from the last one; a bad case is named before any is planned."""
+"""Batches: every case has the answer that it has alone, solved from the last; a bad case is named before any is planned."""
 
 import json
 
