@@ -1,6 +1,7 @@
 """A closed-chain mechanism: a MuJoCo model, its joints, closures and actuators, and its reduced dynamics."""
 
 import copy
+import functools
 import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -102,20 +103,7 @@ class Mechanism:
 
         With `payload_apart` payloads on one body have one hash, as they have one `parametric_dynamics`.
         """
-        model = self.model
-        if payload_apart and self.payload is not None:
-            model = copy.copy(model)
-            body = model.body(BODY_NAME).id
-            model.body_mass[body], model.body_inertia[body] = 1.0, 1.0
-            model.body_ipos[body], model.body_iquat[body] = 0.0, [1.0, 0.0, 0.0, 0.0]
-            mujoco.mj_setConst(model, mujoco.MjData(model))  # what the compiler derived from them
-            model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which the simulator alone uses
-        content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-        mujoco.mj_saveModel(model, None, content)
-        digest = hashlib.sha256(content.tobytes())
-        for choice in (self.independent, self.dependent, self.closure_rows):
-            digest.update(choice.tobytes() + b"|")
-        return digest.hexdigest()
+        return _fingerprint(self, payload_apart)
 
     def parametric_dynamics(self) -> ReducedDynamics:
         """Return the reduced dynamics with the payload's numbers (7,) as every function's last input.
@@ -168,6 +156,24 @@ class Mechanism:
     def rates_of(self, q: np.ndarray, qvel: np.ndarray) -> np.ndarray:
         """Return the rates q' (..., n_q) of poses q under MuJoCo's qvel (..., nv)."""
         return self.coordinates.rates_of(q, qvel)
+
+
+@functools.lru_cache(maxsize=64)
+def _fingerprint(mechanism: Mechanism, payload_apart: bool) -> str:
+    model = mechanism.model
+    if payload_apart and mechanism.payload is not None:
+        model = copy.copy(model)
+        body = model.body(BODY_NAME).id
+        model.body_mass[body], model.body_inertia[body] = 1.0, 1.0
+        model.body_ipos[body], model.body_iquat[body] = 0.0, [1.0, 0.0, 0.0, 0.0]
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # what the compiler derived from them
+        model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which the simulator alone uses
+    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    digest = hashlib.sha256(content.tobytes())
+    for choice in (mechanism.independent, mechanism.dependent, mechanism.closure_rows):
+        digest.update(choice.tobytes() + b"|")
+    return digest.hexdigest()
 
 
 def load_mechanism(

@@ -28,7 +28,7 @@ _STILL = 1e-9
 # A crank that turns fully may go so far beyond start and goal [rad].
 _TURNS = 2.0 * np.pi
 # Shares of the effort limits tried for a motion that may take longer than the least.
-_SHARES = (1.0, 0.7, 0.4)
+_SHARES = (0.7, 0.4)
 # Room kept to the ends of the reach, as a share of it.
 _ROOM = 1e-3
 
@@ -68,25 +68,34 @@ class _Plane:
         return np.array(values)
 
 
-def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
-    """Return a reach as the phase plane has it, its duration nearest to a fixed one; None where there is none."""
-    motion, mechanism = problem.motion, problem.mechanism
-    if mechanism.dof != 1 or motion.kind != "reach" or motion.waypoints or not np.all(np.isfinite(problem.limits.effort)):
+def least_time_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+    """Return a reach in the least time that the phase plane knows, whatever duration is asked; None where there is none."""
+    motion = problem.motion
+    if problem.mechanism.dof != 1 or motion.kind != "reach" or motion.waypoints:
         return None
-    shares = _SHARES if motion.duration_s is not None else _SHARES[:1]
-    best = None
-    for share in shares:
-        plane = _plane(problem, start_pose, share)
-        found = None if plane is None else _legs(plane, problem)
-        if found is None:
-            continue
-        guess = _guess(plane, found, start_pose)
-        off = abs(np.log(guess.duration_s / (motion.duration_s or guess.duration_s)))
-        if best is None or off < best[0]:
-            best = off, guess
-    if best is None:
-        return None
-    return best[1] if motion.duration_s is None else _stretched(best[1], motion.duration_s)
+    return _guess_with(problem, start_pose, 1.0) if np.all(np.isfinite(problem.limits.effort)) else None
+
+
+def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest: Guess) -> Guess:
+    """Return a reach by the phase plane whose duration is nearest to a fixed one, stretched to it.
+
+    Args:
+        problem: of a reach.
+        start_pose: closed, at its start.
+        quickest: from `least_time_guess`.
+    """
+    duration = problem.motion.duration_s
+    if duration is None:
+        return quickest
+    weaker = (_guess_with(problem, start_pose, share) for share in _SHARES)
+    known = [quickest, *(guess for guess in weaker if guess is not None)]
+    return _stretched(min(known, key=lambda guess: abs(np.log(guess.duration_s / duration))), duration)
+
+
+def _guess_with(problem: PlanningProblem, start_pose: np.ndarray, share: float) -> Guess | None:
+    plane = _plane(problem, start_pose, share)
+    legs = None if plane is None else _legs(plane, problem)
+    return None if legs is None else _guess(plane, legs, start_pose)
 
 
 def _plane(problem: PlanningProblem, start_pose: np.ndarray, share: float) -> _Plane | None:

@@ -12,7 +12,7 @@ from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, mot
 from planner.infeasibility import LeastLimit, effort_sentence, least_limit
 from planner.mechanism_case import case_of
 from planner.mesh import Mesh, broken, segmented, uniform
-from planner.phase_plane import phase_plane_guess
+from planner.phase_plane import least_time_guess, phase_plane_guess
 from planner.plan import Plan, Step, tracking_errors
 from planner.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
 from planner.presolve import plain_contradiction, start_pose_of
@@ -68,9 +68,11 @@ def _in_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple
     The user's own, the smooth path, the phase plane's where there is one degree of freedom, swings, a few bends.
     """
     yield from guesses(problem, start_pose)
-    planar = phase_plane_guess(problem, start_pose)
-    if planar is not None:
-        yield "the phase plane", planar
+    quickest = least_time_guess(problem, start_pose)
+    if quickest is not None:
+        if _longest(problem) * _SURELY < quickest.duration_s:
+            return  # no start leads to a motion that there is no time for: the reason is looked for
+        yield "the phase plane", phase_plane_guess(problem, start_pose, quickest)
     for swing in swinging_guesses(problem, start_pose):
         yield "a swing", swing
     for _, (what, guess) in zip(range(_BENDS), bent_guesses(problem, start_pose), strict=False):
@@ -275,12 +277,13 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
 
 def _known_motion(problem: PlanningProblem, guess: Guess) -> float | None:
     """Return the duration of a motion that is known to keep the effort limits, in no more time than is given; or None."""
-    duration = problem.motion.duration_s
-    free = replace(problem, objective="time", motion=replace(problem.motion, duration_s=None))
-    known = phase_plane_guess(free, guess.start_pose)
-    if known is None or (duration is not None and duration < _SURELY * known.duration_s):
-        return None
-    return known.duration_s
+    known = least_time_guess(problem, guess.start_pose)
+    return None if known is None or _longest(problem) < _SURELY * known.duration_s else known.duration_s
+
+
+def _longest(problem: PlanningProblem) -> float:
+    """Return the longest that a motion may take [s]."""
+    return problem.motion.duration_s or problem.motion.max_duration_s or np.inf
 
 
 def _explain_together(
