@@ -66,8 +66,8 @@ def lqr(
     mechanism: Mechanism,
     reference: SampledReference,
     *,
-    position_weight: float,
-    velocity_weight: float,
+    position_weight: float | np.ndarray,
+    velocity_weight: float | np.ndarray,
     effort_weight: np.ndarray,
 ) -> LQR:
     """Return the LQR tracker of a reference.
@@ -75,8 +75,8 @@ def lqr(
     Args:
         mechanism: whose reduced dynamics are linearised.
         reference: the motion, sampled.
-        position_weight: position error [rad or m] that weighs 1.
-        velocity_weight: velocity error [rad/s or m/s] that weighs 1.
+        position_weight: position error [rad or m] that weighs 1, one for all or (n_s,).
+        velocity_weight: velocity error [rad/s or m/s] that weighs 1, one for all or (n_s,).
         effort_weight: effort (n_u,) that weighs 1, its limit as a rule.
 
     Raises:
@@ -88,7 +88,8 @@ def lqr(
     steered = np.array([int(i) not in mechanism.idle for i in mechanism.independent])
     kept = np.flatnonzero(np.tile(steered, 2))
     A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
-    Q = np.diag(np.repeat([position_weight**-2.0, velocity_weight**-2.0], np.count_nonzero(steered)))
+    errors = [np.broadcast_to(weight, steered.shape)[steered] for weight in (position_weight, velocity_weight)]
+    Q = np.diag(np.concatenate(errors) ** -2.0)
     R = np.diag(np.asarray(effort_weight, dtype=float) ** -2.0)
     n = reference.cycle if reference.cycle is not None and reference.cycle <= reference.n else reference.n
     try:

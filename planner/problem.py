@@ -1,11 +1,13 @@
 """The continuous problem: which motion of which mechanism, best in which sense, within which limits."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from models.audit import audit
 from models.errors import ProblemError
+from models.joints import Joint
 from models.mechanism import Mechanism
 from planner.limits import Limits, Motor
 from planner.motion import KINDS, Motion, Waypoint, frozen
@@ -82,7 +84,8 @@ class Tracking:
     """How a plan is tracked: PD gains per actuated joint, sampling, delay, and LQR weights.
 
     kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators. LQR weighs a
-    position error of `lqr_position` [rad or m], a velocity error of `lqr_velocity` and an effort of the whole limit alike.
+    position error of `lqr_position` [rad], a velocity error of `lqr_velocity` and an effort of the whole limit alike; on a
+    slide of `lqr_position_m` [m] and `lqr_velocity_m_s`.
     """
 
     kp: float = 200.0
@@ -92,6 +95,14 @@ class Tracking:
     duration_s: float | None = None  # of the tracking run; default: the plan and a rest after it, or eight periods
     lqr_position: float = np.radians(1.0)
     lqr_velocity: float = np.radians(100.0)
+    lqr_position_m: float = 0.01
+    lqr_velocity_m_s: float = 1.0
+
+    def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the position and velocity errors (n,) [rad or m, and per second] that weigh 1 on joints."""
+        hinge = np.array([joint.kind == "hinge" for joint in joints], dtype=bool)
+        position = np.where(hinge, self.lqr_position, self.lqr_position_m)
+        return position, np.where(hinge, self.lqr_velocity, self.lqr_velocity_m_s)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -59,6 +59,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
         "duration_s",
         "lqr_position_deg",
         "lqr_velocity_deg_s",
+        "lqr_position_m",
+        "lqr_velocity_m_s",
     ),
 }
 # The integration that judges is good to about a tenth of this.
@@ -291,6 +293,9 @@ def _tracking(section: dict) -> Tracking:
     def angle(key: str, value: float) -> float:
         return np.radians(number(section.get(key, np.degrees(value)), f"tracking.{key}", positive=True))
 
+    def length(key: str, value: float) -> float:
+        return number(section.get(key, value), f"tracking.{key}", positive=True)
+
     return Tracking(
         kp=number(section.get("kp", default.kp), "tracking.kp", least=0.0),
         kd=number(section.get("kd", default.kd), "tracking.kd", least=0.0),
@@ -299,6 +304,8 @@ def _tracking(section: dict) -> Tracking:
         duration_s=None if duration is None else number(duration, "tracking.duration_s", positive=True),
         lqr_position=float(angle("lqr_position_deg", default.lqr_position)),
         lqr_velocity=float(angle("lqr_velocity_deg_s", default.lqr_velocity)),
+        lqr_position_m=length("lqr_position_m", default.lqr_position_m),
+        lqr_velocity_m_s=length("lqr_velocity_m_s", default.lqr_velocity_m_s),
     )
 
 

@@ -37,7 +37,9 @@ def bode_record(study: BodeStudy) -> dict:
             },
         )
         row["loops"][study.law if mechanism.dof == 1 else _channel_name(study, entry.channel)] = loop
-    names = ("lqr_position", "lqr_velocity") if study.law == "lqr" else ("kp", "kd")
+    slides = mechanism.independent_joints[0].kind == "slide"
+    weights = ("lqr_position_m", "lqr_velocity_m_s") if slides else ("lqr_position", "lqr_velocity")
+    names = weights if study.law == "lqr" else ("kp", "kd")
     names += ("period_s", "delay_periods")
     record = {
         "mechanism": mechanism.name,

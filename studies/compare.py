@@ -77,11 +77,12 @@ def build_tracker(name: str, plan: Plan, reference: SampledReference) -> Tracker
     settings, mechanism = problem.tracking, problem.mechanism
     if name == "lqr":
         limit = np.abs(problem.limits.effort).max(axis=1)
+        position, velocity = settings.lqr_errors(mechanism.independent_joints)
         return lqr(
             mechanism,
             reference,
-            position_weight=settings.lqr_position,
-            velocity_weight=settings.lqr_velocity,
+            position_weight=position,
+            velocity_weight=velocity,
             effort_weight=np.where(np.isfinite(limit), limit, np.maximum(plan.certificate.peak_effort, 1.0)),
         )
     feedback = pd(mechanism, reference, settings.kp, settings.kd)

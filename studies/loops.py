@@ -125,11 +125,12 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
     reference = point.constant(settings.period_s)
     if law == "lqr":
         limit = np.abs(effort_limit).max(axis=1)
+        position, velocity = settings.lqr_errors(point.mechanism.independent_joints)
         tracker = lqr(
             point.mechanism,
             reference,
-            position_weight=settings.lqr_position,
-            velocity_weight=settings.lqr_velocity,
+            position_weight=position,
+            velocity_weight=velocity,
             effort_weight=np.where(np.isfinite(limit), limit, np.maximum(np.abs(point.hold), 1.0)),
         )
         return tracker.gains[0]

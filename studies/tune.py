@@ -149,7 +149,10 @@ def _settings(points, wanted: Wanted, settings: Tracking, law: str, natural: flo
     # The stationary LQR of a double integrator has kp = u / s_w and kd^2 = 2 J kp + (u / v_w)^2: weights for these gains.
     limit = _effort_weight(points)
     extra = max(kd**2 - 2 * inertia * kp, (1e-4 * kd) ** 2)
-    return replace(settings, lqr_position=limit / kp, lqr_velocity=limit / np.sqrt(extra))
+    position, velocity = limit / kp, float(limit / np.sqrt(extra))
+    if points[0].mechanism.independent_joints[0].kind == "hinge":
+        return replace(settings, lqr_position=position, lqr_velocity=velocity)
+    return replace(settings, lqr_position_m=position, lqr_velocity_m_s=velocity)
 
 
 def _effort_weight(points: Sequence[OperatingPoint]) -> float:
@@ -251,8 +254,8 @@ def tune_record(tuning: Tuning) -> dict:
     gains: dict = {"period_s": tuning.timing.period_s, "delay_s": tuning.timing.delay_s}
     if tuning.law == "lqr":
         unit = "deg" if joint.kind == "hinge" else "m"
-        gains |= {f"lqr_position_{unit}": joint.shown(settings.lqr_position)}
-        gains |= {f"lqr_velocity_{unit}_s": joint.shown(settings.lqr_velocity)}
+        position, velocity = (float(weight[0]) for weight in settings.lqr_errors([joint]))
+        gains |= {f"lqr_position_{unit}": joint.shown(position), f"lqr_velocity_{unit}_s": joint.shown(velocity)}
     else:
         gains |= {"kp": settings.kp, "kd": settings.kd, "motor_side": motor_gains(tuning)}
     return {
@@ -283,9 +286,10 @@ def tune_text(tuning: Tuning) -> str:
     force = "N.m" if joint.kind == "hinge" else "N"
     lines = [f"{tuning.message[0].upper()}{tuning.message[1:]}", ""]
     if tuning.law == "lqr":
+        position, velocity = (joint.shown(float(weight[0])) for weight in settings.lqr_errors([joint]))
         lines.append(
-            f"lqr_position = {joint.shown(settings.lqr_position):.5g} {joint.unit},"
-            f" lqr_velocity = {joint.shown(settings.lqr_velocity):.5g} {joint.unit}/s (errors that weigh as the whole limit)"
+            f"lqr_position_{joint.unit} = {position:.5g}, lqr_velocity_{joint.unit}_s = {velocity:.5g}"
+            " (errors that weigh as the whole limit)"
         )
     else:
         motor = motor_gains(tuning)
