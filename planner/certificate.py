@@ -64,6 +64,7 @@ class Certificate:
     peak_power: np.ndarray  # (n_u,) [W], mechanical
     peak_closure_force: np.ndarray  # (n_closures,) [N]
     margins: tuple[Margin, ...]  # of the limits beyond effort, range and speed
+    speed_overrun: np.ndarray  # (n_q, n_intervals) by how much of itself a joint's speed limit is overrun in each
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed in all
     residual_share: np.ndarray  # (n_intervals,) of the dynamics residual, in shares of what is allowed
     worst_time_s: dict[str, float]
@@ -101,7 +102,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     residual = np.abs(sampled(mechanism.dynamics.residual, q, v, a, u)).max(axis=(1, 2))
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
-    position_margin, speed_margin = _margins(mechanism, limits, q, v, time, worst)
+    position_margin, speed_margin, speed_overrun = _margins(mechanism, limits, q, v, time, worst)
     ratio = float(singularity_ratios(problem, q).min())
     others = margins(problem, trajectory, time, q, v, a, u)
     forces = closure_forces(problem, q, v, a, u)
@@ -167,6 +168,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         peak_power=np.abs(u * actuator_speeds(problem, q, v)).max(axis=0),
         peak_closure_force=forces.max(axis=0, initial=0.0),
         margins=others,
+        speed_overrun=speed_overrun,
         growth=growth,
         residual_share=residual.reshape(len(growth), -1).max(axis=1) / allowed,
         worst_time_s=worst,
@@ -178,8 +180,11 @@ def _generalised_peak(mechanism: Mechanism, q: np.ndarray, u: np.ndarray) -> flo
     return float(np.abs(np.einsum("ksu,ku->ks", sampled(mechanism.dynamics.effort_map, q), u)).max())
 
 
-def _margins(mechanism: Mechanism, limits, q, v, time, worst) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least distances (n_q,) of every joint's position and speed to their limits, negative outside."""
+def _margins(mechanism: Mechanism, limits, q, v, time, worst) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the least distances (n_q,) of every joint's position and speed to their limits, negative outside.
+
+    And by how much of itself (n_q, n_intervals) a speed limit is overrun in each interval.
+    """
     rates = joint_rates(mechanism, q, v)
     margins = []
     for what, values, bounds in (("range", q, limits.position), ("speed limit", rates, limits.speed)):
@@ -187,7 +192,10 @@ def _margins(mechanism: Mechanism, limits, q, v, time, worst) -> tuple[np.ndarra
         for joint, column in zip(mechanism.joints, inside.T, strict=True):
             worst[f"{what} of {joint.name}"] = float(time[int(np.argmin(column))])
         margins.append(np.array([least_between(column, SAMPLES_PER_INTERVAL) for column in inside.T]))
-    return margins[0], margins[1]
+    by_interval = inside.T.reshape(mechanism.n_q, -1, SAMPLES_PER_INTERVAL + 1)
+    least = np.array([[least_between(row, SAMPLES_PER_INTERVAL) for row in rows] for rows in by_interval])
+    size = np.where(np.isfinite(limits.speed), np.abs(limits.speed), 0.0).max(axis=1)
+    return margins[0], margins[1], np.maximum(0.0, -least) / np.where(size > 0, size, 1.0)[:, None]
 
 
 def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: float) -> float:

@@ -84,13 +84,15 @@ def effort_sentence(problem: PlanningProblem, least: LeastLimit) -> tuple[str, d
     return sentence, {"needed_effort": abs(needed), "needed_limit_factor": least.factor}
 
 
-def tightened(problem: PlanningProblem, certificate: Certificate) -> PlanningProblem:
-    """Return a problem with ranges, speeds and effort rates drawn in by what a motion overran them by, and a tenth more."""
+def tightened(problem: PlanningProblem, certificate: Certificate, *, speeds: bool) -> PlanningProblem:
+    """Return a problem with ranges, effort rates and maybe speeds drawn in by what a motion overran, and a tenth more."""
     limits = problem.limits
     changed: dict = {}
-    for name, margin in (("position", certificate.position_margin), ("speed", certificate.speed_margin)):
-        inward = 1.1 * np.maximum(0.0, -margin)[:, None] * np.array([1.0, -1.0])
-        changed[name] = getattr(limits, name) + inward
+    inward = 1.1 * np.maximum(0.0, -certificate.position_margin)[:, None] * np.array([1.0, -1.0])
+    changed["position"] = limits.position + inward
+    if speeds:
+        over = 1.1 * np.maximum(0.0, -certificate.speed_margin)[:, None]
+        changed["speed"] = limits.speed + over * np.array([1.0, -1.0])
     rate = np.array(limits.effort_rate)
     for margin in certificate.margins:
         if margin.what == "effort_rate" and not margin.kept and np.isfinite(margin.left):

@@ -13,7 +13,7 @@ _FLOOR = 1e-7
 # Bounds are never drawn in beyond this share of what lies between them.
 _MOST = 0.45
 # The limits that are rows of nodes, and so can be overrun between them.
-AT_NODES = ("motor", "power", "closure_force", "singular_margin")
+AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -32,10 +32,20 @@ def drawn(overrun: np.ndarray) -> np.ndarray:
     return np.where(overrun > 0, _MORE * overrun + _FLOOR, 0.0)
 
 
-def insets_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[Inset, ...]:
-    """Return what limits are to be drawn in by after a motion with breaks (n + 1,) [s]."""
+def insets_of(margins: tuple[Margin, ...], speed_overrun: np.ndarray, breaks_s: np.ndarray) -> tuple[Inset, ...]:
+    """Return what limits are to be drawn in by after a motion.
+
+    Args:
+        margins: what is left of the limits.
+        speed_overrun: (n_q, n_intervals) by how much of itself a joint's speed limit is overrun.
+        breaks_s: (n + 1,) of the motion [s].
+    """
     relative = (breaks_s - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
-    found = []
+    found = [
+        Inset(what="speed", item=joint, breaks=relative, share=drawn(overrun))
+        for joint, overrun in enumerate(speed_overrun)
+        if overrun.max(initial=0.0) > 0
+    ]
     for margin in margins:
         if margin.what in AT_NODES and not margin.kept:
             found.append(

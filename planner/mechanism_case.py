@@ -20,6 +20,8 @@ from planner.transcription import trajectory_of, transcribe
 
 # What the integrated state is refined towards where no tolerance is asked for [deg].
 _TARGET_DEG = 1e-6
+# Speed limits are drawn in where they were overrun so many times, then everywhere: what is left moves about, and is little.
+_LOCAL = 1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -29,6 +31,7 @@ class MechanismCase:
     problem: PlanningProblem
     asked: PlanningProblem
     insets: tuple[Inset, ...] = ()
+    tightenings: int = 0
 
     @property
     def mesh(self) -> MeshSettings:
@@ -108,8 +111,10 @@ class MechanismCase:
 
     def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
         """Return the case with limits drawn in by what the motion overran them."""
-        further = insets_of(certificate.margins, motion.breaks_s)
-        return replace(self, problem=tightened(self.problem, certificate), insets=self.insets + further)
+        further = insets_of(certificate.margins, certificate.speed_overrun, motion.breaks_s)
+        everywhere = self.tightenings >= _LOCAL
+        problem = tightened(self.problem, certificate, speeds=everywhere)
+        return replace(self, problem=problem, insets=self.insets + further, tightenings=self.tightenings + 1)
 
     def with_scheme(self, name: str) -> "MechanismCase":
         """Return the case with another transcription."""

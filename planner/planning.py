@@ -109,7 +109,9 @@ def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], his
         plan = _certified(problem, found, mesh, history, say)
         if plan.status == "optimal":
             return plan
-        failed = failed or plan
+        if failed is not None:
+            break  # a second motion that does not pass: others will not either
+        failed = plan
     return failed
 
 
@@ -349,7 +351,10 @@ def _shortest(problem: PlanningProblem, details: dict[str, float], say: Say) -> 
     say("looking for the shortest feasible duration")
     free = replace(problem, objective="time", motion=replace(motion, duration_s=None))
     start_pose = start_pose_of(free)
-    quickest = _first_of(free, iter([("a smooth path", first_guess(free, start_pose))]), [], say)
+    starts = [("a smooth path", first_guess(free, start_pose))]
+    planar = least_time_guess(free, start_pose)
+    starts += [("the phase plane", planar)] if planar is not None else []
+    quickest = _first_of(free, iter(starts), [], say)
     if quickest is None or quickest.status != "optimal":
         return ""
     details["shortest_duration_s"] = quickest.trajectory.duration_s

@@ -19,7 +19,9 @@ from planner.solve import Solution, solve
 from planner.switches import find_cuts, pinned_efforts
 
 # Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
-_ROUNDS = 10
+_ROUNDS = 12
+# From this round on, limits are drawn in while the mesh still grows.
+_MERGED = 4
 # A mesh that has grown by this factor without passing will not pass by growing on.
 _MOST = 120
 # Where no tolerance is asked for, the target is followed as far as a mesh of so many intervals carries it; how far below the
@@ -147,7 +149,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     position_rows, kept, finest = False, case, _MOST * case.mesh.intervals
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
     settled = True
-    for _ in range(_ROUNDS):
+    for turn in range(_ROUNDS):
         if certificate is not None and certificate.passed:
             passed = motion, solution, certificate
             wanted = case.objective_tolerance
@@ -171,6 +173,8 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
             kept, what = kept.tightened(certificate, motion), "limits kept between the nodes"
         elif not marked.any():
             marked[:] = True
+        elif turn >= _MERGED and certificate is not None and case.overruns(certificate):
+            kept, what = kept.tightened(certificate, motion), "finer mesh, limits kept between the nodes"
         n_finer = mesh.n_intervals + int(marked.sum())
         if n_finer > finest or (passed is not None and not case.tolerance_given and n_finer > _COMFORTABLE):
             break
