@@ -192,6 +192,11 @@ def _range(joint: Joint) -> str:
     return f"[{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}] {joint.unit}"
 
 
+def branch(mechanism: Mechanism) -> list[float]:
+    """Return the determinants of J_z's blocks at home, whose signs no motion along the branch changes."""
+    return np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel().tolist() if mechanism.closures else []
+
+
 def inspection_record(found: Inspection) -> dict:
     """Return what `linkplan check --json` says."""
     mechanism = found.mechanism
@@ -211,6 +216,7 @@ def inspection_record(found: Inspection) -> dict:
         "closure_rows": mechanism.n_closure_rows,
         "closure_rank": len(mechanism.closure_rows),
         "closure_gap_m": found.closure_gap_m,
+        "branch": branch(mechanism),
         "home_deg": {j.name: j.shown(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "hinge"},
         "home_m": {j.name: float(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "slide"},
         "reach_deg": {joint.name: interval(joint, can) for joint, can in hinges},
