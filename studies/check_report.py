@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from models.joints import Joint
-from studies.loop_report import LoopPath
+from studies.loop_report import LoopPath, acts
 from studies.tables import table
 
 # Poses in a table: few enough for one look.
@@ -84,6 +84,8 @@ def path_text(path: LoopPath) -> str:
     lines = [f"along {path.title}, at rest ({len(at)} of {len(path.poses)} poses):"]
     if len(varying) > len(where):
         lines.append(table([column.title for column in varying], [[column.cell(k) for column in varying] for k in at]))
+    if not acts(path).all():
+        constant.append("all other ratios 0")
     if constant:
         lines.append(f"the same at every pose: {', '.join(constant)}")
     return "\n".join([*lines, *weight_sentences(path), *unheld_sentences(path)])
@@ -104,9 +106,16 @@ def quantities(path: LoopPath) -> list[Column]:
     def add(head: str, unit: str, values: np.ndarray, kind: np.ndarray) -> None:
         columns.append(Column(head=head, unit=unit, values=values, scale=_scale(kind)))
 
+    at_all = acts(path)
     for j, actuator in actuators:
         for i, joint in independent:
-            add(f"{actuator.name}->{joint.name}", ratio_unit(joint, actuator.unit), path.ratio[:, i, j], path.ratio[..., j])
+            if at_all[i, j]:
+                add(
+                    f"{actuator.name}->{joint.name}",
+                    ratio_unit(joint, actuator.unit),
+                    path.ratio[:, i, j],
+                    path.ratio[..., j],
+                )
     own = path.reduced_inertia.diagonal(axis1=1, axis2=2)
     felt = {j: _same(own, path.reflected_inertia[:, j]) for j, _ in actuators}
     for i, joint in independent:

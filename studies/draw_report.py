@@ -9,7 +9,7 @@ from models.assembly import Reach
 from studies.check_report import effort_unit, inertia_unit, ratio_unit
 from studies.draw_mechanism import draw_poses, mark_turning
 from studies.drawing import BLACK, GREY, RED, SERIES, outside_legend, page
-from studies.loop_report import LoopPath
+from studies.loop_report import LoopPath, acts
 
 # Poses drawn: few enough to tell apart.
 _DRAWN = 7
@@ -19,6 +19,8 @@ _INNER = (0.05, 0.95)
 _GROWN = 3.0
 # An inertia that changes by more than this factor along a path is drawn on a logarithmic axis.
 _LOGARITHMIC = 5.0
+# A legend of more lines than this would leave no room for the lines.
+_LEGEND = 12
 # Solid, dashed, dotted ...: lines of one panel that lie on one another stay visible.
 _STYLES = ("-", "--", ":", "-.")
 
@@ -70,9 +72,14 @@ def _draw(axes, path: LoopPath, lines: Sequence[Line], what: str, units: Sequenc
     names = list(dict.fromkeys(units))
     axes.set_ylabel(what if names in ([], ["1"]) else f"{what} [{', '.join(names)}]")
     if lines:
-        outside_legend(axes, narrow=True, fontsize=8)
+        _legend(axes)
     else:
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color=GREY)
+
+
+def _legend(axes) -> None:
+    if len(axes.get_legend_handles_labels()[1]) <= _LEGEND:
+        outside_legend(axes, narrow=True, fontsize=8)
 
 
 def _frame(axes, lines: Sequence[Line], *, from_zero: bool = False) -> None:
@@ -103,16 +110,17 @@ def draw_along(axes, path: LoopPath) -> None:
     """Draw the bodies as sticks at poses spread over the path; strong, the home pose of a reach or the end of a motion."""
     poses = path.poses[np.linspace(0, len(path.poses) - 1, _DRAWN).astype(int)]
     draw_poses(axes, path.mechanism, poses if path.coordinate is None else np.vstack([poses, path.mechanism.home]))
-    outside_legend(axes, narrow=True, fontsize=8)
+    _legend(axes)
 
 
 def draw_ratios(axes, path: LoopPath) -> None:
-    """Draw each actuator's transmission ratio to each coordinate."""
+    """Draw each actuator's transmission ratio to each coordinate, but for those that are nothing all along the path."""
     lines, units = [], []
     for i, joint in enumerate(path.mechanism.independent_joints):
         for j, actuator in enumerate(path.mechanism.actuators):
-            lines.append((f"{actuator.name} to {joint.name}", path.ratio[:, i, j]))
-            units.append(ratio_unit(joint, actuator.unit))
+            if acts(path)[i, j]:
+                lines.append((f"{actuator.name} to {joint.name}", path.ratio[:, i, j]))
+                units.append(ratio_unit(joint, actuator.unit))
     _draw(axes, path, lines, "transmission ratio", units)
     _frame(axes, lines)
 
@@ -156,7 +164,7 @@ def draw_available(axes, path: LoopPath) -> None:
     for i, joint in enumerate(joints):
         axes.plot(x, needed[:, i], color=BLACK, linestyle=_STYLES[i % len(_STYLES)], label=f"{joint.name} to hold still")
         lines.append(("needed", needed[:, i]))
-    outside_legend(axes, narrow=True, fontsize=8)
+    _legend(axes)
     units = [effort_unit(joint) for joint in joints]
     axes.set_ylabel(f"effort within limits [{', '.join(dict.fromkeys(units))}]")
     _frame(axes, lines)

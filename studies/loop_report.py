@@ -7,12 +7,15 @@ coordinate's speed (virtual work). m_j is the inertia that actuator j feels, the
 Robotics and Automation 3, 1987, for a point; here for an actuator's length). Efforts and forces are those at rest.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from models.along import needed_effort, sampled
 from models.assembly import Reach, follow
+from models.errors import AssemblyError
 from models.mechanism import Mechanism
 from planner.guess import first_guess, poses_along
 from planner.presolve import start_pose_of
@@ -112,14 +115,26 @@ def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[LoopP
 def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
     """Return the poses of a reach; of a joint that nothing stops, one turn, or the model's extent to either side of home."""
     if not can.turns_fully:
-        return can.poses
+        return _finer(mechanism, can.poses)
     index = mechanism.independent[can.coordinate]
     travel = can.poses[:, index] - mechanism.home[index]
     if mechanism.joints[index].kind == "hinge":
         s = np.tile(mechanism.home[mechanism.independent], (_TURN_SAMPLES, 1))
         s[:, can.coordinate] += np.linspace(0.0, 2 * np.pi, _TURN_SAMPLES)
         return follow(mechanism, s)
-    return can.poses[np.abs(travel) <= (1 + 1e-9) * mechanism.extent_m]
+    return _finer(mechanism, can.poses[np.abs(travel) <= (1 + 1e-9) * mechanism.extent_m])
+
+
+def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return poses with others put in between, equally many in each gap, where they are fewer than a path's samples."""
+    parts = int(np.ceil((_SAMPLES - 1) / max(1, len(poses) - 1)))
+    rows = [poses[0]]
+    for one, other in pairwise(poses):
+        between = np.linspace(one[mechanism.independent], other[mechanism.independent], parts + 1)[1:-1]
+        with suppress(AssemblyError):  # next to a singular pose the reach's own poses will do
+            rows.extend(follow(mechanism, between, one))
+        rows.append(other)
+    return np.array(rows)
 
 
 def motion_path(problem: PlanningProblem) -> LoopPath:
@@ -138,6 +153,12 @@ def motion_path(problem: PlanningProblem) -> LoopPath:
     return measure(mechanism, poses, title, time_s=time, limit=problem.limits.effort)
 
 
+def acts(path: LoopPath) -> np.ndarray:
+    """Return whether an actuator acts on a coordinate anywhere along a path (n_s, n_u), rounding apart."""
+    most = np.abs(path.ratio).max(axis=0)
+    return most > _NO_ARM * most.max(axis=0, initial=0.0)
+
+
 def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     """Return 1 / (r_j^T M^-1 r_j) (n, n_u), infinite where r_j vanishes."""
     mobility = np.einsum("ksu,ksu->ku", ratio, np.linalg.solve(inertia, ratio))
@@ -146,8 +167,8 @@ def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 
 def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return the least and the most effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
-    acts = np.abs(ratio) > _NO_ARM * np.abs(ratio).max(initial=0.0)
-    ends = np.multiply(ratio[..., None], limit, out=np.zeros((*ratio.shape, 2)), where=acts[..., None])
+    pushes = np.abs(ratio) > _NO_ARM * np.abs(ratio).max(axis=(0, 1), initial=0.0)
+    ends = np.multiply(ratio[..., None], limit, out=np.zeros((*ratio.shape, 2)), where=pushes[..., None])
     return np.stack([ends.min(axis=-1).sum(axis=-1), ends.max(axis=-1).sum(axis=-1)], axis=-1)
 
 
