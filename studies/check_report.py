@@ -160,8 +160,8 @@ def weight_sentences(path: LoopPath) -> list[str]:
         if beyond.any():
             k = int(np.argmax(over))
             said.append(
-                f"{actuator.name} does not hold still what rests on it in {int(beyond.sum())} of {len(over)} poses: it would"
-                f" take {effort[k]:.4g} {actuator.unit} at {_pose(path, k)}, the limit is {low:g} to {high:g}"
+                f"holding weight and springs asks {actuator.name} for {effort[k]:.4g} {actuator.unit} at {_pose(path, k)},"
+                f" beyond its limit of {low:g} to {high:g}; so in {int(beyond.sum())} of {len(over)} poses"
             )
     return said
 
