@@ -88,15 +88,24 @@ def mark_turning(axes, mechanism: Mechanism, can: Reach) -> None:
 
 
 def draw_dependent(axes, found: Inspection) -> None:
-    """Draw the dependent joints over the independent one; singular poses dotted red, toggles dotted grey."""
+    """Draw the dependent joints over the independent one, slides on the right; singular poses dotted red, toggles grey."""
     poses, x, joint = _shown(found)
-    for colour, index in zip(SERIES, found.mechanism.dependent, strict=False):
-        other = found.mechanism.joints[index]
-        axes.plot(x, [other.shown(q) for q in poses[:, index]], color=colour, label=f"{other.name} [{other.unit}]")
+    dependent = [(int(index), found.mechanism.joints[index]) for index in found.mechanism.dependent]
+    kinds = list(dict.fromkeys(other.kind for _, other in dependent))
+    sides = dict.fromkeys(kinds, axes)
+    if len(kinds) == 2:
+        sides["slide"] = axes.twinx()
+        sides["slide"].grid(visible=False)
+        sides["slide"].spines["right"].set_visible(True)
+    for k, (index, other) in enumerate(dependent):
+        colour = SERIES[k % len(SERIES)]
+        sides[other.kind].plot(x, [other.shown(q) for q in poses[:, index]], color=colour)
+        axes.plot([], [], color=colour, label=f"{other.name} [{other.unit}]")
+    for kind, side in sides.items():
+        side.set_ylabel(f"dependent joints [{'deg' if kind == 'hinge' else 'm'}]")
     mark_turning(axes, found.mechanism, found.reaches[0])
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
-    axes.set_ylabel("dependent joints")
-    if len(found.mechanism.dependent):
+    if dependent:
         outside_legend(axes, narrow=True)
 
 
