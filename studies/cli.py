@@ -54,7 +54,8 @@ def build_parser() -> argparse.ArgumentParser:
         return sub
 
     command("list", "list the built-in models, problems, payloads, schemes and trackers", output=False, settings=False)
-    check = command("check", "report on a mechanism's loops: freedom, closure, reach, singular poses, what is wrong")
+    text = "report on a mechanism's loops: freedom, closure, reach, singular poses, ratios, inertias, forces, what is wrong"
+    check = command("check", text)
     check.add_argument("model", metavar="MODEL", help="a built-in model or problem, or an MJCF or problem file")
     _at(check, "report inertia, gravity and effort map at this pose; may be given again")
 

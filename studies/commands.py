@@ -4,11 +4,12 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from models.errors import ModelError, ProblemError
+from models.errors import LinkplanError, ModelError, ProblemError
 from models.library import BUILT_IN as MODELS
 from models.mechanism import Mechanism
 from models.names import choose, nearest
@@ -129,25 +130,54 @@ def run_list(arguments: argparse.Namespace) -> int:
 
 
 def run_check(arguments: argparse.Namespace) -> int:
-    """Report on a mechanism; 1 where problems are found."""
+    """Report on a mechanism and what it does along its way; 1 where problems are found."""
+    from studies.check_report import path_text
     from studies.inspection import inspect, inspection_record
+    from studies.loop_report import path_record
     from studies.report import inspection_text
 
     target = _output(arguments)
-    _, tables, folder, _ = _tables(arguments.model, arguments.set)
-    mechanism = mechanism_from_tables(tables, folder)
+    mechanism, problem, note = _to_check(*_tables(arguments.model, arguments.set))
     found = inspect(mechanism, _positions(arguments, mechanism))
-    said = inspection_record(found)
+    paths, off_path = _paths(found, problem)
+    found = replace(found, notes=(*found.notes, *(text for text in (note, off_path) if text)))
+    said = inspection_record(found) | {"along": [path_record(path) for path in paths]}
     if target is not None:
         from studies.draw_mechanism import inspection_figure
+        from studies.draw_report import path_figure
 
         def write(place: Path) -> None:
             write_json(place / "check.json", said)
             inspection_figure(found, place / "mechanism.png")
+            for number, path in enumerate(paths, 1):
+                path_figure(path, found.reaches, place / f"loop-{number}.png")
 
         write_whole(target, write, "check.json")
-    _show(arguments, said, inspection_text(found))
+    _show(arguments, said, "\n\n".join([inspection_text(found), *(path_text(path) for path in paths)]))
     return NO if found.problems else DONE
+
+
+def _to_check(name: str, tables: dict, folder: Path | None, is_problem: bool):
+    """Return the mechanism to check, its problem if there is one, and why the problem that there is cannot be used."""
+    if not is_problem or "motion" not in tables:
+        return mechanism_from_tables(tables, folder), None, None
+    try:
+        problem = problem_from_tables(name, tables, folder)
+    except LinkplanError as error:
+        return mechanism_from_tables(tables, folder), None, f"the problem cannot be planned: {error}"
+    return problem.mechanism, problem, None
+
+
+def _paths(found, problem):
+    """Return the paths along which a mechanism is reported on, and why they are not the problem's motion, if so."""
+    from studies.loop_report import motion_path, reach_paths
+
+    if problem is not None:
+        try:
+            return (motion_path(problem),), None
+        except LinkplanError as error:
+            return reach_paths(found.mechanism, found.reaches), f"no path for the problem's motion: {error}"
+    return reach_paths(found.mechanism, found.reaches), None
 
 
 def run_plan(arguments: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from models.along import sampled
+from models.assembly import Reach
 from models.mechanism import Mechanism
 from models.skeleton import sticks
 from studies.drawing import BLACK, GREY, RED, SERIES, outside_legend, page
@@ -76,23 +77,35 @@ def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray) -> None:
     axes.set_ylabel("[m]")
 
 
-def _mark_singular(axes, found: Inspection, joint) -> None:
-    for position in found.reaches[0].singular:
-        axes.axvline(joint.shown(position), color=RED, linestyle=":", linewidth=1.2)
-    for _, position in found.reaches[0].toggles:
-        axes.axvline(joint.shown(position), color=GREY, linestyle=":", linewidth=1.2)
+def mark_turning(axes, mechanism: Mechanism, can: Reach) -> None:
+    """Draw where a reach is singular, dotted red, and where a dependent joint turns back, dotted grey."""
+    joint = mechanism.joints[mechanism.independent[can.coordinate]]
+    left, right = axes.get_xlim()
+    marks = [(position, RED) for position in can.singular] + [(position, GREY) for _, position in can.toggles]
+    for position, colour in marks:
+        if left <= joint.shown(position) <= right:  # one turn is drawn of a joint that turns twice
+            axes.axvline(joint.shown(position), color=colour, linestyle=":", linewidth=1.2)
 
 
 def draw_dependent(axes, found: Inspection) -> None:
-    """Draw the dependent joints over the independent one; singular poses dotted red, toggles dotted grey."""
+    """Draw the dependent joints over the independent one, slides on the right; singular poses dotted red, toggles grey."""
     poses, x, joint = _shown(found)
-    for colour, index in zip(SERIES, found.mechanism.dependent, strict=False):
-        other = found.mechanism.joints[index]
-        axes.plot(x, [other.shown(q) for q in poses[:, index]], color=colour, label=f"{other.name} [{other.unit}]")
-    _mark_singular(axes, found, joint)
+    dependent = [(int(index), found.mechanism.joints[index]) for index in found.mechanism.dependent]
+    kinds = list(dict.fromkeys(other.kind for _, other in dependent))
+    sides = dict.fromkeys(kinds, axes)
+    if len(kinds) == 2:
+        sides["slide"] = axes.twinx()
+        sides["slide"].grid(visible=False)
+        sides["slide"].spines["right"].set_visible(True)
+    for k, (index, other) in enumerate(dependent):
+        colour = SERIES[k % len(SERIES)]
+        sides[other.kind].plot(x, [other.shown(q) for q in poses[:, index]], color=colour)
+        axes.plot([], [], color=colour, label=f"{other.name} [{other.unit}]")
+    for kind, side in sides.items():
+        side.set_ylabel(f"dependent joints [{'deg' if kind == 'hinge' else 'm'}]")
+    mark_turning(axes, found.mechanism, found.reaches[0])
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
-    axes.set_ylabel("dependent joints")
-    if len(found.mechanism.dependent):
+    if dependent:
         outside_legend(axes, narrow=True)
 
 
@@ -105,7 +118,7 @@ def draw_inertia(axes, found: Inspection) -> None:
         axes.set_yscale("log")
     else:
         axes.set_ylim(0.0, 1.2 * inertia.max())
-    _mark_singular(axes, found, joint)
+    mark_turning(axes, found.mechanism, found.reaches[0])
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
     axes.set_ylabel(f"reduced inertia [{'kg m2' if joint.kind == 'hinge' else 'kg'}]")
 
@@ -120,6 +133,6 @@ def draw_gravity(axes, found: Inspection) -> None:
     if len(inner):
         margin = 0.2 * np.ptp(inner) + 1e-9
         axes.set_ylim(inner.min() - margin, inner.max() + margin)
-    _mark_singular(axes, found, joint)
+    mark_turning(axes, found.mechanism, found.reaches[0])
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
     axes.set_ylabel(f"effort that holds the weight [{'N.m' if joint.kind == 'hinge' else 'N'}]")

@@ -12,6 +12,8 @@ from models.mechanism import Joint, Mechanism
 
 # A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
 OPEN_M = 1e-6
+# A joint stands at the end of its range within this [rad or m]: what assembly leaves.
+_AT_THE_END = 1e-8
 # A direction of motion that the actuators reach by less than this share of the best-reached one is beyond them.
 _UNREACHED = 1e-9
 # An actuator does not drive a coordinate on which its effort is below this share of the largest: rounding.
@@ -116,6 +118,11 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
             f"loop {', '.join(mechanism.closure_names)} stands open by {1e3 * mechanism.home_gap_m:.3g} mm at the model's"
             " reference pose: the simulator snaps it shut, on whichever branch"
         )
+    for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
+        if not joint.lower - _AT_THE_END <= x <= joint.upper + _AT_THE_END:
+            problems.append(
+                f"joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at home, outside its range {_range(joint)}"
+            )
     if not mechanism.closure_names:
         notes.append("the model has no active loop closure: it is an open tree")
     if mechanism.n_u == 0:
@@ -163,7 +170,7 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
         )
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}")
-    return problems, notes
+    return list(dict.fromkeys(problems)), notes
 
 
 def _steerable(mechanism: Mechanism) -> bool:
@@ -192,6 +199,11 @@ def _range(joint: Joint) -> str:
     return f"[{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}] {joint.unit}"
 
 
+def branch(mechanism: Mechanism) -> list[float]:
+    """Return the determinants of J_z's blocks at home, whose signs no motion along the branch changes."""
+    return np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel().tolist() if mechanism.closures else []
+
+
 def inspection_record(found: Inspection) -> dict:
     """Return what `linkplan check --json` says."""
     mechanism = found.mechanism
@@ -211,6 +223,7 @@ def inspection_record(found: Inspection) -> dict:
         "closure_rows": mechanism.n_closure_rows,
         "closure_rank": len(mechanism.closure_rows),
         "closure_gap_m": found.closure_gap_m,
+        "branch": branch(mechanism),
         "home_deg": {j.name: j.shown(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "hinge"},
         "home_m": {j.name: float(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "slide"},
         "reach_deg": {joint.name: interval(joint, can) for joint, can in hinges},

@@ -4,7 +4,7 @@ import numpy as np
 
 from planner.plan import Plan, not_honoured
 from studies.compare import Comparison, rollout_record
-from studies.inspection import Inspection
+from studies.inspection import Inspection, branch
 from studies.tables import table
 
 
@@ -20,6 +20,8 @@ def inspection_text(found: Inspection) -> str:
         "home: "
         + ", ".join(f"{j.name} = {j.shown(x):.5g} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)),
     ]
+    if found.mechanism.closures:
+        lines.append(f"branch: that of home, where det J_z is {', '.join(f'{x:.4g}' for x in branch(mechanism))}")
     for joint, can in zip(mechanism.independent_joints, found.reaches, strict=True):
         lines.append(
             f"reach: {joint.name} from {joint.shown(can.lower.position):.5g} ({can.lower.reason})"
