@@ -62,9 +62,11 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
     result = []
     for index in mechanism.independent:
         joint = mechanism.joints[index]
-        if index not in values and default is None:
+        if index not in values and default is None and int(index) not in mechanism.idle:
             raise ProblemError(f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which moves on its own")
         value = values.get(int(index), default)
+        if value is None and int(index) in mechanism.idle:  # what spins idly stands where it is, unless it is named
+            value = joint.shown(mechanism.home[index])
         result.append(joint.read(number(value, f"{where}.{key} of joint {joint.name}")))
     if key.endswith("_s"):
         for index in values:

@@ -33,7 +33,7 @@ _BEND = 0.5
 _MORE = 1.1
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class OdePlan:
     """A solution with its certificate, or none and the reason; `status` is "optimal", "infeasible" or "failed"."""
 
@@ -275,6 +275,10 @@ def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: S
         history.append(step_of("least effort limit", transcribed, solution))
         factor = float(solution.x[transcribed.program.layout.extra()][0])
         if solution.converged and factor > 1:
-            message = f"infeasible: efforts of {factor:.4g} times their limits are the least with which a motion was found"
-            return OdePlan(problem=problem, status="infeasible", message=message, history=tuple(history))
+            found = f"efforts of {factor:.4g} times their limits are the least with which a motion was found"
+            fixed = problem.duration[0] == problem.duration[1]
+            # Where time is free a motion may gather way that no start has tried: what was found is no proof then.
+            message = f"infeasible: {found}" if fixed else f"failed: no solution was found; {found}, which is no proof"
+            status = "infeasible" if fixed else "failed"
+            return OdePlan(problem=problem, status=status, message=message, history=tuple(history))
     return OdePlan(problem=problem, status="failed", message=reason, history=tuple(history))

@@ -125,6 +125,8 @@ class OdeProblem:
 
     def _check_functions(self) -> None:
         """Refuse functions that give a wrong number of values."""
+        if self.rate is None:
+            raise ProblemError("rate is a function of (x, u, p, t), got None")
         expected = {"rate": self.n_x, "running_cost": 1, "path": len(self.path_limit)}
         for name, n in expected.items():
             got = self.at_instant(name).numel_out(0)

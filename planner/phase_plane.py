@@ -21,12 +21,14 @@ from planner.problem import PlanningProblem
 # Cells of the grid over s; two poses a cell.
 _CELLS = 800
 # Legs of a motion at the most, and places on the grid where it may turn.
-_SWINGS = 6
+_SWINGS = 24
 _PLACES = 60
 # A speed below this counts as this where times are added up [rad/s or m/s].
 _STILL = 1e-9
 # A crank that turns fully may go so far beyond start and goal [rad].
 _TURNS = 2.0 * np.pi
+# And anything without an end, so many times the way between start and goal.
+_SPANS = 1.5
 # Shares of the effort limits tried for a motion that may take longer than the least.
 _SHARES = (0.7, 0.4)
 # Room kept to the ends of the reach, as a share of it.
@@ -104,7 +106,8 @@ def _plane(problem: PlanningProblem, start_pose: np.ndarray, share: float) -> _P
     can = reach(mechanism)
     low, high = limits.position[mechanism.independent[0]]
     if can.turns_fully:
-        low, high = max(low, ends[0] - _TURNS), min(high, ends[1] + _TURNS)
+        beyond = max(_TURNS, _SPANS * float(ends[1] - ends[0]))
+        low, high = max(low, ends[0] - beyond), min(high, ends[1] + beyond)
     else:
         low, high = max(low, can.lower.position), min(high, can.upper.position)
     room = _ROOM * (high - low)
@@ -189,6 +192,11 @@ def _legs(plane: _Plane, problem: PlanningProblem):
         for way in [int(np.sign(v))] if v else [+1, -1]:
             push = plane.leg(at, 0.5 * v**2, way, way)
             index = at + way * np.arange(len(push))
+            if len(push) > 1 and index[-1] not in (0, n - 1):
+                # Where full effort comes to rest by itself: the furthest turn, and on no grid.
+                whole = index, np.append(push[:-1], 0.0), np.full(len(index), way)
+                taken = time + _duration(plane, whole)
+                heapq.heappush(queue, (taken, legs_so_far + 1, int(index[-1]), _Path([*legs, whole])))
             for place, _ in ends:
                 joined = _joined(plane, index, push, place, way, arriving.get((place, way)))
                 if joined is not None:

@@ -191,7 +191,7 @@ def finished(problem, trajectory, certificate, objective, history, message: str 
         problem=problem, status="optimal", message="", objective=objective, trajectory=trajectory, certificate=certificate
     )
     details: dict[str, float] = {}
-    sentence = message or f"{problem.objective.name}-optimal motion of {trajectory.duration_s:.6g} s"
+    sentence = message or f"{problem.objective.name.replace('_', ' ')}-optimal motion of {trajectory.duration_s:.6g} s"
     errors = tracking_errors(plan)
     if errors is not None and message is None and problem.objective.has("tracking"):
         joint = problem.mechanism.independent_joints[0]
@@ -251,6 +251,10 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
     if known is not None:
         reason = f"failed: a motion of {known:.5g} s keeps the effort limits by the phase plane, the solver did not find it"
         return Plan(problem=asked, status="failed", message=reason, history=tuple(history))
+    if least is not None and least.factor > 1.0 and _may_swing(problem):
+        sentence, _ = effort_sentence(problem, least)
+        reason = f"failed: no motion was found; on the one of least effort that was, {sentence}, which is no proof"
+        return Plan(problem=asked, status="failed", message=reason, history=tuple(history))
     if least is not None and least.factor > 1.0:
         sentence, details = effort_sentence(problem, least)
         return Plan(
@@ -286,6 +290,14 @@ def _known_motion(problem: PlanningProblem, guess: Guess) -> float | None:
 def _longest(problem: PlanningProblem) -> float:
     """Return the longest that a motion may take [s]."""
     return problem.motion.duration_s or problem.motion.max_duration_s or np.inf
+
+
+def _may_swing(problem: PlanningProblem) -> bool:
+    """Return whether a motion may gather way over a time without end, by ways that no start has tried.
+
+    With one degree of freedom the phase plane has tried them all.
+    """
+    return problem.mechanism.dof > 1 and not np.isfinite(_longest(problem))
 
 
 def _explain_together(

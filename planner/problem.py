@@ -150,9 +150,7 @@ class PlanningProblem:
                 f" {'; '.join(falsifying)}"
             )
         if self.mechanism.n_u == 0:
-            raise ProblemError(
-                f"mechanism '{self.mechanism.name}' has no usable actuator (a motor on a hinge or slide); a plan needs one"
-            )
+            raise ProblemError(f"mechanism '{self.mechanism.name}' has no usable actuator; a plan needs one")
         self._check_objective()
         if motion.kind == "reach" and (motion.start is None or motion.goal is None):
             raise ProblemError("motion.kind 'reach' needs motion.start_deg and motion.goal_deg")
@@ -202,6 +200,8 @@ class PlanningProblem:
                 "objective.minimize 'copper_loss' needs motors.NAME.torque_constant and resistance_ohm of every actuator;"
                 f" missing for {', '.join(lacking)}"
             )
+        if objective.has("closure_force") and not self.mechanism.closure_names:
+            raise ProblemError(f"objective.minimize 'closure_force' needs a closure; '{self.mechanism.name}' has none")
         rated = np.any(np.isfinite(self.limits.effort_rate))
         if (objective.has("effort_rate") or rated) and self.mesh.effort == "constant":
             raise ProblemError(

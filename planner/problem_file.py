@@ -95,7 +95,7 @@ def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -
     tables.setdefault("mechanism", {})["model"] = section["mechanism"]["model"]
     if mechanism.n_u == 0:
         raise ProblemError(
-            f"mechanism '{mechanism.name}' has no usable actuator (a motor on a hinge or slide); a plan needs one"
+            f"mechanism '{mechanism.name}' has no usable actuator; a plan needs one"
             + "".join(f"; {item.text}" for item in audit(mechanism.model))
         )
     kind = word(section["motion"], "motion.kind", KINDS)

@@ -164,14 +164,20 @@ def _run(arguments: argparse.Namespace) -> int:
 
         place = loop_commands if hasattr(loop_commands, f"run_{arguments.command}") else commands
         run: Callable[[argparse.Namespace], int] = getattr(place, f"run_{arguments.command}")
-        return run(arguments)
+        code = run(arguments)
+        sys.stdout.flush()
+        return code
     except LinkplanError as error:
         print(f"linkplan {arguments.command}: {one_line(error)}", file=sys.stderr)
         return BAD_INPUT
-    except BrokenPipeError:
-        # The reader of our output left; leave without a word, and keep Python from flushing into the closed pipe.
-        sys.stdout = None
-        return DONE
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            # The reader of our output left; leave without a word, and keep Python from flushing into the closed pipe.
+            sys.stdout = None
+            return DONE
+        sys.stdout = None  # a disk that is full for the result is full for what is left of it
+        print(f"linkplan {arguments.command}: the result cannot be written: {error.strerror or error}", file=sys.stderr)
+        return BAD_INPUT
     except (KeyboardInterrupt, SystemError) as error:
         # CasADi wraps an interrupt that comes while it converts a number.
         if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from planner.plan import Plan
-from studies.drawing import BLACK, GREY, SERIES, outside_legend, page
+from studies.drawing import BLACK, GREY, SERIES, level_zeros, outside_legend, page, sides_by_unit
 
 
 def plan_figure(plan: Plan, path: Path) -> None:
@@ -29,31 +29,32 @@ def _time_label(plan: Plan) -> str:
 def draw_position(axes, plan: Plan) -> None:
     """Draw the independent positions, with the reference dashed where there is one."""
     trajectory, reference = plan.trajectory, plan.problem.reference
-    time = trajectory.dense_times(10)
-    shown = _time_scale(plan) * time
-    for column, joint in enumerate(plan.problem.mechanism.independent_joints):
-        factor = joint.shown(1.0)
-        axes.plot(
-            shown, factor * trajectory.position_at(time)[:, column], color=SERIES[column], label=f"{joint.name} planned"
-        )
+    time, joints = trajectory.dense_times(10), plan.problem.mechanism.independent_joints
+    shown, sides = _time_scale(plan) * time, sides_by_unit(axes, "position", [joint.unit for joint in joints])
+    for column, joint in enumerate(joints):
+        factor, side = joint.shown(1.0), sides[joint.unit]
+        side.plot(shown, factor * trajectory.position_at(time)[:, column], color=SERIES[column])
+        axes.plot([], [], color=SERIES[column], label=_labelled(f"{joint.name} planned", joint.unit, sides))
         if reference is not None:
             wanted = factor * reference.derivative(time)[:, column]
-            axes.plot(shown, wanted, color=BLACK, linestyle="--", linewidth=1.0, label=f"{joint.name} reference")
-        axes.set_ylabel(f"position [{joint.unit}]")
+            side.plot(shown, wanted, color=BLACK, linestyle="--", linewidth=1.0)
+            label = _labelled(f"{joint.name} reference", joint.unit, sides)
+            axes.plot([], [], color=BLACK, linestyle="--", linewidth=1.0, label=label)
     outside_legend(axes)
+
+
+def _labelled(text: str, unit: str, sides: dict) -> str:
+    return text if len(sides) == 1 else f"{text} [{unit}]"
 
 
 def draw_velocity(axes, plan: Plan) -> None:
     """Draw the independent speeds."""
-    time = plan.trajectory.dense_times(10)
-    for column, joint in enumerate(plan.problem.mechanism.independent_joints):
-        axes.plot(
-            _time_scale(plan) * time,
-            joint.shown(1.0) * plan.trajectory.velocity_at(time)[:, column],
-            color=SERIES[column],
-            label=joint.name,
-        )
-        axes.set_ylabel(f"speed [{joint.unit}/s]")
+    time, joints = plan.trajectory.dense_times(10), plan.problem.mechanism.independent_joints
+    sides = sides_by_unit(axes, "speed", [f"{joint.unit}/s" for joint in joints])
+    for column, joint in enumerate(joints):
+        values = joint.shown(1.0) * plan.trajectory.velocity_at(time)[:, column]
+        sides[f"{joint.unit}/s"].plot(_time_scale(plan) * time, values, color=SERIES[column])
+    level_zeros(set(sides.values()))
 
 
 def draw_effort(axes, plan: Plan) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from models.assembly import Reach
 from studies.check_report import effort_unit, inertia_unit, ratio_unit
 from studies.draw_mechanism import draw_poses, mark_turning
-from studies.drawing import BLACK, GREY, RED, SERIES, outside_legend, page
+from studies.drawing import BLACK, GREY, RED, SERIES, level_zeros, outside_legend, page, sides_by_unit
 from studies.loop_report import LoopPath, acts
 
 # Poses drawn: few enough to tell apart.
@@ -63,23 +63,9 @@ def _x(path: LoopPath) -> np.ndarray:
     return np.array([joint.shown(x) for x in path.positions[:, column]])
 
 
-def _sides(axes, what: str, units: Sequence[str]) -> dict:
-    """Return the axes for each unit: of two units, as of a slide beside a hinge, the second has its own on the right."""
-    names = list(dict.fromkeys(units))
-    sides = dict.fromkeys(names, axes)
-    if len(names) == 2:
-        sides[names[1]] = axes.twinx()
-        sides[names[1]].grid(visible=False)
-        sides[names[1]].spines["right"].set_visible(True)
-    for unit, side in sides.items():
-        shown = ", ".join(names) if len(names) > 2 else unit
-        side.set_ylabel(what if shown == "1" else f"{what} [{shown}]")
-    return sides
-
-
 def _draw(axes, path: LoopPath, lines: Sequence[Line], what: str, *, from_zero: bool = False, log: bool = False) -> None:
     """Draw lines over the path, each against its unit; a note where there is none."""
-    x, sides = _x(path), _sides(axes, what, [unit for *_, unit in lines])
+    x, sides = _x(path), sides_by_unit(axes, what, [unit for *_, unit in lines])
     for k, (label, values, unit) in enumerate(lines):
         look = {"color": SERIES[k % len(SERIES)], "linestyle": _STYLES[k % len(_STYLES)]}
         sides[unit].plot(x, values, **look)
@@ -90,22 +76,12 @@ def _draw(axes, path: LoopPath, lines: Sequence[Line], what: str, *, from_zero: 
             side.set_yscale("log")
         else:
             _frame(side, of_it, from_zero=from_zero)
-    _level(set(sides.values()))
+    level_zeros(set(sides.values()))
     if lines:
         _legend(axes)
     else:
         axes.set_ylabel(what)
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color=GREY)
-
-
-def _level(sides: set) -> None:
-    """Bring the zeros of two vertical axes to one height, where both have one."""
-    if len(sides) < 2 or any(side.get_yscale() == "log" for side in sides):
-        return
-    one_sided = all(side.get_ylim()[0] == 0 for side in sides)
-    for side in sides:
-        size = max(abs(end) for end in side.get_ylim())
-        side.set_ylim(0.0 if one_sided else -size, size)
 
 
 def _legend(axes) -> None:
@@ -177,7 +153,7 @@ def draw_weight(axes, path: LoopPath) -> None:
 def draw_available(axes, path: LoopPath) -> None:
     """Draw what the actuators' limits allow on each coordinate as a band, and what holds weight and springs in black."""
     joints, x = path.mechanism.independent_joints, _x(path)
-    sides = _sides(axes, "effort within limits", [effort_unit(joint) for joint in joints])
+    sides = sides_by_unit(axes, "effort within limits", [effort_unit(joint) for joint in joints])
     needed = np.einsum("ksu,ku->ks", path.ratio, path.holding_effort) + path.unheld_effort
     lines: dict = {side: [] for side in sides.values()}
     for i, joint in enumerate(joints):
@@ -193,7 +169,7 @@ def draw_available(axes, path: LoopPath) -> None:
         axes.plot([], [], color=BLACK, linestyle=style, label=f"{joint.name} to hold still{unit}")
     for side, of_it in lines.items():
         _frame(side, of_it)
-    _level(set(lines))
+    level_zeros(set(lines))
     _legend(axes)
 
 

@@ -1,6 +1,6 @@
 """One look for every figure: sizes, grid, and colours that colour-blind readers can tell apart (Okabe & Ito, 2008)."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -48,3 +48,27 @@ def outside_legend(axes, *, narrow: bool = False, **options) -> None:
     if narrow and sum(len(label) + _LETTERS_BESIDE for label in labels) > _LETTERS_A_ROW:
         columns = max(1, _LETTERS_A_ROW // (max(map(len, labels)) + _LETTERS_BESIDE))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
+
+
+def sides_by_unit(axes, what: str, units: Sequence[str]) -> dict:
+    """Return the axes for each unit: of two units, as of a slide beside a hinge, the second has its own on the right."""
+    names = list(dict.fromkeys(units))
+    sides = dict.fromkeys(names, axes)
+    if len(names) == 2:
+        sides[names[1]] = axes.twinx()
+        sides[names[1]].grid(visible=False)
+        sides[names[1]].spines["right"].set_visible(True)
+    for unit, side in sides.items():
+        shown = ", ".join(names) if len(names) > 2 else unit
+        side.set_ylabel(what if shown == "1" else f"{what} [{shown}]")
+    return sides
+
+
+def level_zeros(sides: set) -> None:
+    """Bring the zeros of two vertical axes to one height, where both have one."""
+    if len(sides) < 2 or any(side.get_yscale() == "log" for side in sides):
+        return
+    one_sided = all(side.get_ylim()[0] == 0 for side in sides)
+    for side in sides:
+        size = max(abs(end) for end in side.get_ylim())
+        side.set_ylim(0.0 if one_sided else -size, size)

@@ -95,7 +95,8 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
         raise LinkplanError(f"no effort holds '{mechanism.name}' at {point.name}")
     limit = mechanism.effort_limit if effort_limit is None else effort_limit
     for actuator, effort, (low, high) in zip(mechanism.actuators, hold[0], limit, strict=True):
-        if not low < effort < high:
+        room = _HELD * max(abs(low), abs(high)) if np.isfinite([low, high]).all() else 0.0
+        if not low - room < effort < high + room:
             raise LinkplanError(
                 f"'{mechanism.name}' cannot be held at {point.name}: {actuator.name} would need {effort:.4g}"
                 f" {actuator.unit}, its limits are {low:g} to {high:g}"

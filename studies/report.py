@@ -2,7 +2,9 @@
 
 import numpy as np
 
+from planner.objective import TERMS
 from planner.plan import Plan, not_honoured
+from planner.problem import PlanningProblem
 from studies.compare import Comparison, rollout_record
 from studies.inspection import Inspection, branch
 from studies.tables import table
@@ -62,6 +64,8 @@ def plan_text(plan: Plan) -> str:
     if trajectory is None or certificate is None:
         return "\n".join(lines)
     lines.append(f"duration {trajectory.duration_s:.8g} s, {plan.scheme}, {plan.intervals} intervals")
+    if plan.objective is not None:
+        lines.append(f"objective ({problem.objective.name}): {plan.objective:.9g}{_objective_unit(problem)}")
     lines += _history_lines(plan)
     for actuator, peak, (low, high) in zip(
         problem.mechanism.actuators, certificate.peak_effort, problem.limits.effort, strict=True
@@ -83,6 +87,7 @@ def plan_text(plan: Plan) -> str:
     for joint, margin in zip(problem.mechanism.joints, certificate.speed_margin, strict=True):
         if np.isfinite(margin):
             rows.append([f"margin to the speed limit of {joint.name}", joint.shown(margin), f"{joint.unit}/s"])
+    rows.append(["least det J_z, of that at home", certificate.singularity_ratio, "1"])
     rows += [[f"left of {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
     forces = zip(problem.mechanism.closure_names, certificate.peak_closure_force, strict=True)
     rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]
@@ -97,13 +102,19 @@ def plan_text(plan: Plan) -> str:
     return "\n".join(lines)
 
 
+def _objective_unit(problem: PlanningProblem) -> str:
+    """Return the unit of a single term, in front a blank; nothing for a sum."""
+    terms = list(problem.objective.weights)
+    return f" {TERMS[terms[0]][1]}" if len(terms) == 1 else ""
+
+
 def _history_lines(plan: Plan) -> list[str]:
     """Return a line for each solve that led to a plan, where it took more than one."""
     if len(plan.history) < 2:
         return []
     lines = ["solves:"]
     for step in plan.history:
-        error = "" if step.integration_error_deg is None else f", {step.integration_error_deg:.2g} deg after integration"
+        error = "" if not step.integration_error_deg else f", {step.integration_error_deg:.2g} deg after integration"
         answer = f"objective {step.objective:.9g}" if step.converged else f"not solved ({step.solver_status})"
         lines.append(f"  {step.what}: {step.scheme}, {step.intervals} intervals, {answer}{error}, {step.solve_s:.2g} s")
     return lines

@@ -1,0 +1,58 @@
+"""Starts from the phase plane: near the exact least time, over swings where no straight motion is open; no false refusal."""
+
+import numpy as np
+import pytest
+
+from planner.phase_plane import least_time_guess
+from planner.planning import plan_motion
+from planner.presolve import start_pose_of
+from planner.problem_file import load_problem
+from tests.tolerances_planner import MINIMUM_TIME
+
+SPRING = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" stiffness="1"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+<actuator><motor name="u" joint="x" ctrlrange="-1 1"/></actuator></mujoco>"""
+# The grid's own error, of the least time.
+GRID = 2e-3
+
+
+@pytest.fixture
+def spring(tmp_path):
+    (tmp_path / "spring.xml").write_text(SPRING, encoding="utf-8")
+
+    def problem(start_m: float, *settings: str):
+        path = tmp_path / "problem.toml"
+        path.write_text(
+            f'[mechanism]\nmodel = "spring.xml"\n[motion]\nkind = "reach"\nstart_m = {{ x = {start_m} }}\n'
+            'goal_m = { x = 0.0 }\nduration_s = "free"\n[objective]\nminimize = "time"\n',
+            encoding="utf-8",
+        )
+        return load_problem(path, settings)
+
+    return problem
+
+
+@pytest.mark.parametrize("half_swings", [1, 2, 5])
+def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring, half_swings):
+    """Each half swing about +-1 m takes pi and brings the end 2 m nearer."""
+    problem = spring(2.0 * half_swings)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.duration_s >= np.pi * half_swings * (1 - GRID)
+    plan = plan_motion(problem)
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(np.pi * half_swings, rel=MINIMUM_TIME)
+
+
+@pytest.mark.parametrize("name", ["knee-sprint", "knee-sprint-bare"])
+def test_a_straight_least_time_is_met_to_the_grid(name):
+    problem = load_problem(name)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.duration_s == pytest.approx(plan_motion(problem).objective, rel=GRID)
+
+
+def test_a_motion_that_there_is_no_time_for_is_not_tried_from_other_starts(spring):
+    plan = plan_motion(spring(10.0, "motion.max_duration_s=10"))
+    assert plan.status == "infeasible"
+    assert not [step for step in plan.history if step.what.startswith("start from")]
