@@ -7,6 +7,7 @@ is not found; the optimum is left to the solver, and so is all that this leaves 
 """
 
 import heapq
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,7 +92,7 @@ def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest
         return quickest
     weaker = (_guess_with(problem, start_pose, share) for share in _SHARES)
     known = [quickest, *(guess for guess in weaker if guess is not None)]
-    return _stretched(min(known, key=lambda guess: abs(np.log(guess.duration_s / duration))), duration)
+    return stretched(min(known, key=lambda guess: abs(np.log(guess.duration_s / duration))), duration)
 
 
 def _guess_with(problem: PlanningProblem, start_pose: np.ndarray, share: float) -> Guess | None:
@@ -180,9 +181,10 @@ def _legs(plane: _Plane, problem: PlanningProblem):
         for way in (+1, -1):
             if v * way >= 0:
                 arriving[place, way] = plane.leg(place, 0.5 * v**2, -way, -way, backwards=True)
-    queue, known = [(0.0, 0, start, _Path())], {}
+    ticket = itertools.count(1)  # equal times are never compared further
+    queue, known = [(0.0, 0, 0, start, [])], {}
     while queue:
-        time, legs_so_far, at, legs = heapq.heappop(queue)
+        time, _, legs_so_far, at, legs = heapq.heappop(queue)
         if legs and at == goal:
             return legs
         if known.get(at, np.inf) <= time or legs_so_far == _SWINGS:
@@ -196,19 +198,13 @@ def _legs(plane: _Plane, problem: PlanningProblem):
                 # Where full effort comes to rest by itself: the furthest turn, and on no grid.
                 whole = index, np.append(push[:-1], 0.0), np.full(len(index), way)
                 taken = time + _duration(plane, whole)
-                heapq.heappush(queue, (taken, legs_so_far + 1, int(index[-1]), _Path([*legs, whole])))
+                heapq.heappush(queue, (taken, next(ticket), legs_so_far + 1, int(index[-1]), [*legs, whole]))
             for place, _ in ends:
                 joined = _joined(plane, index, push, place, way, arriving.get((place, way)))
                 if joined is not None:
-                    heapq.heappush(queue, (time + _duration(plane, joined), legs_so_far + 1, place, _Path([*legs, joined])))
+                    taken = time + _duration(plane, joined)
+                    heapq.heappush(queue, (taken, next(ticket), legs_so_far + 1, place, [*legs, joined]))
     return None
-
-
-class _Path(list):
-    """Legs in a queue: never compared."""
-
-    def __lt__(self, other: object) -> bool:
-        return False
 
 
 def _duration(plane: _Plane, leg) -> float:
@@ -258,6 +254,8 @@ def _guess(plane: _Plane, legs, start_pose: np.ndarray) -> Guess:
         half = 2 * np.clip(np.searchsorted(plane.s, place[k]), 0, len(plane.s) - 1)
         return np.where(pushed[k, None] > 0, plane.effort[+1][half], plane.effort[-1][half])
 
+    switched = np.flatnonzero(np.diff(pushed)) + 1
+    ends = np.concatenate([[0.0], t[switched], t[-1:]])
     return Guess(
         position=path,
         velocity=path.derivative(1),
@@ -266,10 +264,12 @@ def _guess(plane: _Plane, legs, start_pose: np.ndarray) -> Guess:
         duration_s=float(t[-1]),
         start_pose=start_pose,
         legs=len(legs),
+        cuts_s=t[switched],
+        held=effort_at(0.5 * (ends[1:] + ends[:-1])),
     )
 
 
-def _stretched(guess: Guess, duration: float) -> Guess:
+def stretched(guess: Guess, duration: float) -> Guess:
     """Return a guess slowed or hastened to a duration, its efforts left to inverse dynamics."""
     factor = guess.duration_s / duration
     return Guess(

@@ -8,16 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from planner.certificate import certify
+from planner.finishing import finished
 from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of, swinging_guesses
 from planner.infeasibility import LeastLimit, effort_sentence, least_limit
 from planner.mechanism_case import case_of
 from planner.mesh import Mesh, broken, segmented, uniform
-from planner.phase_plane import least_time_guess, phase_plane_guess
-from planner.plan import Plan, Step, tracking_errors
+from planner.phase_plane import least_time_guess, phase_plane_guess, stretched
+from planner.plan import Plan, Step
 from planner.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem, SolverSettings
-from planner.refinement import Say, attempt, refine, silent
+from planner.refinement import Say, attempt, cut_mesh, refine, silent
 from planner.relaxation import RELAXABLE, least_of, violated_sentence, without
 from planner.solve import INVALID, OUT_OF_TIME
 
@@ -30,6 +31,8 @@ _COARSEST = 6
 _PER_LEG = 40
 # A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth.
 _SURELY = 1.001
+# A least time beyond so many times that of the phase plane's motion is a local one.
+_SLOW = 1.002
 # Iterations for solves that only look for the reason.
 _ITERATIONS = 200
 # Bends tried after the first failure, where the user asks for no further starts.
@@ -59,6 +62,7 @@ def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
         plan = _best_of(problem, start_pose, history, say)
     else:
         plan = _first_of(problem, _in_turn(problem, start_pose), history, say)
+        plan = _quicker(problem, plan, start_pose, history, say) or plan
     return plan or _explain(problem, first_guess(problem, start_pose), history, say)
 
 
@@ -72,11 +76,41 @@ def _in_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple
     if quickest is not None:
         if _longest(problem) * _SURELY < quickest.duration_s:
             return  # no start leads to a motion that there is no time for: the reason is looked for
+        if quickest.legs > 1 and list(problem.objective.weights) != ["time"]:
+            swung = _least_time_motion(problem, quickest)
+            if swung is not None:
+                yield "the least-time motion", swung
         yield "the phase plane", phase_plane_guess(problem, start_pose, quickest)
     for swing in swinging_guesses(problem, start_pose):
         yield "a swing", swing
     for _, (what, guess) in zip(range(_BENDS), bent_guesses(problem, start_pose), strict=False):
         yield what, guess
+
+
+def _quicker(
+    problem: PlanningProblem, plan: Plan | None, start_pose: np.ndarray, history: list[Step], say: Say
+) -> Plan | None:
+    """Return a least-time plan that is quicker than a local optimum, where the phase plane knows of one; else None."""
+    if plan is None or plan.status != "optimal" or list(problem.objective.weights) != ["time"]:
+        return None
+    quickest = least_time_guess(problem, start_pose)
+    if quickest is None or plan.trajectory.duration_s <= _SLOW * quickest.duration_s:
+        return None
+    better = _first_of(problem, iter([("the phase plane", quickest)]), history, say)
+    passes = better is not None and better.status == "optimal"
+    return better if passes and better.trajectory.duration_s < plan.trajectory.duration_s else None
+
+
+def _least_time_motion(problem: PlanningProblem, quickest: Guess) -> Guess | None:
+    """Return the motion of least time as a start for another objective, stretched to a fixed duration; None without one."""
+    motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
+    free = replace(problem, objective="time", motion=motion, guess=None, solver=_patient(problem.solver))
+    plan = _first_of(free, iter([("the phase plane", quickest)]), [], silent)
+    if plan is None or plan.trajectory is None:
+        return None
+    guess = motion_of(plan.trajectory)
+    duration = problem.motion.duration_s or max(guess.duration_s, problem.motion.min_duration_s or 0.0)
+    return replace(stretched(guess, duration), legs=quickest.legs)
 
 
 def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
@@ -102,6 +136,12 @@ def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], his
         word = "first solve" if number == 0 else f"start from {what}"
         patient = problem if number == 0 else replace(problem, solver=_patient(problem.solver))
         found = attempt(case_of(patient), guess, mesh, durations, word, history, say)
+        if guess.cuts_s is not None and list(problem.objective.weights) == ["time"]:
+            # Its switches are known: with cuts there and efforts held between them, the instants alone are to be found.
+            cut, lengths = cut_mesh(np.array([0.0, guess.duration_s]), guess.cuts_s, problem.mesh.intervals)
+            held = attempt(case_of(patient), guess, cut, lengths, f"{word}, efforts held", history, say, pinned=guess.held)
+            if held is not None and (found is None or held[1].objective < found[1].objective):
+                found, mesh = held, cut
         if found is None:
             if history[-1].solver_status in (OUT_OF_TIME, INVALID):
                 return None
@@ -183,39 +223,6 @@ def _certified(problem: PlanningProblem, found, mesh: Mesh, history: list[Step],
         )
         return replace(plan, status="failed", message=missed)
     return plan
-
-
-def finished(problem, trajectory, certificate, objective, history, message: str | None) -> Plan:
-    """Return the plan of a certified motion, its status by the certificate and its message in words."""
-    plan = Plan(
-        problem=problem, status="optimal", message="", objective=objective, trajectory=trajectory, certificate=certificate
-    )
-    details: dict[str, float] = {}
-    sentence = message or f"{problem.objective.name.replace('_', ' ')}-optimal motion of {trajectory.duration_s:.6g} s"
-    errors = tracking_errors(plan)
-    if errors is not None and message is None and problem.objective.has("tracking"):
-        joint = problem.mechanism.independent_joints[0]
-        details |= {
-            f"tracking_rms_{joint.unit}": joint.shown(errors[0]),
-            f"tracking_max_{joint.unit}": joint.shown(errors[1]),
-        }
-        sentence = (
-            f"nearest motion to the reference: {joint.shown(errors[0]):.4g} {joint.unit} rms,"
-            f" {joint.shown(errors[1]):.4g} {joint.unit} at most away from it"
-        )
-        demand = reference_demand(problem, trajectory.start_pose)
-        if demand is not None:
-            sentence += f"; {demand.sentence('the reference itself')}"
-            details |= {"reference_needs": demand.needed, "reference_needs_at_s": demand.time_s}
-    if not certificate.passed:
-        return replace(
-            plan,
-            status="failed",
-            message=f"failed: the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}",
-            history=tuple(history),
-            details=details,
-        )
-    return replace(plan, message=sentence, history=tuple(history), details=details)
 
 
 def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: Say) -> Plan:
