@@ -7,6 +7,9 @@ import numpy as np
 from studies.along_motion import AlongMotion
 from studies.drawing import BLUE, GREY, ORANGE, page
 
+# What is left of a disturbance is not drawn below this: the simulator cannot show it.
+_ROUNDING = 1e-12
+
 
 def along_figure(found: AlongMotion, path: Path) -> None:
     """Draw the frozen margins over time, and the decay over a cycle where the motion repeats."""
@@ -40,7 +43,7 @@ def draw_decay(axes, found: AlongMotion) -> None:
     cycle = found.floquet
     shown = slice(0, cycle.seen + 1)
     time = 1e3 * cycle.time_s
-    axes.semilogy(time, np.maximum(cycle.size, 1e-12), color=BLUE, linewidth=1.6, label="predicted")
+    axes.semilogy(time, np.where(cycle.size >= _ROUNDING, cycle.size, np.nan), color=BLUE, linewidth=1.6, label="predicted")
     axes.semilogy(time[shown], cycle.measured_size[shown], color=ORANGE, linestyle="--", linewidth=1.6, label="MuJoCo")
     axes.axhline(1.0, color=GREY, linestyle=":", linewidth=1.0)
     axes.set_xlabel("time [ms]")

@@ -95,11 +95,13 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
         raise LinkplanError(f"no effort holds '{mechanism.name}' at {point.name}")
     limit = mechanism.effort_limit if effort_limit is None else effort_limit
     for actuator, effort, (low, high) in zip(mechanism.actuators, hold[0], limit, strict=True):
+        # At the end of its limits an actuator answers to one side only: no loop is linear there.
         room = _HELD * max(abs(low), abs(high)) if np.isfinite([low, high]).all() else 0.0
-        if not low - room < effort < high + room:
+        if not low + room < effort < high - room:
+            shown = effort if abs(effort) > room else 0.0
             raise LinkplanError(
-                f"'{mechanism.name}' cannot be held at {point.name}: {actuator.name} would need {effort:.4g}"
-                f" {actuator.unit}, its limits are {low:g} to {high:g}"
+                f"'{mechanism.name}' cannot be held at {point.name}: {actuator.name} would need {shown:.4g}"
+                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a loop needs room to both sides"
             )
     return point
 
