@@ -99,12 +99,23 @@ def _knot_groups(formulation: Formulation, mesh: Mesh):
             yield group, knot.time[0] - at, knot.time[1] - at, np.ones(len(group))
 
 
-def bounds(formulation: Formulation, layout: Layout, mesh: Mesh, durations: np.ndarray, pinned: np.ndarray | None):
-    """Return the unknowns' bounds: limits, knots, durations guessed at (n_segments,) [s], efforts that are held."""
+def bounds(
+    formulation: Formulation,
+    layout: Layout,
+    mesh: Mesh,
+    durations: np.ndarray,
+    pinned: np.ndarray | None,
+    look_z: tuple[int, ...] = (),
+):
+    """Return the unknowns' bounds: limits, knots, durations guessed at (n_segments,) [s], efforts that are held.
+
+    `look_z` are the algebraic unknowns of ends that are looked at.
+    """
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     states = layout.states()
     lower[states], upper[states] = formulation.state.T
     lower[layout.dependent()], upper[layout.dependent()] = formulation.algebraic.T
+    lower[layout.looked()], upper[layout.looked()] = formulation.algebraic[list(look_z)].T
     unit = formulation.units.effort
     if not layout.n_extra:
         lower[layout.effort()] = formulation.effort[:, 0] / unit
@@ -133,8 +144,11 @@ def bounds(formulation: Formulation, layout: Layout, mesh: Mesh, durations: np.n
     return lower, upper
 
 
-def row_bounds(formulation: Formulation, interval: IntervalFunctions, breaks_s: np.ndarray):
-    """Return the bounds of the intervals' rows in turn: an interval's own, then each node's."""
+def row_bounds(formulation: Formulation, interval: IntervalFunctions, breaks_s: np.ndarray, held: np.ndarray | None = None):
+    """Return the bounds of the intervals' rows in turn: an interval's own, each node's, those of ends looked at.
+
+    `held` (n_intervals, n_path) says which path quantities nodes hold at their upper limit (1) or lower one (-1).
+    """
     n = len(breaks_s) - 1
     own = np.zeros((interval.n_own, 2))
     for row, (kind, item) in enumerate(zip(interval.own_kinds, interval.own_items, strict=True)):
@@ -143,6 +157,16 @@ def row_bounds(formulation: Formulation, interval: IntervalFunctions, breaks_s: 
     path = np.broadcast_to(formulation.path.reshape(-1, 2), (n, interval.n_path, 2))
     if formulation.inset is not None:
         path = path + formulation.inset(breaks_s)[:, :, None] * np.array([1.0, -1.0])
-    node = np.concatenate([np.zeros((n, interval.n_equations, 2)), path], axis=1)
-    both = np.concatenate([np.broadcast_to(own, (n, *own.shape)), np.tile(node, (1, interval.n_nodes, 1))], axis=1)
+    looked = path
+    if held is not None and held.any():
+        path, looked = np.array(path), np.array(path)
+        for which, side in ((held > 0, 1), (held < 0, 0)):
+            path[which] = path[which][:, [side, side]]
+            looked[which] = -np.inf, np.inf  # the nodes say all there is to say
+    equations = np.zeros((n, interval.n_equations, 2))
+    node = np.concatenate([equations, path], axis=1)
+    looked = np.concatenate([equations, looked], axis=1)[:, list(interval.look_rows)]
+    looked = np.tile(looked, (1, interval.n_looks, 1))
+    at_nodes = np.tile(node, (1, interval.n_nodes, 1))
+    both = np.concatenate([np.broadcast_to(own, (n, *own.shape)), at_nodes, looked], axis=1)
     return both[:, :, 0].ravel(), both[:, :, 1].ravel()

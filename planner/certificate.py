@@ -16,7 +16,15 @@ from models.along import joint_rates, needed_effort, sampled
 from models.assembly import follow
 from models.controls import control_excess
 from models.mechanism import Mechanism
-from planner.margins import Margin, actuator_speeds, closure_forces, least_between, margins, singularity_ratios
+from planner.margins import (
+    Margin,
+    actuator_speeds,
+    closure_forces,
+    least_between,
+    look_points,
+    margins,
+    singularity_ratios,
+)
 from planner.motion import Waypoint
 from planner.problem import PlanningProblem
 from planner.trajectory import Trajectory
@@ -34,7 +42,6 @@ VELOCITY_SHARE = 0.02
 BOUNDARY_SHARE = 1e-6
 RANGE_SLACK = 1e-9
 
-SAMPLES_PER_INTERVAL = 12
 # A plan that carries no effort at all may miss this much [N.m or N], against rounding.
 _NO_EFFORT = 1e-12
 # The integration's own error: two digits below the 1e-10 that the certificate speaks of.
@@ -65,6 +72,7 @@ class Certificate:
     peak_closure_force: np.ndarray  # (n_closures,) [N]
     margins: tuple[Margin, ...]  # of the limits beyond effort, range and speed
     speed_overrun: np.ndarray  # (n_q, n_intervals) by how much of itself a joint's speed limit is overrun in each
+    position_overrun: np.ndarray  # (n_q, n_intervals) by how much of its span a joint's range is left in each
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed in all
     residual_share: np.ndarray  # (n_intervals,) of the dynamics residual, in shares of what is allowed
     worst_time_s: dict[str, float]
@@ -83,7 +91,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         AssemblyError: when the motion leaves what the loops allow.
     """
     mechanism, limits = problem.mechanism, problem.limits
-    time = trajectory.dense_times(SAMPLES_PER_INTERVAL)
+    points = look_points(trajectory.velocity.shape[0] - 1)
+    time = trajectory.times_at(points)
     s, v, a = (f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
     u = trajectory.effort_at(time)
     q = follow(mechanism, s, trajectory.start_pose)
@@ -102,9 +111,11 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     residual = np.abs(sampled(mechanism.dynamics.residual, q, v, a, u)).max(axis=(1, 2))
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
-    position_margin, speed_margin, speed_overrun = _margins(mechanism, limits, q, v, time, worst)
+    (position_margin, position_overrun), (speed_margin, speed_overrun) = _margins(
+        mechanism, limits, points, q, v, time, worst
+    )
     ratio = float(singularity_ratios(problem, q).min())
-    others = margins(problem, trajectory, time, q, v, a, u)
+    others = margins(problem, trajectory, points, time, q, v, a, u)
     forces = closure_forces(problem, q, v, a, u)
     speed = max(float(np.abs(v).max()), np.finfo(float).tiny)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
@@ -169,6 +180,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         peak_closure_force=forces.max(axis=0, initial=0.0),
         margins=others,
         speed_overrun=speed_overrun,
+        position_overrun=position_overrun,
         growth=growth,
         residual_share=residual.reshape(len(growth), -1).max(axis=1) / allowed,
         worst_time_s=worst,
@@ -180,22 +192,24 @@ def _generalised_peak(mechanism: Mechanism, q: np.ndarray, u: np.ndarray) -> flo
     return float(np.abs(np.einsum("ksu,ku->ks", sampled(mechanism.dynamics.effort_map, q), u)).max())
 
 
-def _margins(mechanism: Mechanism, limits, q, v, time, worst) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the least distances (n_q,) of every joint's position and speed to their limits, negative outside.
+def _margins(mechanism: Mechanism, limits, points, q, v, time, worst) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return, of positions and of speeds, the least distances (n_q,) of every joint to its limits, negative outside.
 
-    And by how much of itself (n_q, n_intervals) a speed limit is overrun in each interval.
+    And by how much (n_q, n_intervals) they are overrun in each interval: a share of the range's span, of the speed limit.
     """
     rates = joint_rates(mechanism, q, v)
-    margins = []
+    found = []
     for what, values, bounds in (("range", q, limits.position), ("speed limit", rates, limits.speed)):
         inside = np.minimum(values - bounds[:, 0], bounds[:, 1] - values)
         for joint, column in zip(mechanism.joints, inside.T, strict=True):
             worst[f"{what} of {joint.name}"] = float(time[int(np.argmin(column))])
-        margins.append(np.array([least_between(column, SAMPLES_PER_INTERVAL) for column in inside.T]))
-    by_interval = inside.T.reshape(mechanism.n_q, -1, SAMPLES_PER_INTERVAL + 1)
-    least = np.array([[least_between(row, SAMPLES_PER_INTERVAL) for row in rows] for rows in by_interval])
-    size = np.where(np.isfinite(limits.speed), np.abs(limits.speed), 0.0).max(axis=1)
-    return margins[0], margins[1], np.maximum(0.0, -least) / np.where(size > 0, size, 1.0)[:, None]
+        least = np.array([least_between(column, points) for column in inside.T])
+        if what == "range":
+            size = np.where(np.isfinite(bounds).all(axis=1), bounds[:, 1] - bounds[:, 0], 0.0)
+        else:
+            size = np.where(np.isfinite(bounds), np.abs(bounds), 0.0).max(axis=1)
+        found.append((least.min(axis=1), np.maximum(0.0, -least) / np.where(size > 0, size, 1.0)[:, None]))
+    return found
 
 
 def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: float) -> float:

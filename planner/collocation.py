@@ -28,7 +28,8 @@ _GUESS_ROOM = 0.95
 class Transcribed:
     """A program with the numbers that one problem puts into it.
 
-    `pinned` (n_segments, n_u) are efforts held over whole segments; `least_limit` says that the smallest common factor
+    `pinned` (n_segments, n_u) are efforts held over whole segments, `held` (n_segments, n_path) path quantities held at
+    their upper limit (1) or lower one (-1); `least_limit` says that the smallest common factor
     on the effort limits is sought in place of the objective. `mechanism`, its `scales` and `start_pose` (closed, near the
     start) are there where the problem is a mechanism's.
     """
@@ -43,6 +44,7 @@ class Transcribed:
     row_upper: np.ndarray
     start: np.ndarray
     pinned: np.ndarray | None
+    held: np.ndarray | None
     least_limit: bool
     build_s: float  # time that building took [s]
     mechanism: Mechanism | None = None
@@ -85,6 +87,7 @@ def collocate(
     compile_mode: str = "auto",
     least_limit: bool = False,
     pinned: np.ndarray | None = None,
+    held: np.ndarray | None = None,
 ) -> Transcribed:
     """Return the program of a formulation on a mesh, with bounds and a starting point.
 
@@ -97,6 +100,7 @@ def collocate(
         compile_mode: "auto", "always" or "never".
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
         pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
+        held: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole segments.
     """
     begin = time.perf_counter()
     interval = _interval(formulation, chosen, mesh.n_intervals, compile_mode)
@@ -110,6 +114,8 @@ def collocate(
         n_intervals=mesh.n_intervals,
         n_segments=mesh.n_segments,
         n_extra=int(least_limit),
+        n_looks=interval.n_looks,
+        n_z_looked=len(interval.look_z),
     )
     durations = fitted(durations, formulation.knots, mesh.leg, formulation.units.time_s)
     linear, linear_lower, linear_upper = linear_rows(
@@ -117,20 +123,21 @@ def collocate(
     )
     cost = np.zeros(layout.size)
     cost[layout.extra()] = 1.0
-    lower, upper = bounds(formulation, layout, mesh, durations, None if least_limit else pinned)
+    lower, upper = bounds(formulation, layout, mesh, durations, None if least_limit else pinned, interval.look_z)
     breaks = mesh.breaks(durations)
-    row_lower, row_upper = row_bounds(formulation, interval, breaks)
+    row_lower, row_upper = row_bounds(formulation, interval, breaks, None if held is None else held[mesh.segment])
     return Transcribed(
         program=build_program(layout, mesh, interval, linear, cost, formulation.endpoint),
         scheme=chosen,
         formulation=formulation,
-        parameters=_parameters(formulation, chosen, mesh, breaks),
+        parameters=_parameters(formulation, chosen, interval.n_looks, mesh, breaks),
         lower=lower,
         upper=upper,
         row_lower=np.concatenate([row_lower, linear_lower, formulation.endpoint_bounds[:, 0]]),
         row_upper=np.concatenate([row_upper, linear_upper, formulation.endpoint_bounds[:, 1]]),
-        start=_start(formulation, start, chosen, layout, breaks, durations),
+        start=_start(formulation, start, chosen, interval, layout, breaks, durations),
         pinned=pinned,
+        held=held,
         least_limit=least_limit,
         build_s=time.perf_counter() - begin,
     )
@@ -150,13 +157,14 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
     durations = fitted(x[layout.durations()] * unit, formulation.knots, mesh.leg, unit)
     start = np.array(x)
     start[layout.durations()] = durations / unit
-    lower, upper = bounds(formulation, layout, mesh, durations, transcribed.pinned)
+    lower, upper = bounds(formulation, layout, mesh, durations, transcribed.pinned, program.interval.look_z)
     _, linear_lower, linear_upper = linear_rows(formulation, layout, mesh, None)
-    row_lower, row_upper = row_bounds(formulation, program.interval, mesh.breaks(durations))
+    held = None if transcribed.held is None else transcribed.held[mesh.segment]
+    row_lower, row_upper = row_bounds(formulation, program.interval, mesh.breaks(durations), held)
     return replace(
         transcribed,
         formulation=formulation,
-        parameters=_parameters(formulation, transcribed.scheme, mesh, mesh.breaks(durations)),
+        parameters=_parameters(formulation, transcribed.scheme, program.interval.n_looks, mesh, mesh.breaks(durations)),
         lower=lower,
         upper=upper,
         row_lower=np.concatenate([row_lower, linear_lower, formulation.endpoint_bounds[:, 0]]),
@@ -180,16 +188,25 @@ def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: 
     return cached(key) or build()
 
 
-def _parameters(formulation: Formulation, chosen: Scheme, mesh: Mesh, breaks: np.ndarray) -> np.ndarray:
-    """Return the parameter vector: per interval its share, its own parameters, those of its nodes; then the endpoint's."""
-    times = breaks[:-1, None] + np.diff(breaks)[:, None] * chosen.nodes
+def _parameters(formulation: Formulation, chosen: Scheme, n_looks: int, mesh: Mesh, breaks: np.ndarray) -> np.ndarray:
+    """Return the parameter vector: per interval its share, its own parameters, those of nodes and looks; the endpoint's."""
+    at = np.concatenate([chosen.nodes, chosen.open_ends[:n_looks]])
+    times = breaks[:-1, None] + np.diff(breaks)[:, None] * at
     n = mesh.n_intervals
     theta = formulation.theta(times).reshape(n, -1)
     per_interval = np.hstack([mesh.fraction[:, None], np.tile(formulation.eta, (n, 1)), theta])
     return np.concatenate([per_interval.ravel(), formulation.endpoint_parameters])
 
 
-def _start(formulation: Formulation, start: Start, chosen: Scheme, layout: Layout, breaks, durations) -> np.ndarray:
+def _start(
+    formulation: Formulation,
+    start: Start,
+    chosen: Scheme,
+    interval: IntervalFunctions,
+    layout: Layout,
+    breaks: np.ndarray,
+    durations: np.ndarray,
+) -> np.ndarray:
     """Return the starting point (n,): a motion sampled at breaks and nodes, efforts inside their limits."""
     x = np.zeros(layout.size)
     x[layout.states()] = start.states(breaks)
@@ -201,6 +218,10 @@ def _start(formulation: Formulation, start: Start, chosen: Scheme, layout: Layou
     x[layout.acceleration().ravel()] = acceleration.ravel()
     x[layout.rate().ravel()] = rate.ravel()
     x[layout.dependent().ravel()] = algebraic.ravel()
+    if layout.n_looks and layout.n_z_looked:
+        ends = np.clip(np.array(chosen.open_ends, dtype=float), 0.0, 1.0 - 1e-9)
+        times = (breaks[:-1, None] + np.diff(breaks)[:, None] * ends).ravel()
+        x[layout.looked().ravel()] = start.nodes(times)[2][:, list(interval.look_z)].ravel()
     coefficients = np.einsum("ij,kju->kiu", np.linalg.pinv(chosen.effort_at), effort.reshape(n, m, -1))
     x[layout.durations()] = np.asarray(durations) / formulation.units.time_s
     limit, unit = formulation.effort, formulation.units.effort

@@ -27,7 +27,7 @@ import numpy as np
 from models import mechanism
 from models.errors import one_line
 from planner import interval as interval_module
-from planner.interval import NAMES, IntervalFunctions
+from planner.interval import LOOKS, NAMES, IntervalFunctions
 
 _FLAGS = ("-O2", "-fPIC", "-shared")
 # A compiler that hangs must not hang the planner; these functions take seconds.
@@ -87,7 +87,8 @@ def cached(key: str) -> IntervalFunctions | None:
     folder = cache_folder()
     try:
         said = json.loads((folder / f"{key}.json").read_text(encoding="utf-8"))
-        functions = {name: ca.external(name, str(folder / f"{key}.so")) for name in NAMES}
+        names = (*NAMES, *LOOKS) if said["n_looks"] else NAMES
+        functions = dict.fromkeys(LOOKS) | {name: ca.external(name, str(folder / f"{key}.so")) for name in names}
         patterns = {name: tuple(np.array(part, dtype=int) for part in said.pop(name)) for name in _PATTERNS}
         return IntervalFunctions(
             **functions,
@@ -96,6 +97,8 @@ def cached(key: str) -> IntervalFunctions | None:
             own_kinds=tuple(said.pop("own_kinds")),
             own_items=tuple(said.pop("own_items")),
             node_kinds=tuple(said.pop("node_kinds")),
+            look_rows=tuple(said.pop("look_rows")),
+            look_z=tuple(said.pop("look_z")),
             **said,
         )
     except (OSError, ValueError, KeyError, TypeError, RuntimeError):
@@ -120,26 +123,32 @@ def compiled(key: str, build: Callable[[], IntervalFunctions]) -> IntervalFuncti
             _compile(functions, Path(work), key)
             os.replace(Path(work) / f"{key}.so", folder / f"{key}.so")
             os.replace(Path(work) / f"{key}.json", folder / f"{key}.json")
-        return replace(functions, **{name: ca.external(name, str(folder / f"{key}.so")) for name in NAMES})
+        return replace(functions, **{name: ca.external(name, str(folder / f"{key}.so")) for name in _names(functions)})
     except (OSError, subprocess.SubprocessError, RuntimeError) as error:
         # A full disk or a broken compiler costs speed and nothing else, but it is said.
         warnings.warn(f"functions are interpreted, compiling them failed: {one_line(error)}", RuntimeWarning, stacklevel=2)
         return functions
 
 
+def _names(functions: IntervalFunctions) -> tuple[str, ...]:
+    return (*NAMES, *LOOKS) if functions.n_looks else NAMES
+
+
 def _compile(functions: IntervalFunctions, work: Path, key: str) -> None:
     generator = ca.CodeGenerator(f"{key}.c")
-    for name in NAMES:
+    for name in _names(functions):
         generator.add(getattr(functions, name))
     generator.generate(f"{work}{os.sep}")
     command = [*(compiler() or ()), *_FLAGS, f"{key}.c", "-o", f"{key}.so", "-lm"]
     subprocess.run(command, cwd=work, capture_output=True, timeout=_TIMEOUT_S, check=True)
     said = {name: [part.tolist() for part in getattr(functions, name)] for name in _PATTERNS}
-    said |= {name: getattr(functions, name) for name in ("n_own", "n_equations", "n_path", "n_nodes")}
+    said |= {name: getattr(functions, name) for name in ("n_own", "n_equations", "n_path", "n_nodes", "n_looks")}
     said |= {
         "weights": functions.weights.tolist(),
         "own_kinds": list(functions.own_kinds),
         "own_items": list(functions.own_items),
         "node_kinds": list(functions.node_kinds),
+        "look_rows": list(functions.look_rows),
+        "look_z": list(functions.look_z),
     }
     (work / f"{key}.json").write_text(json.dumps(said), encoding="utf-8")

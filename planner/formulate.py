@@ -6,7 +6,7 @@ from models.mechanism import Mechanism
 from planner.formulation import Formulation, Knot, Units
 from planner.insets import Inset, drawn_in
 from planner.interval import IntervalRows
-from planner.mechanics import RUNNING, Asked, Scales, mechanism_system, node_numbers
+from planner.mechanics import RUNNING, WITH_EFFORT, Asked, Scales, mechanism_system, node_numbers
 from planner.objective import QUADRATIC
 from planner.problem import PlanningProblem
 
@@ -55,6 +55,7 @@ def formulate(
         position_columns=tuple(range(n_s)) if position_rows else (),
         rate_columns=rated,
         motor_columns=motor_columns,
+        looked=tuple(i for i, kind in enumerate(asked.kinds) if kind in WITH_EFFORT),
     )
     unit = _term_units(problem, scales)
     value = sum(weight * unit[term] for term, weight in objective.weights.items())

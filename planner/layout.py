@@ -18,6 +18,8 @@ class Layout:
     n_x: int = 0
     n_effort: int = 0  # Bernstein coefficients of each effort; as many as nodes where 0
     n_extra: int = 0  # unknowns of the whole program beyond its last state and durations
+    n_looks: int = 0  # ends of an interval that are looked at though no node stands there
+    n_z_looked: int = 0  # algebraic unknowns at each of those
 
     @property
     def n_state(self) -> int:
@@ -33,7 +35,7 @@ class Layout:
     def block(self) -> int:
         """The number of unknowns that belong to one interval, its left state included."""
         inner = self.n_nodes * (self.n_s + self.n_x + self.n_z) + self.effort_coefficients * self.n_u
-        return self.n_state + inner
+        return self.n_state + inner + self.n_looks * self.n_z_looked
 
     @property
     def size(self) -> int:
@@ -64,6 +66,10 @@ class Layout:
         """Return indices (n_intervals, n_coefficients, n_u) of Bernstein coefficients."""
         start = self.n_state + self.n_nodes * (self.n_s + self.n_x + self.n_z)
         return self._inner(start, self.effort_coefficients, self.n_u)
+
+    def looked(self) -> np.ndarray:
+        """Return indices (n_intervals, n_looks, n_z_looked) of algebraic unknowns at ends that are looked at."""
+        return self._inner(self.block - self.n_looks * self.n_z_looked, self.n_looks, self.n_z_looked)
 
     def durations(self) -> np.ndarray:
         """Return the indices (n_segments,) of the segments' durations."""

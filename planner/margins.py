@@ -11,6 +11,8 @@ from planner.trajectory import Trajectory
 
 # A limit is kept where it is overrun by no more than this share of itself: rounding.
 SLACK = 1e-9
+# At how many instants of an interval limits are looked at: at least, and for each node.
+_LOOKS, _LOOKS_A_NODE = 12, 3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -56,16 +58,33 @@ class Margin:
         return f"{self.title} {verb} {amount} at t = {self.time_s:.4g} s, {off} {beyond} its limit of {abs(self.limit):.4g}"
 
 
-def least_between(values: np.ndarray, per_interval: int) -> float:
-    """Return the least value of a curve smooth on each interval: sampled, or at a parabola's vertex between samples."""
-    rows = values.reshape(-1, per_interval + 1)
-    if not np.all(np.isfinite(rows)):
-        return float(values.min())
-    before, at, after = rows[:, :-2], rows[:, 1:-1], rows[:, 2:]
-    bend, slope = before - 2 * at + after, 0.5 * (after - before)
-    inside = (bend > 0) & (np.abs(slope) <= bend)
-    vertex = at[inside] - slope[inside] ** 2 / (2 * bend[inside])
-    return float(min(values.min(), vertex.min(initial=np.inf)))
+def look_points(n_nodes: int) -> np.ndarray:
+    """Return the shares (n,) of an interval at which motions of so many nodes are looked at: close together at its ends.
+
+    There the nodes of high degrees stand close, and what a polynomial does between them.
+    """
+    n = max(_LOOKS, _LOOKS_A_NODE * n_nodes)
+    points = 0.5 - 0.5 * np.cos(np.pi * np.arange(n + 1) / n)
+    points[-1] = 1.0 - 1e-12  # the interval's own side of its end
+    return points
+
+
+def least_between(values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the least value (n,) on each interval of a curve that is smooth there: sampled, or at a parabola's vertex.
+
+    Args:
+        values: samples (n, n_points), or all in a row.
+        points: where they stand (n_points,), shares of an interval.
+    """
+    rows = values.reshape(-1, len(points))
+    with np.errstate(all="ignore"):  # a curve with infinite values is as low as its samples
+        slope = np.diff(rows, axis=1) / np.diff(points)
+        bend = np.diff(slope, axis=1) / (points[2:] - points[:-2])
+        at = slope[:, :-1] + bend * (points[1:-1] - points[:-2])
+        vertex = points[1:-1] - at / (2 * bend)
+        inside = (bend > 0) & (vertex >= points[:-2]) & (vertex <= points[2:])
+        least = np.where(inside, rows[:, 1:-1] - at**2 / (4 * bend), np.inf)
+    return np.minimum(rows.min(axis=1), np.where(np.isfinite(rows).all(axis=1), least.min(axis=1, initial=np.inf), np.inf))
 
 
 def actuator_speeds(problem: PlanningProblem, q: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -81,18 +100,19 @@ def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
     return np.array(sizes).T.reshape(len(q), -1)
 
 
-def margins(problem: PlanningProblem, trajectory: Trajectory, time, q, v, a, u) -> tuple[Margin, ...]:
-    """Return what is left of every such limit of a problem along a motion sampled at times (n,)."""
+def margins(
+    problem: PlanningProblem, trajectory: Trajectory, points: np.ndarray, time: np.ndarray, q, v, a, u
+) -> tuple[Margin, ...]:
+    """Return what is left of every such limit of a problem along a motion, looked at `points` of each interval: times (n,)."""
     mechanism, limits, found = problem.mechanism, problem.limits, []
-    names, n = [actuator.name for actuator in mechanism.actuators], len(trajectory.breaks_s) - 1
+    names = [actuator.name for actuator in mechanism.actuators]
 
     def add(what: str, item: int, name: str, values: np.ndarray, bounds, unit: str) -> None:
         low, high = bounds
         inside = np.minimum(values - low, high - values)
         at = int(np.argmin(inside))
         limit = high if high - values[at] <= values[at] - low else low
-        rows = inside.reshape(n, -1)
-        least = np.array([least_between(row, rows.shape[1] - 1) for row in rows])
+        least = least_between(inside, points)
         left = float(least.min())
         value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
         found.append(

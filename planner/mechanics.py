@@ -17,6 +17,8 @@ from planner.system import NodeSymbols, System, node_symbols
 
 # Terms of an objective that are integrals of a quantity at nodes.
 RUNNING = ("tracking", "work", "closure_force")
+# Path quantities that jump where the effort does.
+WITH_EFFORT = ("motor", "power", "closure_force")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

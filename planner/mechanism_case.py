@@ -10,7 +10,7 @@ from planner.certificate import INTEGRATION_DEG, INTEGRATION_M, RANGE_SLACK, Cer
 from planner.collocation import Transcribed
 from planner.guess import Guess, motion_of
 from planner.infeasibility import tightened
-from planner.insets import Inset, insets_of
+from planner.insets import AT_NODES, Inset, insets_of
 from planner.mesh import Mesh
 from planner.plan import Step
 from planner.problem import MeshSettings, PlanningProblem, SolverSettings
@@ -108,6 +108,12 @@ class MechanismCase:
         """Return whether a joint leaves its range or speed limit, or another limit is overrun between the nodes."""
         least = min(certificate.position_margin.min(), certificate.speed_margin.min())
         return bool(least < -RANGE_SLACK) or not all(margin.kept for margin in certificate.margins)
+
+    def overrun(self, certificate: Certificate) -> np.ndarray:
+        """Return by what share of themselves limits are overrun between the nodes, at most, on each interval (n,)."""
+        over = [certificate.speed_overrun, certificate.position_overrun]
+        over += [margin.overrun[None] for margin in certificate.margins if margin.what in AT_NODES]
+        return np.vstack(over).max(axis=0)
 
     def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
         """Return the case with limits drawn in by what the motion overran them."""

@@ -96,7 +96,15 @@ class OdeCase:
         return self.asked.objective_tolerance
 
     def transcribe(
-        self, start: Start, mesh: Mesh, durations: np.ndarray, *, position_rows=False, pinned=None, least_limit=False
+        self,
+        start: Start,
+        mesh: Mesh,
+        durations: np.ndarray,
+        *,
+        position_rows: bool = False,
+        pinned: np.ndarray | None = None,
+        held: np.ndarray | None = None,
+        least_limit: bool = False,
     ) -> Transcribed:
         """Return the program from a start."""
         formulation = formulate_ode(
@@ -111,6 +119,7 @@ class OdeCase:
             compile_mode=self.solver.compile,
             least_limit=least_limit,
             pinned=pinned,
+            held=held,
         )
 
     def motion(self, solution: Solution, limit: np.ndarray) -> OdeTrajectory:
@@ -145,6 +154,12 @@ class OdeCase:
     def overruns(self, certificate: OdeCertificate) -> bool:
         """Return whether a path quantity or a state leaves its limits between the nodes."""
         return bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -SLACK)
+
+    def overrun(self, certificate: OdeCertificate) -> np.ndarray:
+        """Return by what share of themselves path limits are overrun between the nodes, at most, on each interval (n,)."""
+        size = [max(abs(bound) for bound in limit if np.isfinite(bound)) or 1.0 for limit in self.asked.path_limit]
+        n = len(certificate.growth)
+        return (certificate.path_overrun / np.array(size).reshape(-1, 1)).max(axis=0, initial=0.0).reshape(n)
 
     def tightened(self, certificate: OdeCertificate, motion: OdeTrajectory) -> "OdeCase":
         """Return the case with limits drawn in by what the solution overran them."""

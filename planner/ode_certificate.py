@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from planner.margins import least_between
+from planner.margins import least_between, look_points
 from planner.ode_problem import OdeProblem
 from planner.ode_trajectory import OdeTrajectory
 
@@ -13,7 +13,6 @@ from planner.ode_trajectory import OdeTrajectory
 INTEGRATION = 1e-4
 # Limits are kept but for rounding, and what the solver leaves of its own rows.
 SLACK = 1e-8
-_SAMPLES = 12
 _RTOL, _ATOL = 1e-12, 1e-13
 
 
@@ -46,7 +45,8 @@ class OdeCertificate:
 
 def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificate:
     """Return the certificate of a solution against its problem."""
-    n_x, time = problem.n_x, trajectory.dense_times(_SAMPLES)
+    points = look_points(trajectory.state.shape[0] - 1)
+    n_x, time = problem.n_x, trajectory.times_at(points)
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
     size = np.maximum(np.abs(x).max(axis=0), np.ptp(x, axis=0))
     size = np.where(size > 0, size, 1.0)
@@ -58,7 +58,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     limit = problem.path_limit
     inside = np.minimum(path - limit[:, :1], limit[:, 1:] - path)
     n = len(trajectory.breaks_s) - 1
-    by_interval = np.array([[least_between(part, _SAMPLES) for part in row.reshape(n, -1)] for row in inside]).reshape(-1, n)
+    by_interval = np.array([least_between(row, points) for row in inside]).reshape(-1, n)
     path_margin = by_interval.min(axis=1, initial=np.inf)
     boundary = _boundary_error(problem, trajectory, size)
     error = float(errors.max())

@@ -99,7 +99,7 @@ def formulate_ode(
         n_z=0,
         n_u=problem.n_u,
         key=_key(problem, units, least_limit),
-        rows=IntervalRows(state_columns=limited if state_rows else ()),
+        rows=IntervalRows(state_columns=limited if state_rows else (), looked=_looked(problem)),
         units=units,
         state=state / X[:, None],
         algebraic=np.zeros((0, 2)),
@@ -119,6 +119,15 @@ def formulate_ode(
         endpoint_bounds=np.array(problem.ends_limit),
         endpoint_parameters=p if endpoint is not None else np.zeros(0),
     )
+
+
+def _looked(problem: OdeProblem) -> tuple[int, ...]:
+    """Return the path quantities with effort in them that are limits: an equality kept at nodes is as many rows as it bears."""
+    path, limit = problem.at_instant("path"), problem.path_limit
+    if not len(limit):
+        return ()
+    jumping = np.unique(np.array(path.sparsity_jac(1, 0).get_triplet()[0], dtype=int))
+    return tuple(int(i) for i in jumping if limit[i, 0] < limit[i, 1])
 
 
 def _key(problem: OdeProblem, units: Units, least_limit: bool) -> tuple:

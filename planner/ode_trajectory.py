@@ -50,4 +50,8 @@ class OdeTrajectory:
         """Return times at `per_interval` steps of every interval, both sides of each break."""
         inner = np.linspace(0.0, 1.0, per_interval + 1)
         inner[-1] = 1.0 - 1e-12
-        return (self.breaks_s[:-1, None] + np.diff(self.breaks_s)[:, None] * inner).ravel()
+        return self.times_at(inner)
+
+    def times_at(self, points: np.ndarray) -> np.ndarray:
+        """Return the times (n_intervals * n,) that stand at shares (n,) of every interval."""
+        return (self.breaks_s[:-1, None] + np.diff(self.breaks_s)[:, None] * points).ravel()

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from planner.arcs import arc_ends, held_paths, path_arcs
 from planner.collocation import Transcribed
 from planner.mesh import Mesh, halved, segmented
 from planner.plan import Step
@@ -29,6 +30,9 @@ _MOST = 120
 _COMFORTABLE = 100
 _WORST = 0.01
 _MARK = 0.5
+# A limit overrun between the nodes by more than this share of itself is a matter for the mesh; less than it is drawn in, which
+# costs the objective about as much.
+_FINE = 1e-7
 # The degree is raised where at least this share of the intervals asks for more, and none stands out by more than this
 # factor: the motion is smooth there, and nodes are worth more than intervals.
 _EVERYWHERE = 0.5
@@ -60,7 +64,7 @@ class Case(Protocol):
     objective_tolerance: float | None  # on the objective's change from mesh to mesh, relative
 
     def transcribe(self, start: Any, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
-        """Return the program from a start; options are position_rows, pinned and least_limit."""
+        """Return the program from a start; options are position_rows, pinned, held and least_limit."""
         ...
 
     def motion(self, solution: Solution, limit: np.ndarray) -> Any | None:
@@ -93,6 +97,10 @@ class Case(Protocol):
 
     def overruns(self, certificate: Any) -> bool:
         """Return whether a limit is left between the nodes that tightening mends."""
+        ...
+
+    def overrun(self, certificate: Any) -> np.ndarray:
+        """Return by what share of themselves limits are overrun between the nodes, at most, on each interval (n,)."""
         ...
 
     def tightened(self, certificate: Any, motion: Any) -> "Case":
@@ -142,9 +150,9 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     that is asked for.
     """
     motion, solution = found
-    pinned = None
+    arcs: dict[str, Any] = {}
     if case.least_time:
-        motion, solution, mesh, pinned = settle_switches(case, motion, solution, mesh, history, say)
+        motion, solution, mesh, arcs = settle_switches(case, motion, solution, mesh, history, say)
     certificate = _certify(case, motion, history)
     position_rows, kept, finest = False, case, _MOST * case.mesh.intervals
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
@@ -160,9 +168,12 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         begun = position_rows
         position_rows = position_rows or certificate is None or case.leaves_positions(certificate)
         marked = _marked(mesh, certificate, case.strictness())
-        if not settled and not marked.any():
+        over = _overrunning(case, certificate, mesh)
+        if not settled and not (marked | over).any():
             marked = _rough(motion)
-        higher = _higher(kept, certificate, marked)
+        higher = _higher(kept, certificate, marked) or _higher_on_arcs(kept, certificate, over)
+        if _grown(mesh, marked | over) <= (finest if case.tolerance_given else _COMFORTABLE):
+            marked = marked | over
         what = "finer mesh"
         if position_rows and not begun and certificate is not None:
             what, marked = "states kept within their limits at every instant", np.zeros(mesh.n_intervals, dtype=bool)
@@ -175,19 +186,18 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
             marked[:] = True
         elif turn >= _MERGED and certificate is not None and case.overruns(certificate):
             kept, what = kept.tightened(certificate, motion), "finer mesh, limits kept between the nodes"
-        n_finer = mesh.n_intervals + int(marked.sum())
+        n_finer = _grown(mesh, marked)
         if n_finer > finest or (passed is not None and not case.tolerance_given and n_finer > _COMFORTABLE):
             break
         mesh = halved(mesh, marked)
         durations = np.bincount(mesh.segment, weights=_widths(motion, marked))
-        finer = attempt(
-            kept, kept.start_from(motion), mesh, durations, what, history, say, position_rows=position_rows, pinned=pinned
-        )
+        start = kept.start_from(motion)
+        finer = attempt(kept, start, mesh, durations, what, history, say, position_rows=position_rows, **arcs)
         if finer is None:
             break
         motion, solution = finer
         if position_rows and not begun and case.least_time:
-            motion, solution, mesh, pinned = settle_switches(kept, motion, solution, mesh, history, say, position_rows=True)
+            motion, solution, mesh, arcs = settle_switches(kept, motion, solution, mesh, history, say, position_rows=True)
         certificate = _certify(case, motion, history)
     if passed is not None and (certificate is None or not certificate.passed):
         motion, solution, certificate = passed
@@ -215,6 +225,18 @@ def _marked(mesh: Mesh, certificate: Any | None, strictness: float) -> np.ndarra
     return marked
 
 
+def _overrunning(case: Case, certificate: Any | None, mesh: Mesh) -> np.ndarray:
+    """Return on which intervals (n,) a limit is overrun between the nodes by more than should be drawn in."""
+    if certificate is None:
+        return np.zeros(mesh.n_intervals, dtype=bool)
+    overrun = case.overrun(certificate)
+    return overrun > max(_FINE, _WORST * overrun.max(initial=0.0))
+
+
+def _grown(mesh: Mesh, marked: np.ndarray) -> int:
+    return mesh.n_intervals + int(marked.sum())
+
+
 def _rough(motion: Any) -> np.ndarray:
     """Return the intervals (n,) on which the efforts' polynomials bend most in their highest degree: next to kinks."""
     widths, degree = np.diff(motion.breaks_s), motion.effort.shape[0] - 1
@@ -226,15 +248,28 @@ def _rough(motion: Any) -> np.ndarray:
 
 def _higher(case: Case, certificate: Any | None, marked: np.ndarray) -> str | None:
     """Return the transcription of higher degree that is worth more than a finer mesh, or None."""
-    family = re.fullmatch(r"(radau|gauss)-(\d)", case.mesh.scheme)
-    if family is None or case.mesh.refine == "intervals" or certificate is None or not marked.any():
+    if certificate is None or not marked.any():
         return None
-    degree = min(int(family[2]) + 2, MAX_DEGREE)
     growth = certificate.growth[marked]
     even = marked.mean() >= _EVERYWHERE and growth.max() <= _STANDS_OUT * max(float(np.median(growth)), 1e-300)
-    if degree == int(family[2]) or not (even or case.mesh.refine == "degree"):
+    return _raised(case) if even or case.mesh.refine == "degree" else None
+
+
+def _higher_on_arcs(case: Case, certificate: Any | None, over: np.ndarray) -> str | None:
+    """Return the transcription of higher degree where motions along limits overrun them evenly: the arcs are smooth."""
+    if certificate is None or not over.any():
         return None
-    return f"{family[1]}-{degree}"
+    overrun = case.overrun(certificate)[over]
+    even = overrun.max() <= _STANDS_OUT * float(np.median(overrun))
+    return _raised(case) if even or case.mesh.refine == "degree" else None
+
+
+def _raised(case: Case) -> str | None:
+    """Return the case's transcription two degrees up; None where there is none, or none is wanted."""
+    family = re.fullmatch(r"(radau|gauss)-(\d)", case.mesh.scheme)
+    if family is None or case.mesh.refine == "intervals" or int(family[2]) == MAX_DEGREE:
+        return None
+    return f"{family[1]}-{min(int(family[2]) + 2, MAX_DEGREE)}"
 
 
 def _widths(motion: Any, marked: np.ndarray) -> np.ndarray:
@@ -246,24 +281,26 @@ def _widths(motion: Any, marked: np.ndarray) -> np.ndarray:
 def settle_switches(
     case: Case, motion: Any, solution: Solution, mesh: Mesh, history: list[Step], say: Say, *, position_rows: bool = False
 ):
-    """Return a solution with mesh cuts at its switches: motion, solution, mesh, and the efforts held between the cuts.
+    """Return a solution with mesh cuts at its switches: motion, solution, mesh, and what is held between the cuts.
 
-    First with efforts held at the limits that the arcs showed, which leaves the cuts alone to be found; where that is
-    slower than the solution without cuts, the arcs were read wrongly and the efforts are set free again.
+    First with efforts and path quantities held at the limits that the arcs showed, which leaves the cuts alone to be found;
+    where that is slower than the solution without cuts, the arcs were read wrongly and all is set free again.
     """
-    pinned, no_worse = None, _SETTLED if position_rows else NO_WORSE
+    chosen, no_worse = {}, _SETTLED if position_rows else NO_WORSE
     for _ in range(_SETTLINGS):
         knots = motion.breaks_s[mesh.knots()]
-        cuts = find_cuts(motion, case.effort_limit, knots)
+        cuts, arcs = find_cuts(motion, case.effort_limit, knots), path_arcs(solution.transcribed, solution.x)
+        cuts = np.sort(np.append(cuts, arc_ends(arcs, motion.breaks_s, cuts, knots)))
         if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6:
             break
         finer, durations = cut_mesh(knots, cuts, case.mesh.intervals)
         ends = np.concatenate([[knots[0]], np.cumsum(durations) + knots[0]])
-        held, start = pinned_efforts(motion, case.effort_limit, ends[1:-1]), case.start_from(motion)
+        pinned, start = pinned_efforts(motion, case.effort_limit, ends[1:-1]), case.start_from(motion)
+        held = {"pinned": pinned, "held": held_paths(arcs, motion.breaks_s, ends, pinned)}
         better = None
-        for efforts, what in ((held, "cuts at the switches"), (None, "cuts at the switches, efforts free")):
+        for options, what in ((held, "cuts at the switches"), ({}, "cuts at the switches, efforts free")):
             found = attempt(
-                case, start, finer, durations, what, history, say, pinned=efforts, warm=True, position_rows=position_rows
+                case, start, finer, durations, what, history, say, warm=True, position_rows=position_rows, **options
             )
             if found is not None and found[1].objective <= solution.objective + no_worse * abs(solution.objective):
                 better = found
@@ -271,11 +308,11 @@ def settle_switches(
         if better is None:
             break
         settled = better[1].objective > solution.objective - _SETTLED * abs(solution.objective)
-        (motion, solution), mesh, pinned = better, finer, efforts
+        (motion, solution), mesh, chosen = better, finer, options
         no_worse = _SETTLED  # from now on both have cuts, and only a better one replaces the other
-        if settled or not np.any(np.isnan(held)):
+        if settled or not np.any(np.isnan(pinned)):
             break
-    return motion, solution, mesh, pinned
+    return motion, solution, mesh, chosen
 
 
 def cut_mesh(knots_s: np.ndarray, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:

@@ -89,6 +89,18 @@ class Scheme:
         """The number m of collocation nodes in an interval."""
         return len(self.nodes)
 
+    @property
+    def open_ends(self) -> tuple[int, ...]:
+        """The ends of an interval, 0 or 1, at which no node stands: 0 of Radau's, both of Gauss's."""
+        return (0,) * bool(self.nodes[0] > 0) + (1,) * bool(self.nodes[-1] < 1)
+
+    @property
+    def at_open_ends(self) -> np.ndarray:
+        """The matrix (n_open, m) from nodal accelerations to those at the open ends."""
+        m = self.n_nodes
+        to_coefficients = np.linalg.inv(bernstein_matrix(m - 1, self.nodes))
+        return bernstein_matrix(m - 1, np.array(self.open_ends, dtype=float)) @ to_coefficients
+
 
 def scheme(name: str, effort: str = "polynomial") -> Scheme:
     """Return the transcription called `name`, with efforts "constant", "linear" or "polynomial" over an interval.

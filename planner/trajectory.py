@@ -95,7 +95,10 @@ class Trajectory:
 
         A break appears twice, a hair before and at it, so that both sides of a jump in effort are looked at.
         """
-        widths = np.diff(self.breaks_s)
         inner = np.linspace(0.0, 1.0, per_interval + 1)
         inner[-1] = 1.0 - 1e-12
-        return (self.breaks_s[:-1, None] + widths[:, None] * inner).ravel()
+        return self.times_at(inner)
+
+    def times_at(self, points: np.ndarray) -> np.ndarray:
+        """Return the times (n_intervals * n,) that stand at shares (n,) of every interval."""
+        return (self.breaks_s[:-1, None] + np.diff(self.breaks_s)[:, None] * points).ravel()

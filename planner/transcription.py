@@ -61,6 +61,7 @@ def transcribe(
     position_rows: bool = False,
     least_limit: bool = False,
     pinned: np.ndarray | None = None,
+    held: np.ndarray | None = None,
     insets: tuple[Inset, ...] = (),
 ) -> Transcribed:
     """Return the program of a problem on a mesh, with bounds and a starting point.
@@ -74,6 +75,7 @@ def transcribe(
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
         pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
+        held: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole segments.
         insets: how far limits are drawn in, where a motion overran them between nodes.
     """
     scales = scales or choose_scales(problem, guess)
@@ -87,6 +89,7 @@ def transcribe(
         compile_mode=problem.solver.compile,
         least_limit=least_limit,
         pinned=pinned,
+        held=held,
     )
     return replace(transcribed, mechanism=problem.mechanism, scales=scales, start_pose=np.array(guess.start_pose))
 

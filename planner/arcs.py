@@ -1,0 +1,71 @@
+"""Arcs of a motion along path limits: where they begin and end, and which segments between cuts are held on them.
+
+An effort that follows a limit on power or on a dependent joint's speed is no more at its own limit, and a program with rows
+at nodes alone gains from leaving the limit between them, most of all next to a switch. Held on the limit at every node of a
+segment, as efforts at their limits are, the motion has nothing to gain there, and its cuts settle where they belong.
+"""
+
+import itertools
+
+import numpy as np
+
+from planner.collocation import Transcribed
+
+# A path quantity within this share of its limit counts as at it; next to cuts (this share of a segment) nothing is looked at.
+_AT_LIMIT = 1e-3
+_BESIDE_CUTS = 0.15
+# Ends of an arc within so many intervals of a cut are that cut.
+_NEAR = 2.5
+
+
+def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
+    """Return on which intervals (n, n_path) path quantities are at their upper limit (1) or lower one (-1) at all nodes."""
+    program, interval = transcribed.program, transcribed.program.interval
+    n, m, n_path = program.mesh.n_intervals, interval.n_nodes, interval.n_path
+    limit = transcribed.formulation.path.reshape(-1, 2)
+    if n_path == 0:
+        return np.zeros((n, 0), dtype=int)
+    rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()[: n * interval.n_rows].reshape(n, -1)
+    n_f = interval.n_equations + n_path
+    values = rows[:, interval.n_own : interval.n_own + m * n_f].reshape(n, m, n_f)[:, :, interval.n_equations :]
+    size = np.where(np.isfinite(limit), np.abs(limit), 0.0).max(axis=1)
+    slack = _AT_LIMIT * np.where(size > 0, size, np.abs(values).max(axis=(0, 1)))
+    may = (limit[:, 0] < limit[:, 1]) & np.array([kind != "work" for kind in interval.node_kinds[interval.n_equations :]])
+    upper = np.all(values > limit[:, 1] - slack, axis=1) & may
+    lower = np.all(values < limit[:, 0] + slack, axis=1) & may
+    return upper.astype(int) - lower.astype(int)
+
+
+def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, cuts_s: np.ndarray, knots_s: np.ndarray) -> np.ndarray:
+    """Return the instants (n,) [s] at which arcs (n_intervals, n_path) begin or end and no cut or knot is near."""
+    known = np.concatenate([cuts_s, knots_s])
+    widths = np.diff(breaks_s)
+    found = []
+    for k in range(1, len(arcs)):
+        near = _NEAR * max(widths[k - 1], widths[k])
+        if np.any(arcs[k] != arcs[k - 1]) and np.abs(known - breaks_s[k]).min(initial=np.inf) > near:
+            found.append(float(breaks_s[k]))
+            known = np.append(known, breaks_s[k])
+    return np.array(found)
+
+
+def held_paths(arcs: np.ndarray, breaks_s: np.ndarray, ends_s: np.ndarray, pinned: np.ndarray) -> np.ndarray:
+    """Return which path quantities (n_segments, n_path) segments hold at their upper limit (1) or lower one (-1).
+
+    Args:
+        arcs: (n_intervals, n_path) from `path_arcs`.
+        breaks_s: (n_intervals + 1,) of that motion [s].
+        ends_s: (n_segments + 1,) [s] of the segments to be.
+        pinned: (n_segments, n_u) efforts that are held, NaN where they are free: no more paths are held than efforts free.
+    """
+    held = np.zeros((len(ends_s) - 1, arcs.shape[1]), dtype=int)
+    for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
+        beside = _BESIDE_CUTS * (end - begin)
+        inside = (breaks_s[1:] > begin + beside) & (breaks_s[:-1] < end - beside)
+        inner = inside & (breaks_s[:-1] >= begin) & (breaks_s[1:] <= end)
+        chosen = arcs[inner if inner.any() else inside]
+        if len(chosen):
+            held[k] = np.where(np.all(chosen == chosen[0], axis=0), chosen[0], 0)
+        free = int(np.isnan(pinned[k]).sum())
+        held[k, np.flatnonzero(held[k])[free:]] = 0
+    return held
