@@ -69,3 +69,19 @@ def held_paths(arcs: np.ndarray, breaks_s: np.ndarray, ends_s: np.ndarray, pinne
         free = int(np.isnan(pinned[k]).sum())
         held[k, np.flatnonzero(held[k])[free:]] = 0
     return held
+
+
+def free_ends(ends_s: np.ndarray, pinned: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return cuts (n,) [s] that split the ends off held arcs, and what is held then: nothing on those ends.
+
+    An effort may come to its limit on the way along an arc, in less than an interval, and end it there.
+    """
+    cuts, rows = [], []
+    for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
+        if held[k].any():
+            beside = _BESIDE_CUTS * (end - begin)
+            cuts += [begin + beside, end - beside]
+            rows += [(pinned[k], 0 * held[k]), (pinned[k], held[k]), (pinned[k], 0 * held[k])]
+        else:
+            rows.append((pinned[k], held[k]))
+    return np.array(cuts), {"pinned": np.array([row[0] for row in rows]), "held": np.array([row[1] for row in rows])}

@@ -144,12 +144,24 @@ def bounds(
     return lower, upper
 
 
-def row_bounds(formulation: Formulation, interval: IntervalFunctions, breaks_s: np.ndarray, held: np.ndarray | None = None):
+def row_bounds(
+    formulation: Formulation,
+    interval: IntervalFunctions,
+    breaks_s: np.ndarray,
+    held: np.ndarray | None = None,
+    *,
+    node_at_end: bool = False,
+):
     """Return the bounds of the intervals' rows in turn: an interval's own, each node's, those of ends looked at.
 
-    `held` (n_intervals, n_path) says which path quantities nodes hold at their upper limit (1) or lower one (-1).
+    Args:
+        formulation: whose limits.
+        interval: the rows.
+        breaks_s: (n + 1,) of the mesh [s].
+        held: which path quantities (n, n_path) nodes hold at their upper limit (1) or lower one (-1).
+        node_at_end: whether a node stands at an interval's end.
     """
-    n = len(breaks_s) - 1
+    n, m = len(breaks_s) - 1, interval.n_nodes
     own = np.zeros((interval.n_own, 2))
     for row, (kind, item) in enumerate(zip(interval.own_kinds, interval.own_items, strict=True)):
         if kind != "continuity":
@@ -157,16 +169,18 @@ def row_bounds(formulation: Formulation, interval: IntervalFunctions, breaks_s: 
     path = np.broadcast_to(formulation.path.reshape(-1, 2), (n, interval.n_path, 2))
     if formulation.inset is not None:
         path = path + formulation.inset(breaks_s)[:, :, None] * np.array([1.0, -1.0])
-    looked = path
-    if held is not None and held.any():
-        path, looked = np.array(path), np.array(path)
-        for which, side in ((held > 0, 1), (held < 0, 0)):
-            path[which] = path[which][:, [side, side]]
-            looked[which] = -np.inf, np.inf  # the nodes say all there is to say
-    equations = np.zeros((n, interval.n_equations, 2))
-    node = np.concatenate([equations, path], axis=1)
-    looked = np.concatenate([equations, looked], axis=1)[:, list(interval.look_rows)]
-    looked = np.tile(looked, (1, interval.n_looks, 1))
-    at_nodes = np.tile(node, (1, interval.n_nodes, 1))
-    both = np.concatenate([np.broadcast_to(own, (n, *own.shape)), at_nodes, looked], axis=1)
+    looked, at_nodes = np.array(path), np.repeat(path[:, None], m, axis=1)
+    if held is not None:
+        for k, i in zip(*np.nonzero(held), strict=True):
+            # Drawn in evenly, and as far as anywhere: an arc is smooth, and what follows it begins where it ends.
+            limit = path[:, i, 1].min() if held[k, i] > 0 else path[:, i, 0].max()
+            at_nodes[k, :, i] = limit
+            looked[k, i] = -np.inf, np.inf  # the nodes say all there is to say
+            if k and held[k - 1, i] == 0 and node_at_end and i not in formulation.rows.looked:
+                at_nodes[k - 1, -1, i] = limit  # what does not jump is at its limit when the arc begins
+    equations = np.zeros((n, m, interval.n_equations, 2))
+    at_nodes = np.concatenate([equations, at_nodes], axis=2).reshape(n, -1, 2)
+    looked = np.concatenate([equations[:, 0], looked], axis=1)[:, list(interval.look_rows)]
+    own = np.broadcast_to(own, (n, *own.shape))
+    both = np.concatenate([own, at_nodes, np.tile(looked, (1, interval.n_looks, 1))], axis=1)
     return both[:, :, 0].ravel(), both[:, :, 1].ravel()

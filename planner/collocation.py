@@ -125,7 +125,7 @@ def collocate(
     cost[layout.extra()] = 1.0
     lower, upper = bounds(formulation, layout, mesh, durations, None if least_limit else pinned, interval.look_z)
     breaks = mesh.breaks(durations)
-    row_lower, row_upper = row_bounds(formulation, interval, breaks, None if held is None else held[mesh.segment])
+    row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, held)
     return Transcribed(
         program=build_program(layout, mesh, interval, linear, cost, formulation.endpoint),
         scheme=chosen,
@@ -159,8 +159,8 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
     start[layout.durations()] = durations / unit
     lower, upper = bounds(formulation, layout, mesh, durations, transcribed.pinned, program.interval.look_z)
     _, linear_lower, linear_upper = linear_rows(formulation, layout, mesh, None)
-    held = None if transcribed.held is None else transcribed.held[mesh.segment]
-    row_lower, row_upper = row_bounds(formulation, program.interval, mesh.breaks(durations), held)
+    breaks = mesh.breaks(durations)
+    row_lower, row_upper = _row_bounds(formulation, transcribed.scheme, program.interval, mesh, breaks, transcribed.held)
     return replace(
         transcribed,
         formulation=formulation,
@@ -186,6 +186,11 @@ def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: 
     if mode == "always" or n_intervals >= _WORTH_COMPILING:
         return compiled(key, build)
     return cached(key) or build()
+
+
+def _row_bounds(formulation: Formulation, chosen: Scheme, interval: IntervalFunctions, mesh: Mesh, breaks, held):
+    of_intervals = None if held is None else held[mesh.segment]
+    return row_bounds(formulation, interval, breaks, of_intervals, node_at_end=1 not in chosen.open_ends)
 
 
 def _parameters(formulation: Formulation, chosen: Scheme, n_looks: int, mesh: Mesh, breaks: np.ndarray) -> np.ndarray:

@@ -122,7 +122,7 @@ def formulate_ode(
 
 
 def _looked(problem: OdeProblem) -> tuple[int, ...]:
-    """Return the path quantities with effort in them that are limits: an equality kept at nodes is as many rows as it bears."""
+    """Return the path quantities with effort in them, but for equalities: of those the nodes bear as many as they can."""
     path, limit = problem.at_instant("path"), problem.path_limit
     if not len(limit):
         return ()

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from planner.arcs import arc_ends, held_paths, path_arcs
+from planner.arcs import arc_ends, free_ends, held_paths, path_arcs
 from planner.collocation import Transcribed
 from planner.mesh import Mesh, halved, segmented
 from planner.plan import Step
@@ -21,8 +21,10 @@ from planner.switches import find_cuts, pinned_efforts
 
 # Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
 _ROUNDS = 12
-# From this round on, limits are drawn in while the mesh still grows.
-_MERGED = 4
+# From this round on limits are drawn in while the mesh still grows; from the later one on even where the mesh could mend them.
+_MERGED, _MERGED_ALL = 4, 8
+# How often switches are looked for again where limits are overrun next to ends of arcs that a finer mesh shows.
+_AGAIN = 2
 # A mesh that has grown by this factor without passing will not pass by growing on.
 _MOST = 120
 # Where no tolerance is asked for, the target is followed as far as a mesh of so many intervals carries it; how far below the
@@ -30,13 +32,15 @@ _MOST = 120
 _COMFORTABLE = 100
 _WORST = 0.01
 _MARK = 0.5
-# A limit overrun between the nodes by more than this share of itself is a matter for the mesh; less than it is drawn in, which
-# costs the objective about as much.
+# A limit overrun between the nodes by more than this share of itself is a matter for the mesh; less is drawn in, which costs
+# the objective about as much.
 _FINE = 1e-7
 # The degree is raised where at least this share of the intervals asks for more, and none stands out by more than this
 # factor: the motion is smooth there, and nodes are worth more than intervals.
 _EVERYWHERE = 0.5
 _STANDS_OUT = 30.0
+# Fewer intervals in a row than these are no arc along a limit, but the end of one inside an interval.
+_AN_ARC = 3
 # Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
 _ROUGH = 0.01
 # A solve with cuts at its switches replaces the one before when it is no slower than the error of a mesh without cuts.
@@ -156,7 +160,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     certificate = _certify(case, motion, history)
     position_rows, kept, finest = False, case, _MOST * case.mesh.intervals
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
-    settled = True
+    settled, again = True, 0
     for turn in range(_ROUNDS):
         if certificate is not None and certificate.passed:
             passed = motion, solution, certificate
@@ -169,9 +173,20 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         position_rows = position_rows or certificate is None or case.leaves_positions(certificate)
         marked = _marked(mesh, certificate, case.strictness())
         over = _overrunning(case, certificate, mesh)
+        if over.any() and case.least_time and turn and turn % 2 == 0 and again < _AGAIN and not _all_held(arcs):
+            again += 1
+            found = settle_switches(kept, motion, solution, mesh, history, say, position_rows=position_rows, arcs=arcs)
+            if found[1] is not solution:
+                motion, solution, mesh, arcs = found
+                certificate = _certify(case, motion, history)
+                continue
         if not settled and not (marked | over).any():
             marked = _rough(motion)
-        higher = _higher(kept, certificate, marked) or _higher_on_arcs(kept, certificate, over)
+        higher = _higher_on_arcs(kept, certificate, mesh, over, arcs)
+        if over.any() and case.least_time and not _all_held(arcs):
+            marked = over  # an arc that is shorter than an interval must be seen before it can be cut out
+        else:
+            higher = higher or _higher(kept, certificate, marked)
         if _grown(mesh, marked | over) <= (finest if case.tolerance_given else _COMFORTABLE):
             marked = marked | over
         what = "finer mesh"
@@ -184,7 +199,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
             kept, what = kept.tightened(certificate, motion), "limits kept between the nodes"
         elif not marked.any():
             marked[:] = True
-        elif turn >= _MERGED and certificate is not None and case.overruns(certificate):
+        elif turn >= (_MERGED_ALL if over.any() else _MERGED) and certificate is not None and case.overruns(certificate):
             kept, what = kept.tightened(certificate, motion), "finer mesh, limits kept between the nodes"
         n_finer = _grown(mesh, marked)
         if n_finer > finest or (passed is not None and not case.tolerance_given and n_finer > _COMFORTABLE):
@@ -255,12 +270,14 @@ def _higher(case: Case, certificate: Any | None, marked: np.ndarray) -> str | No
     return _raised(case) if even or case.mesh.refine == "degree" else None
 
 
-def _higher_on_arcs(case: Case, certificate: Any | None, over: np.ndarray) -> str | None:
+def _higher_on_arcs(case: Case, certificate: Any | None, mesh: Mesh, over: np.ndarray, arcs: dict[str, Any]) -> str | None:
     """Return the transcription of higher degree where motions along limits overrun them evenly: the arcs are smooth."""
     if certificate is None or not over.any():
         return None
+    if case.least_time and (not arcs or not np.all(arcs["held"][mesh.segment[over]].any(axis=1))):
+        return None  # an arc that is not held may end inside an interval, which wants to be cut
     overrun = case.overrun(certificate)[over]
-    even = overrun.max() <= _STANDS_OUT * float(np.median(overrun))
+    even = len(overrun) >= _AN_ARC and overrun.max() <= _STANDS_OUT * float(np.median(overrun))
     return _raised(case) if even or case.mesh.refine == "degree" else None
 
 
@@ -279,26 +296,39 @@ def _widths(motion: Any, marked: np.ndarray) -> np.ndarray:
 
 
 def settle_switches(
-    case: Case, motion: Any, solution: Solution, mesh: Mesh, history: list[Step], say: Say, *, position_rows: bool = False
+    case: Case,
+    motion: Any,
+    solution: Solution,
+    mesh: Mesh,
+    history: list[Step],
+    say: Say,
+    *,
+    position_rows: bool = False,
+    arcs: dict[str, Any] | None = None,
 ):
     """Return a solution with mesh cuts at its switches: motion, solution, mesh, and what is held between the cuts.
 
     First with efforts and path quantities held at the limits that the arcs showed, which leaves the cuts alone to be found;
     where that is slower than the solution without cuts, the arcs were read wrongly and all is set free again.
     """
-    chosen, no_worse = {}, _SETTLED if position_rows else NO_WORSE
+    chosen, no_worse = arcs or {}, _SETTLED if position_rows else NO_WORSE
     for _ in range(_SETTLINGS):
         knots = motion.breaks_s[mesh.knots()]
-        cuts, arcs = find_cuts(motion, case.effort_limit, knots), path_arcs(solution.transcribed, solution.x)
-        cuts = np.sort(np.append(cuts, arc_ends(arcs, motion.breaks_s, cuts, knots)))
+        on_path = path_arcs(solution.transcribed, solution.x)
+        cuts = find_cuts(motion, case.effort_limit, knots, on_path.any(axis=1))
+        cuts = np.sort(np.append(cuts, arc_ends(on_path, motion.breaks_s, cuts, knots)))
         if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6:
             break
-        finer, durations = cut_mesh(knots, cuts, case.mesh.intervals)
-        ends = np.concatenate([[knots[0]], np.cumsum(durations) + knots[0]])
+        ends = np.sort(np.concatenate([knots, cuts]))
         pinned, start = pinned_efforts(motion, case.effort_limit, ends[1:-1]), case.start_from(motion)
-        held = {"pinned": pinned, "held": held_paths(arcs, motion.breaks_s, ends, pinned)}
+        held = {"pinned": pinned, "held": held_paths(on_path, motion.breaks_s, ends, pinned)}
+        readings = [("cuts at the switches", cuts, held)]
+        if held["held"].any():
+            inner, loose = free_ends(ends, **held)
+            readings.append(("cuts at the switches, ends of arcs free", np.sort(np.append(cuts, inner)), loose))
         better = None
-        for options, what in ((held, "cuts at the switches"), ({}, "cuts at the switches, efforts free")):
+        for what, cut, options in [*readings, ("cuts at the switches, efforts free", cuts, {})]:
+            finer, durations = cut_mesh(knots, cut, case.mesh.intervals)
             found = attempt(
                 case, start, finer, durations, what, history, say, warm=True, position_rows=position_rows, **options
             )
@@ -310,9 +340,16 @@ def settle_switches(
         settled = better[1].objective > solution.objective - _SETTLED * abs(solution.objective)
         (motion, solution), mesh, chosen = better, finer, options
         no_worse = _SETTLED  # from now on both have cuts, and only a better one replaces the other
-        if settled or not np.any(np.isnan(pinned)):
+        if settled or _all_held(held):
             break
     return motion, solution, mesh, chosen
+
+
+def _all_held(held: dict[str, np.ndarray]) -> bool:
+    """Return whether every segment holds as much as it has efforts: then the cuts alone were to be found."""
+    if not held:
+        return False
+    return bool(np.all(np.isnan(held["pinned"]).sum(axis=1) == np.count_nonzero(held["held"], axis=1)))
 
 
 def cut_mesh(knots_s: np.ndarray, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:

@@ -22,13 +22,16 @@ class Efforts(Protocol):
         ...
 
 
-def find_cuts(trajectory: Efforts, limit: np.ndarray, knots_s: np.ndarray | None = None) -> np.ndarray:
+def find_cuts(
+    trajectory: Efforts, limit: np.ndarray, knots_s: np.ndarray | None = None, on_path: np.ndarray | None = None
+) -> np.ndarray:
     """Return the times (n,) [s] at which efforts jump between their limits or leave them, increasing.
 
     Args:
         trajectory: a solution on a fixed mesh.
         limit: (n_u, 2) of the efforts.
         knots_s: instants [s] at which the mesh is cut already; its ends by default.
+        on_path: intervals (n,) that follow a path limit: never a smeared switch, however few.
 
     A switch inside an interval shows as one smeared interval; its time follows from the impulse, which the smeared
     interval keeps: u_before (t - t_0) + u_after (t_1 - t) = int u dt.
@@ -49,7 +52,9 @@ def find_cuts(trajectory: Efforts, limit: np.ndarray, knots_s: np.ndarray | None
             if arc[a] != 0:
                 if before != 0:
                     cuts.append(float(breaks[a]))
-            elif b - a > _SMEARED:
+            elif on_path is not None and on_path[a:b].any() and b - a <= 2:
+                cuts += [float(breaks[k]) for k, neighbour in ((a, before), (b, after)) if neighbour != 0]
+            elif b - a > _SMEARED or (on_path is not None and on_path[a:b].any()):
                 # An arc of its own: its first and last interval may hold the rest of the arcs at limits beside it.
                 for k, inner, neighbour in ((a, a + 1, before), (b - 1, b - 2, after)):
                     if neighbour != 0:

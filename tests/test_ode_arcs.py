@@ -163,10 +163,6 @@ def test_a_speed_limit_on_a_cart_makes_a_trapezium():
     assert plan.trajectory.state_at(plan.trajectory.dense_times(50))[:, 1].max() <= 0.8 * (1 + ODE_LIMIT)
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="a path limit is not asked at the start of intervals, and drawing it in everywhere forbids all motion",
-)
 def test_a_power_limit_on_a_cart_makes_energy_grow_with_time():
     """Full effort up to speed P, then v^2 = P^2 + 2 P t, then full braking."""
     P = 0.5

@@ -39,12 +39,6 @@ def line(plan: Plan, stall: float, no_load: float) -> np.ndarray:
     return motion.effort_at(time) / stall + actuator_speeds(plan.problem, poses, motion.velocity_at(time)) / no_load
 
 
-# What fails today; a strict mark fails itself once the fault is gone.
-JUMPS = pytest.mark.xfail(
-    strict=True, reason="effort jumps on leaving a power arc: rows at nodes do not see the interval's start"
-)
-SAMPLED = pytest.mark.xfail(strict=True, reason="the certificate looks at 12 instants an interval: overrun between them")
-
 # A pure inertia in least time: closed forms.
 
 
@@ -88,9 +82,7 @@ def least_time_with_power(drive: float, brake: float) -> float:
     return arc(drive, top)[0] + arc(brake, top)[0]
 
 
-@pytest.mark.parametrize(
-    ("given", "drive", "brake"), [("9.0", 9.0, 9.0), pytest.param("[-1000.0,7.0]", 7.0, 1000.0, marks=JUMPS)]
-)
+@pytest.mark.parametrize(("given", "drive", "brake"), [("9.0", 9.0, 9.0), ("[-1000.0,7.0]", 7.0, 1000.0)])
 def test_power_makes_energy_grow_in_proportion_to_time(given, drive, brake):
     bare = quick_hinge()
     assert power(bare, inner(bare)).max() > 1.5 * drive
@@ -221,7 +213,6 @@ def two_motors(*overrides: str) -> Plan:
     return plan
 
 
-@SAMPLED
 def test_the_line_of_a_motor_on_a_dependent_joint_is_kept():
     bare = two_motors()
     mechanism, time = bare.problem.mechanism, inner(bare)
