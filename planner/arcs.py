@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.collocation import Transcribed
 
-# A path quantity within this share of its limit counts as at it; next to cuts (this share of a segment) nothing is looked at.
+# A path quantity within this share of its limit is at it; next to cuts (this share of a segment) nothing is looked at.
 _AT_LIMIT = 1e-3
 _BESIDE_CUTS = 0.15
 # Ends of an arc within so many intervals of a cut are that cut.

@@ -5,17 +5,15 @@ loops' gap, every joint's range and speed, the distance to a singular pose; and 
 is integrated under the carried effort, against the planned state.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from models.along import joint_rates, needed_effort, sampled
 from models.assembly import follow
 from models.controls import control_excess
 from models.mechanism import Mechanism
+from planner.integration import integrate
 from planner.margins import (
     Margin,
     actuator_speeds,
@@ -44,8 +42,6 @@ RANGE_SLACK = 1e-9
 
 # A plan that carries no effort at all may miss this much [N.m or N], against rounding.
 _NO_EFFORT = 1e-12
-# The integration's own error: two digits below the 1e-10 that the certificate speaks of.
-_RTOL, _ATOL = 1e-12, 1e-13
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -64,6 +60,7 @@ class Certificate:
     closure_gap_m: float
     integration_error_deg: float
     integration_error_m: float
+    integration_restarts: int  # how often integration was begun anew, the motion being unstable; 0 as a rule
     position_margin: np.ndarray  # (n_q,) [rad or m]
     speed_margin: np.ndarray  # (n_q,)
     singularity_ratio: float  # least det J_z along the motion, of that at home
@@ -120,10 +117,11 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     speed = max(float(np.abs(v).max()), np.finfo(float).tiny)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = _boundary_error(problem, trajectory, speed)
-    integration, velocity_error, growth = _integrate(mechanism, trajectory, speed)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    in_deg = float(np.degrees(integration[hinge].max(initial=0.0)))
-    in_m = float(integration[~hinge].max(initial=0.0))
+    integrated = integrate(mechanism, trajectory, speed, np.where(hinge, np.radians(INTEGRATION_DEG), INTEGRATION_M))
+    in_deg = float(np.degrees(integrated.position[hinge].max(initial=0.0)))
+    in_m = float(integrated.position[~hinge].max(initial=0.0))
+    velocity_error, growth = integrated.velocity, integrated.growth
 
     failures = []
     if effort_excess > 0:
@@ -172,6 +170,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         closure_gap_m=closure_gap,
         integration_error_deg=in_deg,
         integration_error_m=in_m,
+        integration_restarts=integrated.restarts,
         position_margin=position_margin,
         speed_margin=speed_margin,
         singularity_ratio=ratio,
@@ -241,81 +240,3 @@ def _missed(trajectory: Trajectory, waypoint: Waypoint, span: float, speed: floa
     position = np.nan_to_num(np.abs(trajectory.position_at(time) - waypoint.position)).max(axis=1) / span
     rate = np.nan_to_num(np.abs(trajectory.velocity_at(time) - waypoint.speed)).max(axis=1) / speed
     return float(np.maximum(position, rate).min())
-
-
-def _integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float) -> tuple[np.ndarray, float, np.ndarray]:
-    """Return the integrated model's errors against the plan: position (n_s,), velocity as a share, growth by interval.
-
-    The growth (n_intervals,) of the position's error is in shares of what a certificate allows. All joints are integrated,
-    q' = Gamma v, v' = M_r^-1 (...): closure is then an outcome and not an assumption. Looked at in the middle of every
-    interval and on both sides of every break.
-    """
-    n_q, independent = mechanism.n_q, mechanism.independent
-    rate, breaks = _rate(mechanism, trajectory), trajectory.breaks_s
-    start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
-    state = np.concatenate([start, trajectory.velocity[0, 0]])
-    n = len(breaks) - 1
-    errors, velocity_error = np.zeros((n, mechanism.dof)), 0.0
-    for k in range(n):
-        width = breaks[k + 1] - breaks[k]
-        on_interval = rate(trajectory.effort[:, k], width)
-        atol = _ATOL * np.maximum(1.0, np.abs(state))
-        looks = np.array([0.0, 0.5, 1.0])
-        # A motion that is none may run away: that shows in the outcome, and needs no warnings.
-        with np.errstate(all="ignore"):
-            result = solve_ivp(
-                on_interval, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=looks * width
-            )
-        if not result.success or result.y.shape[1] != len(looks):
-            errors[k:], velocity_error = np.inf, np.inf
-            break
-        planned = np.array([_bezier(trajectory.position[:, k], tau) for tau in looks])
-        planned_velocity = np.array([_bezier(trajectory.velocity[:, k], tau) for tau in looks])
-        errors[k] = np.abs(result.y[independent].T - planned).max(axis=0)
-        velocity_error = max(velocity_error, float(np.abs(result.y[n_q:].T - planned_velocity).max()) / speed)
-        state = result.y[:, -1]
-    tolerance = [np.radians(INTEGRATION_DEG) if j.kind == "hinge" else INTEGRATION_M for j in mechanism.independent_joints]
-    with np.errstate(invalid="ignore"):  # beyond a failed integration, infinity less infinity
-        growth = np.abs(np.diff(np.vstack([np.zeros(mechanism.dof), errors]), axis=0) / tolerance).max(axis=1)
-    return errors.max(axis=0), velocity_error, np.nan_to_num(growth, nan=np.inf)
-
-
-def _rate(mechanism: Mechanism, trajectory: Trajectory) -> Callable[[np.ndarray, float], Callable]:
-    """Return a maker of the right-hand side on an interval, from its effort's coefficients (degree + 1, n_u) and width [s].
-
-    It is called some thousand times per motion: CasADi reads and writes numpy's memory without copies.
-    """
-    n, shape = mechanism.n_q + mechanism.dof, trajectory.effort[:, 0].shape
-    x, coefficients, tau = ca.SX.sym("x", n), ca.SX.sym("u", *shape), ca.SX.sym("tau")
-    points = coefficients
-    for left in range(shape[0] - 1, 0, -1):
-        points = points[:left, :] + tau * (points[1:, :] - points[:left, :])
-    flow = mechanism.dynamics.flow(x[: mechanism.n_q], x[mechanism.n_q :], points.T)
-    function = ca.Function("rate", [x, coefficients, tau], [ca.vertcat(*flow)], {"cse": True})
-    buffer, evaluate = function.buffer()
-    # All of these live as long as the right-hand sides: CasADi keeps addresses only.
-    state, flat, at, result = np.zeros(n), np.zeros(shape[0] * shape[1]), np.zeros(1), np.zeros(n)
-    effort = flat.reshape(shape, order="F")
-    for index, array in enumerate((state, flat, at)):
-        buffer.set_arg(index, memoryview(array))
-    buffer.set_res(0, memoryview(result))
-    kept = function, buffer, flat
-
-    def on_interval(values: np.ndarray, width: float) -> Callable[[float, np.ndarray], np.ndarray]:
-        def rate(t: float, y: np.ndarray, kept=kept) -> np.ndarray:
-            del kept
-            state[:], effort[...], at[0] = y, values, t / width
-            evaluate()
-            return np.array(result)
-
-        return rate
-
-    return on_interval
-
-
-def _bezier(coefficients: np.ndarray, tau: float) -> np.ndarray:
-    """Return a Bernstein polynomial's value by de Casteljau: coefficients (degree + 1, n)."""
-    points = coefficients
-    while len(points) > 1:
-        points = points[:-1] + tau * (points[1:] - points[:-1])
-    return points[0]

@@ -83,6 +83,7 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
         "closure_gap_m": certificate.closure_gap_m,
         "integration_error_deg": certificate.integration_error_deg,
         "integration_error_m": certificate.integration_error_m,
+        "integration_restarts": certificate.integration_restarts,
         "joint_margin_deg": {j.name: j.shown(m) for j, m, _ in margins if j.kind == "hinge" and np.isfinite(m)},
         "joint_margin_m": {j.name: m for j, m, _ in margins if j.kind == "slide" and np.isfinite(m)},
         "speed_margin_deg_s": {j.name: j.shown(m) for j, _, m in margins if j.kind == "hinge" and np.isfinite(m)},

@@ -207,7 +207,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         mesh = halved(mesh, marked)
         durations = np.bincount(mesh.segment, weights=_widths(motion, marked))
         start = kept.start_from(motion)
-        finer = attempt(kept, start, mesh, durations, what, history, say, position_rows=position_rows, **arcs)
+        finer = attempt(kept, start, mesh, durations, what, history, say, warm=True, position_rows=position_rows, **arcs)
         if finer is None:
             break
         motion, solution = finer

@@ -76,6 +76,11 @@ def plan_text(plan: Plan) -> str:
         ["inverse dynamics less carried effort", certificate.dynamics_residual, "unit of effort"],
         ["loop gap", certificate.closure_gap_m, "m"],
     ]
+    if certificate.integration_restarts:
+        lines.append(
+            f"the motion is unstable: a small error grows more than ten thousandfold along it, {certificate.integration_restarts}"
+            " time(s) over; integration was begun anew as often, and nothing but feedback would follow this plan"
+        )
     kinds = {joint.kind for joint in problem.mechanism.independent_joints}
     if "hinge" in kinds:
         rows.append(["state after integration at 1e-12", certificate.integration_error_deg, "deg"])
