@@ -14,10 +14,11 @@ from models.errors import InfeasibleError
 from planner.mesh import Mesh, broken, uniform
 from planner.ode_case import OdeCase
 from planner.ode_certificate import OdeCertificate
+from planner.ode_costates import is_affine
 from planner.ode_formulation import completed, start_of, straight_guess, units_of
 from planner.ode_problem import OdeProblem, StateGuess
-from planner.ode_starts import bent, held, of_least_effort, of_other_durations
-from planner.ode_switches import cut_by_costates
+from planner.ode_starts import bent, held, is_open, of_least_effort, of_other_durations
+from planner.ode_switches import cut_by_costates, has_arcs
 from planner.ode_trajectory import OdeTrajectory
 from planner.plan import Step
 from planner.refinement import Say, attempt, refine, silent, step_of
@@ -25,7 +26,9 @@ from planner.solve import INVALID, OUT_OF_TIME, Solution, solve
 
 # An integrated state that ends this share of its size from a first solution: its efforts are looked at between the nodes.
 _WILD = 1e-3
-# Bends tried where no other start leads to a solution.
+# Efforts that are linear over intervals bring the integrated state so much nearer where polynomials swing between their nodes.
+_SWINGS = 0.01
+# Bends tried where a motion's duration is open, or where no other start leads to a solution.
 _BENDS = 4
 # Iterations for starts tried beside others, or after others failed, and a time [s] that none needs but one that goes
 # astray: those measured took less than a second on programs of this size, or a few times what the first solve took.
@@ -99,9 +102,10 @@ def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], 
     found = _first_solutions(problem, given, history, say, enough=1)
     if not found and history[-1].solver_status in (OUT_OF_TIME, INVALID):
         return []
+    bends = list(bent(problem, given, len(given) + _BENDS))[len(given) :]
     patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * history[-1].solve_s))
     patient = replace(problem, solver=replace(problem.solver, max_iterations=_ITERATIONS, max_time_s=patience))
-    others = of_other_durations(problem, given[0])
+    others = [*of_other_durations(problem, given[0]), *bends] if is_open(problem) else []
     found += _first_solutions(patient, others, history, say, number=len(given))
     if found or np.all(np.isfinite(problem.effort_limit)):
         return found
@@ -112,7 +116,6 @@ def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], 
         solved = attempt(case, start, one.mesh, durations, "start from least effort", history, say)
         if solved is not None:
             return [_Found(motion=solved[0], solution=solved[1], case=case, mesh=one.mesh, number=0)]
-    bends = list(bent(problem, given, len(given) + _BENDS))[len(given) :]
     return _first_solutions(patient, bends, history, say, enough=1, number=len(given))
 
 
@@ -146,9 +149,29 @@ def _calmed(found: _Found, history: list[Step], say: Say) -> _Found:
     return replace(found, motion=solved[0], solution=solved[1])
 
 
+def _eased(found: _Found, history: list[Step], say: Say) -> _Found:
+    """Return a first solution with efforts that are linear over intervals, where it has arcs on which they could chatter.
+
+    On an arc within the limits an effort that enters affinely is held by the costates' higher derivatives alone: a
+    polynomial through an interval's nodes is free to swing there, a straight line is not.
+    """
+    case, asked = found.case, found.case.asked
+    if asked.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(found.motion, asked.effort_limit):
+        return found
+    case = replace(case, problem=replace(asked, mesh=replace(asked.mesh, effort="linear")))
+    start, durations = case.start_from(found.motion), np.diff(found.motion.breaks_s[[0, -1]])
+    solved = attempt(case, start, found.mesh, durations, "efforts linear over intervals", history, say, warm=True)
+    if solved is None:
+        return found
+    before, after = (case.certify(motion).integration_error for motion in (found.motion, solved[0]))
+    return replace(found, motion=solved[0], solution=solved[1], case=case) if after < _SWINGS * before else found
+
+
 def _refined(problem: OdeProblem, found: _Found, history: list[Step], say: Say) -> OdePlan:
     case = OdeCase(problem, problem, found.case.units)
     found = _calmed(replace(found, case=case), history, say)
+    found = _eased(found, history, say)
+    case = found.case
     case, solved, mesh = cut_by_costates(case, (found.motion, found.solution), found.mesh, history, say)
     refined = refine(case, solved, mesh, history, say)
     assert refined is not None  # a user's solution always has a certificate

@@ -8,7 +8,7 @@ from planner.collocation import Transcribed, collocate, curves_of
 from planner.formulation import Start, Units
 from planner.insets import Inset, drawn
 from planner.mesh import Mesh
-from planner.ode_certificate import INTEGRATION, SLACK, OdeCertificate, certify_ode
+from planner.ode_certificate import INTEGRATION, OBJECTIVE_SHARE, SLACK, OdeCertificate, certify_ode, running_cost
 from planner.ode_formulation import formulate_ode, start_from
 from planner.ode_problem import OdeProblem
 from planner.ode_trajectory import OdeTrajectory
@@ -83,7 +83,10 @@ class OdeCase:
     def motion(self, solution: Solution, limit: np.ndarray) -> OdeTrajectory:
         """Return a solution's polynomials."""
         curves = curves_of(solution.transcribed, solution.x, limit)
-        return OdeTrajectory(breaks_s=curves.breaks_s, state=curves.state, effort=curves.effort, n_x=self.asked.n_x)
+        motion = OdeTrajectory(breaks_s=curves.breaks_s, state=curves.state, effort=curves.effort, n_x=self.asked.n_x)
+        if self.asked.running_cost is None:
+            return motion
+        return replace(motion, running=running_cost(self.asked, motion, solution.transcribed.scheme))
 
     def start_from(self, motion: OdeTrajectory) -> Start:
         """Return a solution as a start."""
@@ -98,16 +101,19 @@ class OdeCase:
         return INTEGRATION / self.asked.tolerance
 
     def exact(self, certificate: OdeCertificate) -> bool:
-        """Return whether the integrated state is within the tolerance."""
-        return certificate.integration_error <= self.asked.tolerance
+        """Return whether the integrated state is within the tolerance, and the objective that of the integrated motion."""
+        return (
+            certificate.integration_error <= self.asked.tolerance
+            and certificate.objective_error <= OBJECTIVE_SHARE * self.asked.tolerance
+        )
 
     def noted(self, step: Step, certificate: OdeCertificate) -> Step:
         """Return a step with the certificate's integration error."""
         return replace(step, integration_error=certificate.integration_error)
 
     def leaves_positions(self, certificate: OdeCertificate) -> bool:
-        """Return whether a state leaves its limits."""
-        return bool(np.any(certificate.state_margin < 0))
+        """Return whether a state leaves its limits by more than a certificate lets pass."""
+        return certificate.leaves_states
 
     def overruns(self, certificate: OdeCertificate) -> bool:
         """Return whether a path quantity or a state leaves its limits between the nodes."""

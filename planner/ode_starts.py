@@ -44,11 +44,15 @@ def bent(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[State
         yield completed(problem, StateGuess(state=state, effort=guess.effort, duration_s=duration))
 
 
-def of_other_durations(problem: OdeProblem, guess: StateGuess) -> list[StateGuess]:
-    """Return a guess at other durations, where neither the user nor the bounds say how long the motion takes."""
+def is_open(problem: OdeProblem) -> bool:
+    """Return whether neither the bounds nor a guess say how long the motion takes."""
     low, high = problem.duration
-    if high <= _WIDE * low or any(given.duration_s is not None for given in problem.guesses):
-        return []
+    return high > _WIDE * low and not problem.guesses
+
+
+def of_other_durations(problem: OdeProblem, guess: StateGuess) -> list[StateGuess]:
+    """Return a guess at other durations within the bounds."""
+    low, high = problem.duration
     durations = np.clip([factor * guess.duration_s for factor in _LONGER], low, high)
     return [replace(guess, duration_s=float(T)) for T in dict.fromkeys(durations) if T > 0 and guess.duration_s != T]
 

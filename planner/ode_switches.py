@@ -49,7 +49,7 @@ def cut_by_costates(
     asked = case
     for _ in range(_TURNS):
         motion, solution = found
-        if _has_arcs(motion, problem.effort_limit):
+        if has_arcs(motion, problem.effort_limit):
             return case, found, mesh
         switching = switching_of(problem, motion, solution)
         if switching is None or not np.all(np.isfinite(switching.value)):
@@ -74,9 +74,9 @@ def cut_by_costates(
     return case, found, mesh
 
 
-def _has_arcs(motion: OdeTrajectory, limit: np.ndarray) -> bool:
+def has_arcs(motion: OdeTrajectory, limit: np.ndarray) -> bool:
     """Return whether an effort stays within its limits for longer than a smeared switch."""
-    slack = _AT_LIMIT * np.diff(limit, axis=1).ravel()
+    slack = np.where(np.isfinite(limit).all(axis=1), _AT_LIMIT * np.diff(limit, axis=1).ravel(), np.inf)
     within = (motion.effort.min(axis=0) < limit[:, 1] - slack) & (motion.effort.max(axis=0) > limit[:, 0] + slack)
     for column in within.T:
         padded = np.concatenate([[False], column, [False]]).astype(int)
