@@ -26,7 +26,7 @@ from planner.solve import INVALID, OUT_OF_TIME, Solution, solve
 
 # An integrated state that ends this share of its size from a first solution: its efforts are looked at between the nodes.
 _WILD = 1e-3
-# Efforts that are linear over intervals bring the integrated state so much nearer where polynomials swing between their nodes.
+# Efforts linear over intervals bring the integrated state so much nearer where polynomials swing between their nodes.
 _SWINGS = 0.01
 # Bends tried where a motion's duration is open, or where no other start leads to a solution.
 _BENDS = 4
