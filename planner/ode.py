@@ -180,7 +180,7 @@ def _refined(problem: OdeProblem, found: _Found, history: list[Step], say: Say) 
     if not certificate.passed:
         status = "failed"
         message = f"failed: the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
-    elif not case.exact(certificate):
+    elif certificate.integration_error > problem.tolerance:
         status = "failed"
         message = (
             f"failed: the integrated state ends {certificate.integration_error:.3g} of its size from the solution, more than"
