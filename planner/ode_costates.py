@@ -67,6 +67,11 @@ def switching_of(problem: OdeProblem, motion: OdeTrajectory, solution: Solution)
     return Switching(time_s=time, value=np.stack(values[::-1], axis=1))
 
 
+def last_costates(problem: OdeProblem, solution: Solution) -> np.ndarray:
+    """Return the costates (n_x,) at the end: what the objective would gain or lose by a unit less or more of each state."""
+    return _costates(problem, solution)[-1]
+
+
 def _costates(problem: OdeProblem, solution: Solution) -> np.ndarray:
     """Return the costates (n, n_x) at the intervals' ends: what a unit more of a state there would cost."""
     transcribed = solution.transcribed
@@ -84,8 +89,6 @@ def _functions(problem: OdeProblem, n: int) -> tuple[ca.Function, ca.Function]:
     hamiltonian = ca.dot(costate, problem.at_instant("rate")(x, u, p, t))
     if problem.running_cost is not None:
         hamiltonian += problem.at_instant("running_cost")(x, u, p, t)
-    functions = (
-        ca.Function(name, [x, u, p, t, costate], [ca.densify(ca.gradient(hamiltonian, of))]).map(n)
-        for name, of in (("drive", x), ("push", u))
-    )
-    return tuple(functions)
+    inputs = [x, u, p, t, costate]
+    drive, push = (ca.densify(ca.gradient(hamiltonian, of)) for of in (x, u))
+    return ca.Function("drive", inputs, [drive]).map(n), ca.Function("push", inputs, [push]).map(n)

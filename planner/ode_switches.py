@@ -11,7 +11,7 @@ import numpy as np
 
 from planner.mesh import Mesh
 from planner.ode_case import OdeCase
-from planner.ode_costates import Switching, is_affine, switching_of
+from planner.ode_costates import Switching, is_affine, last_costates, switching_of
 from planner.ode_trajectory import OdeTrajectory
 from planner.plan import Step
 from planner.refinement import NO_WORSE, Say, attempt, cut_mesh
@@ -33,6 +33,8 @@ _APART = 1e-7
 # A solution replaces another with cuts where it is better by this, relative: next to an arc that vanishes the duration goes
 # with the root of what the solver leaves of its rows, 1e-10.
 _BETTER = 1e-6
+# And by so many times what its states' errors are worth.
+_SURE = 10.0
 
 
 def cut_by_costates(
@@ -55,7 +57,8 @@ def cut_by_costates(
         if switching is None or not np.all(np.isfinite(switching.value)):
             return case, found, mesh
         cuts = _cuts(switching)
-        if _agrees(motion, switching, problem.effort_limit) or len(cuts) > _MOST:
+        promised = _promised(motion, switching, problem.effort_limit)
+        if promised <= _BETTER * abs(solution.objective) or len(cuts) > _MOST:
             return case, found, mesh
         knots = motion.breaks_s[[0, -1]]
         finer, durations = cut_mesh(knots, cuts, case.mesh.intervals)
@@ -64,14 +67,27 @@ def cut_by_costates(
         better = None
         for efforts, what in ((pinned, "cuts by the costates"), (None, "cuts by the costates, efforts free")):
             tried = attempt(asked, start, finer, durations, what, history, say, pinned=efforts, warm=True)
-            most = solution.objective + (-_BETTER if case.cut else NO_WORSE) * abs(solution.objective)
-            if tried is not None and tried[1].status == SUCCEEDED and tried[1].objective <= most:
+            if tried is not None and tried[1].status == SUCCEEDED and _replaces(asked, tried, solution, first=not case.cut):
                 better = tried, efforts
                 break
         if better is None:
             return case, found, mesh
         found, mesh, case = better[0], finer, replace(asked, cut=True, held=better[1])
     return case, found, mesh
+
+
+def _replaces(case: OdeCase, tried: tuple[OdeTrajectory, Solution], before: Solution, *, first: bool) -> bool:
+    """Return whether a solution replaces the one before.
+
+    The first with cuts does where it is no worse than a mesh without cuts is wrong, later ones where they gain more than
+    what their states' errors are worth by their own costates.
+    """
+    (motion, solution), allowed = tried, NO_WORSE * abs(before.objective)
+    if first:
+        return solution.objective <= before.objective + allowed
+    sizes = np.abs(motion.state[:, :, : case.asked.n_x]).max(axis=(0, 1))
+    worth = case.certify(motion).integration_error * float(np.abs(last_costates(case.asked, solution)) @ sizes)
+    return before.objective - solution.objective > max(_BETTER * abs(before.objective), _SURE * worth)
 
 
 def has_arcs(motion: OdeTrajectory, limit: np.ndarray) -> bool:
@@ -92,15 +108,16 @@ def _signs(switching: Switching) -> np.ndarray:
     return np.where(np.abs(flat) > _FAINT * np.abs(flat).max(axis=0), np.sign(flat), 0.0)
 
 
-def _agrees(motion: OdeTrajectory, switching: Switching, limit: np.ndarray) -> bool:
-    """Return whether every effort is at the limit that its switching function asks for, wherever that says anything."""
+def _promised(motion: OdeTrajectory, switching: Switching, limit: np.ndarray) -> float:
+    """Return what the objective would gain, to first order, with every effort at the limit that it is to be at."""
     n, steps, n_u = switching.value.shape
     signs = _signs(switching).reshape(n, steps, n_u)
-    wanted = np.where(signs > 0, limit[:, 0], limit[:, 1])
-    slack = _AT_LIMIT * np.diff(limit, axis=1).ravel()
-    # Over an interval an effort is at a limit where all of its coefficients are.
-    off = np.abs(motion.effort[:, :, None, :] - wanted).max(axis=0) > slack
-    return not np.any(off & (signs != 0))
+    share = np.clip(np.linspace(0.0, 1.0, steps), 1e-9, 1 - 1e-9)
+    time = motion.breaks_s[:-1, None] + np.diff(motion.breaks_s)[:, None] * share
+    effort = motion.effort_at(time.ravel()).reshape(n, steps, n_u)
+    wanted = np.where(signs > 0, limit[:, 0], np.where(signs < 0, limit[:, 1], effort))
+    gain = (switching.value * (effort - wanted)).sum(axis=2)
+    return float(np.sum(np.trapezoid(gain, switching.time_s, axis=1)))
 
 
 def _cuts(switching: Switching) -> np.ndarray:

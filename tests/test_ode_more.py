@@ -1,4 +1,4 @@
-"""More textbook optima by `plan_ode` at its default settings: switches that hide, angles that wind, ways that no straight line shows."""
+"""More textbook optima by `plan_ode` at its default settings: switches that hide, angles that wind, ways that bend."""
 
 from functools import cache
 
@@ -26,14 +26,14 @@ from tests.tolerances_planner import (
     ODE_SWITCH,
 )
 
-# Least time of a harmonic oscillator x'' = -x + u with |u| <= 1, from rest at x0 to rest at 0: circles about -1 and 1 in turn.
+# Least time of an oscillator x'' = -x + u with |u| <= 1, from rest at x0 to rest at 0: circles about -1 and 1 in turn.
 
 
 def half_circles(x0: float) -> list[float]:
     """Return the durations of the arcs from rest at x0 > 0: the first, half circles, the last.
 
-    Under u = -1 the state goes round -1 with radius x0 + 1 until it meets the chain of half circles of radius 1 about 1, 3, 5,
-    ...: then round 1 and -1 in turn, half a circle each, along which it moves from one half circle of the chain to the next.
+    Under u = -1 the state goes round -1 with radius x0 + 1 until it meets the chain of half circles of radius 1 about 1, 3,
+    5, ...: then round 1 and -1 in turn, half a circle each, which takes it from one half circle of the chain to the next.
     """
     if x0 % 2 == 0:
         return [np.pi] * int(x0 // 2)
@@ -89,7 +89,7 @@ def test_an_arc_shorter_than_an_interval_is_found():
 
 
 def test_switching_functions_are_the_costates_of_the_closed_form():
-    """x'' = u from rest to rest at 1 in least time T = 2: the costate of v is (t - 1), its scale by H = 0: 1 = |lambda_v u|."""
+    """x'' = u from rest to rest at 1 in least time T = 2: the costate of v is t - 1, as 1 + lambda_v u = 0 at the ends."""
     from planner.mesh import uniform
     from planner.ode_case import OdeCase
     from planner.ode_formulation import start_of, straight_guess, units_of
@@ -116,7 +116,7 @@ def test_switching_functions_are_the_costates_of_the_closed_form():
 
 
 def test_zermelo_s_boat_crosses_the_current_in_its_least_time():
-    """Current -y along x, speed 1, from (3.66, -1.86) to the origin; the heading obeys theta' = cos^2 theta (Bryson & Ho, 2.7)."""
+    """Current -y along x, speed 1, from (3.66, -1.86) to the origin; theta' = cos^2 theta (Bryson & Ho, 2.7)."""
 
     def missed(unknowns: np.ndarray) -> np.ndarray:
         heading, T = unknowns
@@ -195,7 +195,7 @@ def test_a_particle_is_steered_in_the_time_of_the_linear_tangent_law():
 
 
 def shortest_dubins(x: float, y: float, heading: float) -> float:
-    """Return the length of the shortest arc-line-arc of radius 1 from (0, 0) heading along x whose turns add up to a heading."""
+    """Return the length of the shortest arc-line-arc of radius 1 from (0, 0) along x whose turns add up to a heading."""
     best = np.inf
     for first in (1, -1):
         for last in (1, -1):
