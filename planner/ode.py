@@ -17,7 +17,7 @@ from planner.ode_certificate import OdeCertificate
 from planner.ode_costates import is_affine
 from planner.ode_formulation import completed, start_of, straight_guess, units_of
 from planner.ode_problem import OdeProblem, StateGuess
-from planner.ode_starts import bent, held, is_open, of_least_effort, of_other_durations
+from planner.ode_starts import bent, held, is_open, of_least_effort, of_other_durations, runs_away, sampled_guess
 from planner.ode_switches import cut_by_costates, has_arcs
 from planner.ode_trajectory import OdeTrajectory
 from planner.plan import Step
@@ -30,10 +30,14 @@ _WILD = 1e-3
 _SWINGS = 0.01
 # Bends tried where a motion's duration is open, or where no other start leads to a solution.
 _BENDS = 4
+# Times that a motion is begun anew whose duration ended where the first guess held it: each is a factor of up to 100.
+_FURTHER = 3
+# What is left of an objective by one of them where it only falls and falls.
+_FALLS = 0.5
 # Iterations for starts tried beside others, or after others failed, and a time [s] that none needs but one that goes
 # astray: those measured took less than a second on programs of this size, or a few times what the first solve took.
 _ITERATIONS = 200
-_PATIENCE_S = 3.0
+_PATIENCE_S = 1.0
 _PATIENCE = 5.0
 
 
@@ -69,6 +73,7 @@ class _Found:
     case: OdeCase
     mesh: Mesh
     number: int
+    away: str | None = None  # the words on a duration that has no best
 
 
 def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
@@ -91,32 +96,38 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     failed = None
     for one in sorted(found, key=lambda one: (one.solution.objective, one.number)):
         plan = _refined(problem, one, history, say)
-        if plan.status == "optimal":
+        if plan.status == "optimal" or one.away is not None:
             return plan
         failed = failed or plan
     return failed or _explain(problem, given[0], history, say)
 
 
 def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], say: Say) -> list[_Found]:
-    """Return first solutions from the guesses, and from further starts where those lead to none."""
+    """Return first solutions from the guesses, and from further starts where those lead to none or time is open."""
     found = _first_solutions(problem, given, history, say, enough=1)
-    if not found and history[-1].solver_status in (OUT_OF_TIME, INVALID):
-        return []
-    bends = list(bent(problem, given, len(given) + _BENDS))[len(given) :]
+    stopped = not found and history[-1].solver_status in (OUT_OF_TIME, INVALID)
+    if stopped or (found and not is_open(problem)):
+        return found
     patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * history[-1].solve_s))
     patient = replace(problem, solver=replace(problem.solver, max_iterations=_ITERATIONS, max_time_s=patience))
-    others = [*of_other_durations(problem, given[0]), *bends] if is_open(problem) else []
-    found += _first_solutions(patient, others, history, say, number=len(given))
-    if found or np.all(np.isfinite(problem.effort_limit)):
-        return found
-    eased = _first_solutions(of_least_effort(patient), given[:1], history, say)
-    for one in eased:
-        case = OdeCase(patient, patient, one.case.units)
+    others = of_other_durations(problem, given[0]) if is_open(problem) else []
+    others += list(bent(problem, given, len(given) + _BENDS))[len(given) :]
+    if np.all(np.isfinite(problem.effort_limit)):
+        # With limits a motion of no duration's solves may be another local one; what forbids one is found by the efforts.
+        return found + _first_solutions(patient, others if is_open(problem) else [], history, say, number=len(given))
+    found += _from_least_effort(patient, given[0], history, say)
+    return found or _first_solutions(patient, others, history, say, enough=1, number=len(given))
+
+
+def _from_least_effort(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> list[_Found]:
+    """Return the solution that is begun from the motion of least squared effort, if there is one."""
+    for one in _first_solutions(of_least_effort(problem), [guess], history, say):
+        case = OdeCase(problem, problem, one.case.units)
         start, durations = case.start_from(one.motion), np.diff(one.motion.breaks_s[[0, -1]])
         solved = attempt(case, start, one.mesh, durations, "start from least effort", history, say)
         if solved is not None:
-            return [_Found(motion=solved[0], solution=solved[1], case=case, mesh=one.mesh, number=0)]
-    return _first_solutions(patient, bends, history, say, enough=1, number=len(given))
+            return [_Found(motion=solved[0], solution=solved[1], case=case, mesh=one.mesh, number=1)]
+    return []
 
 
 def _first_solutions(
@@ -129,8 +140,21 @@ def _first_solutions(
         mesh = uniform(problem.mesh.intervals) if problem.mesh.breaks is None else broken(problem.mesh.breaks)
         word = f"start {number + 1}" if number or problem.solver.starts > 1 else "first solve"
         solved = attempt(case, start_of(guess, case.units), mesh, np.array([guess.duration_s]), word, history, say)
+        away, times = None, 0
+        while solved is not None and times < _FURTHER:
+            held_at, before = runs_away(problem, *solved), solved[1].objective
+            if held_at is None:
+                break
+            # Guessed too short or too long by far: from what was found, with time in its own units.
+            rescaled = sampled_guess(solved[0])
+            case = OdeCase(problem, problem, units_of(problem, rescaled))
+            durations, what = np.array([rescaled.duration_s]), f"{word}, from where time was held"
+            solved, times = attempt(case, start_of(rescaled, case.units), mesh, durations, what, history, say), times + 1
+            # Still a fraction of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
+            falls = solved is not None and times > 1 and solved[1].objective < _FALLS * before
+            away = held_at if falls else None
         if solved is not None:
-            found.append(_Found(motion=solved[0], solution=solved[1], case=case, mesh=mesh, number=number))
+            found.append(_Found(motion=solved[0], solution=solved[1], case=case, mesh=mesh, number=number, away=away))
             if len(found) == enough:
                 break
     return found
@@ -176,8 +200,11 @@ def _refined(problem: OdeProblem, found: _Found, history: list[Step], say: Say) 
     refined = refine(case, solved, mesh, history, say)
     assert refined is not None  # a user's solution always has a certificate
     trajectory, solution, certificate, settled = refined
+    away = found.away or runs_away(problem, trajectory, solution)
     status, message = "optimal", f"optimum {solution.objective:.10g} in {trajectory.duration_s:.8g} s"
-    if not certificate.passed:
+    if away is not None:
+        status, message = "failed", f"failed: {away}"
+    elif not certificate.passed:
         status = "failed"
         message = f"failed: the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
     elif certificate.integration_error > problem.tolerance:
@@ -214,12 +241,13 @@ def _contradiction(problem: OdeProblem) -> str | None:
 
 
 def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> OdePlan:
-    """Return the plan of a problem that no start solved, with the least effort where that is the reason."""
+    """Return the plan of a problem that no start solved: from the motion of the least limits, or the reason."""
     stopped = {
         OUT_OF_TIME: f"the solver ran out of its {problem.solver.max_time_s:g} s (solver.max_time_s)",
         INVALID: "the dynamics gave a number that is not finite (NaN), or the solver could not begin",
     }
-    status = history[-1].solver_status if history else "nothing tried"
+    # Of the first start: those after it were given less time.
+    status = history[0].solver_status
     reason = f"failed: {stopped.get(status, f'no start led to a solution ({status})')}"
     if status not in stopped and np.all(np.isfinite(problem.effort_limit)):
         say("no solution found; looking for the least effort that admits one")
@@ -236,4 +264,10 @@ def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: S
             message = f"infeasible: {found}" if fixed else f"failed: no solution was found; {found}, which is no proof"
             status = "infeasible" if fixed else "failed"
             return OdePlan(problem=problem, status=status, message=message, history=tuple(history))
+        if solution.converged:
+            motion = case.motion(solution, problem.effort_limit)
+            solved = attempt(case, case.start_from(motion), mesh, durations, "start from the least limits", history, say)
+            if solved is not None:
+                found = _Found(motion=solved[0], solution=solved[1], case=case, mesh=mesh, number=0)
+                return _refined(problem, found, history, say)
     return OdePlan(problem=problem, status="failed", message=reason, history=tuple(history))

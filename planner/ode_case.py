@@ -8,7 +8,7 @@ from planner.collocation import Transcribed, collocate, curves_of
 from planner.formulation import Start, Units
 from planner.insets import Inset, drawn
 from planner.mesh import Mesh
-from planner.ode_certificate import INTEGRATION, OBJECTIVE_SHARE, SLACK, OdeCertificate, certify_ode, running_cost
+from planner.ode_certificate import INTEGRATION, OBJECTIVE_SHARE, OVERRUN, SLACK, OdeCertificate, certify_ode, running_cost
 from planner.ode_formulation import formulate_ode, start_from
 from planner.ode_problem import OdeProblem
 from planner.ode_trajectory import OdeTrajectory
@@ -105,6 +105,7 @@ class OdeCase:
         return (
             certificate.integration_error <= self.asked.tolerance
             and certificate.objective_error <= OBJECTIVE_SHARE * self.asked.tolerance
+            and certificate.overrun <= OVERRUN
         )
 
     def noted(self, step: Step, certificate: OdeCertificate) -> Step:

@@ -11,6 +11,7 @@ from planner.ode_case import OdeCase
 from planner.ode_formulation import completed, units_of
 from planner.ode_problem import OdeProblem, StateGuess
 from planner.ode_trajectory import OdeTrajectory
+from planner.solve import Solution
 
 # Bends of further starts: half waves over the motion, and their size as a share of each state's.
 _WAVES = 3
@@ -19,6 +20,10 @@ _BEND = 0.5
 _LONGER = (4.0, 16.0, 0.25)
 # A free duration whose bounds lie further apart than this says nothing of how long a motion takes.
 _WIDE = 20.0
+# A duration within this share of a bound is at it.
+_AT_BOUND = 0.01
+# Rows of a solution as a guess.
+_SAMPLES = 101
 # Where in an interval the effort is read that is then held over it: the first node of radau-3.
 _READ_AT = 0.155
 
@@ -78,6 +83,28 @@ def of_least_effort(problem: OdeProblem) -> OdeProblem:
 
     free = problem.duration[0] < longest
     return replace(problem, running_cost=running_cost, final_cost=final_cost if free else None, objective_tolerance=None)
+
+
+def runs_away(problem: OdeProblem, motion: OdeTrajectory, solution: Solution) -> str | None:
+    """Return the words on a duration that ended at a bound which is not the user's but that of its guess; None elsewhere."""
+    low, high = problem.duration
+    transcribed, T = solution.transcribed, motion.duration_s
+    place = transcribed.program.layout.durations()
+    if len(place) > 1 or low == high:
+        return None
+    unit = transcribed.units.time_s
+    lower, upper = (float(bound[place[0]]) * unit for bound in (transcribed.lower, transcribed.upper))
+    if upper < high and (1 - _AT_BOUND) * upper < T:
+        return f"the longer the motion the better, without end, still at {T:.4g} s: bound duration_s from above"
+    if lower > low and (1 + _AT_BOUND) * lower > T:
+        return f"the shorter the motion the better, down to nothing, still at {T:.4g} s: bound duration_s from below"
+    return None
+
+
+def sampled_guess(motion: OdeTrajectory) -> StateGuess:
+    """Return a motion as a guess."""
+    time = motion.breaks_s[0] + motion.duration_s * np.linspace(0.0, 1.0, _SAMPLES)
+    return StateGuess(state=motion.state_at(time), effort=motion.effort_at(time), duration_s=motion.duration_s)
 
 
 def held(case: OdeCase, motion: OdeTrajectory) -> Start:

@@ -9,6 +9,7 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq, fsolve
 
 from planner.ode import OdePlan, plan_ode
+from planner.ode_certificate import OVERRUN
 from planner.ode_costates import is_affine, switching_of
 from planner.ode_problem import OdeProblem
 from tests.test_ode_closed_forms import oscillator
@@ -23,6 +24,7 @@ from tests.tolerances_planner import (
     ODE_PUBLISHED,
     ODE_SHORT,
     ODE_STATE,
+    ODE_STATE_ARCS,
     ODE_SWITCH,
 )
 
@@ -573,3 +575,35 @@ def test_a_duration_that_is_given_is_begun_from_once():
         )
     )
     assert len(plan.history) == 1
+
+
+# Limits on states, between the nodes too.
+
+
+def test_a_state_s_limit_is_kept_by_the_integrated_motion_too():
+    """x''' = u within +-10, |v| <= 0.5, |a| <= 1, 1 from rest to rest: 2.6 s; a speed's polynomial may lie on its limit with an
+    acceleration that swings about zero between the nodes, and the motion itself beyond it.
+    """  # noqa: D205
+    limit = np.array([[-INF, INF], [-0.5, 0.5], [-1, 1]])
+    plan = solved(
+        OdeProblem(
+            name="limited in jerk, acceleration and speed",
+            rate=lambda x, u, p, t: [x[1], x[2], u[0]],  # noqa: ARG005
+            start=[0, 0, 0],
+            goal=[1, 0, 0],
+            effort_limit=[[-10, 10]],
+            state_limit=limit,
+            duration_s=(0.1, 100),
+            final_cost=duration,
+        )
+    )
+    motion, state, most = plan.trajectory, np.zeros(3), 0.0
+    for k, width in enumerate(np.diff(motion.breaks_s)):
+        at = motion.breaks_s[k] + width * np.linspace(0, 1 - 1e-9, 30)
+        run = solve_ivp(
+            lambda t, y: [y[1], y[2], motion.effort_at([t])[0, 0]], at[[0, -1]], state, t_eval=at, rtol=1e-10, atol=1e-12
+        )
+        most, state = max(most, np.abs(run.y[1]).max() - 0.5, np.abs(run.y[2]).max() - 1), run.y[:, -1]
+    assert most <= OVERRUN
+    assert plan.objective >= 2.6 * (1 - OVERRUN)
+    assert plan.objective == pytest.approx(2.6, rel=ODE_STATE_ARCS)

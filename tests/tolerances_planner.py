@@ -151,3 +151,5 @@ ODE_CHATTERING = 1e-3
 ODE_SHORT = 1e-8
 # A least time at which an arc has shrunk to nothing, relative: the root of what the state's tolerance leaves. Measured 2e-8.
 ODE_COLLAPSED_ARC = 1e-6
+# Least time with arcs on states' limits that meet arcs on others, no cut at their junctions, relative. Measured 9e-5.
+ODE_STATE_ARCS = 2e-4
