@@ -30,6 +30,8 @@ _WILD = 1e-3
 _SWINGS = 0.01
 # Bends tried where a motion's duration is open, or where no other start leads to a solution.
 _BENDS = 4
+# Objectives within this share of one another are of the same motion, as a mesh knows it.
+_ALIKE = 1e-4
 # Times that a motion is begun anew whose duration ended where the first guess held it: each is a factor of up to 100.
 _FURTHER = 3
 # What is left of an objective by one of them where it only falls and falls.
@@ -93,8 +95,11 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
         found = _first_solutions(problem, bent(problem, given, problem.solver.starts), history, say)
     else:
         found = _in_turn(problem, given, history, say)
-    failed = None
+    failed, tried = None, np.zeros(0)
     for one in sorted(found, key=lambda one: (one.solution.objective, one.number)):
+        if np.any(np.abs(tried - one.solution.objective) <= _ALIKE * abs(one.solution.objective)):
+            continue  # the same motion, that did not pass
+        tried = np.append(tried, one.solution.objective)
         plan = _refined(problem, one, history, say)
         if plan.status == "optimal" or one.away is not None:
             return plan

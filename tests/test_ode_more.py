@@ -581,9 +581,9 @@ def test_a_duration_that_is_given_is_begun_from_once():
 
 
 def test_a_state_s_limit_is_kept_by_the_integrated_motion_too():
-    """x''' = u within +-10, |v| <= 0.5, |a| <= 1, 1 from rest to rest: 2.6 s; a speed's polynomial may lie on its limit with an
-    acceleration that swings about zero between the nodes, and the motion itself beyond it.
-    """  # noqa: D205
+    """x''' = u within +-10, |v| <= 0.5, |a| <= 1, 1 from rest to rest: 2.6 s; a speed's polynomial may lie on its limit
+    with an acceleration that swings about zero between the nodes, and the motion itself beyond it.
+    """
     limit = np.array([[-INF, INF], [-0.5, 0.5], [-1, 1]])
     plan = solved(
         OdeProblem(
