@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from planner.certificate import certify
+from planner.durations import longer
 from planner.finishing import finished
 from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of, swinging_guesses
 from planner.infeasibility import LeastLimit, effort_sentence, least_limit
@@ -146,6 +147,9 @@ def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], his
             if history[-1].solver_status in (OUT_OF_TIME, INVALID):
                 return None
             continue
+        found, away = longer(patient, found, mesh, history, say)
+        if away is not None:
+            return Plan(problem=problem, status="failed", message=away, history=tuple(history))
         plan = _certified(problem, found, mesh, history, say)
         if plan.status == "optimal":
             return plan
@@ -170,6 +174,9 @@ def _best_of(problem: PlanningProblem, start_pose: np.ndarray, history: list[Ste
     failed = None
     for _, number, solved, mesh in sorted(found, key=lambda item: item[:2]):
         say(f"refining start {number + 1}")
+        solved, away = longer(problem, solved, mesh, history, say)
+        if away is not None:
+            return Plan(problem=problem, status="failed", message=away, history=tuple(history))
         plan = _certified(problem, solved, mesh, history, say)
         if plan.status == "optimal":
             return replace(

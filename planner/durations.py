@@ -1,0 +1,54 @@
+"""Free durations that run away: what is held back by its guess is begun again longer, what has no end is said."""
+
+import numpy as np
+
+from planner.guess import motion_of
+from planner.mechanism_case import case_of
+from planner.mesh import Mesh
+from planner.phase_plane import stretched
+from planner.plan import Step
+from planner.problem import PlanningProblem
+from planner.refinement import Say, attempt
+from planner.solve import Solution
+
+# A duration within this share of where it may end is there.
+_AT_END = 0.01
+# A motion whose duration ended where its guess held it is begun so many times again, so many times longer; it has no end
+# where its objective falls to this share at once.
+_LONGER, _LONGER_BY, _FALLS = 2, 30.0, 1e-3
+
+
+def longer(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say):
+    """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
+    away = runs_away(problem, found[1])
+    for _ in range(_LONGER):
+        if away is None:
+            break
+        duration = min(_LONGER_BY * found[0].duration_s, problem.motion.max_duration_s or np.inf)
+        guess = stretched(motion_of(found[0]), duration)
+        durations = found[1].x[found[1].transcribed.program.layout.durations()]
+        what = "from a longer motion"
+        further = attempt(case_of(problem), guess, mesh, duration * durations / durations.sum(), what, history, say)
+        if further is None:
+            break
+        falls = further[1].objective < _FALLS * found[1].objective and problem.motion.max_duration_s is None
+        found, away = further, away if falls else runs_away(problem, further[1])
+    return found, away
+
+
+def runs_away(problem: PlanningProblem, solution: Solution) -> str | None:
+    """Return the sentence on a free duration that grew to the end of what its guess allows; None elsewhere.
+
+    That end is a hundred times the guess and not the user's: there the objective still falls, and no best motion is found.
+    """
+    motion, transcribed = problem.motion, solution.transcribed
+    place = transcribed.program.layout.durations()
+    if motion.duration_s is not None or np.any(np.bincount(transcribed.program.mesh.leg) > 1):
+        return None
+    duration = float(solution.x[place].sum()) * transcribed.units.time_s
+    longest = motion.max_duration_s or np.inf
+    if duration >= (1 - _AT_END) * longest or not np.any(solution.x[place] >= (1 - _AT_END) * transcribed.upper[place]):
+        return None
+    what = problem.objective.name.replace("_", " ")
+    without = f"failed: the longer the motion the less its {what}, without end"
+    return f"{without}: still at {duration:.4g} s; set motion.max_duration_s"
