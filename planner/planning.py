@@ -34,6 +34,8 @@ _PER_LEG = 40
 _SURELY = 1.001
 # A least time beyond so many times that of the phase plane's motion is a local one.
 _SLOW = 1.002
+# A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
+_WORTH = 0.999
 # Iterations for solves that only look for the reason.
 _ITERATIONS = 200
 # Bends tried after the first failure, where the user asks for no further starts.
@@ -97,7 +99,8 @@ def _quicker(
     quickest = least_time_guess(problem, start_pose)
     if quickest is None or plan.trajectory.duration_s <= _SLOW * quickest.duration_s:
         return None
-    better = _first_of(problem, iter([("the phase plane", quickest)]), history, say)
+    worth = _WORTH * plan.trajectory.duration_s
+    better = _first_of(problem, iter([("the phase plane", quickest)]), history, say, below=worth)
     passes = better is not None and better.status == "optimal"
     return better if passes and better.trajectory.duration_s < plan.trajectory.duration_s else None
 
@@ -125,8 +128,13 @@ def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None =
     return uniform(n), np.array([guess.duration_s])
 
 
-def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], history: list[Step], say: Say) -> Plan | None:
-    """Return the first plan that a start leads to and that passes; else one that was found and does not; else None."""
+def _first_of(
+    problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], history: list[Step], say: Say, below: float = np.inf
+) -> Plan | None:
+    """Return the first plan that a start leads to and that passes; else one that was found and does not; else None.
+
+    Solutions whose objective is not `below` what is known already are not refined.
+    """
     failed = None
     for number, (what, guess) in enumerate(starts):
         if number >= 1 and (problem.motion.duration_s is not None or failed is not None) and what.startswith("bend"):
@@ -146,6 +154,8 @@ def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], his
         if found is None:
             if history[-1].solver_status in (OUT_OF_TIME, INVALID):
                 return None
+            continue
+        if found[1].objective >= below:
             continue
         found, away = longer(patient, found, mesh, history, say)
         if away is not None:
