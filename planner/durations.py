@@ -1,16 +1,18 @@
-"""Free durations that run away: what is held back by its guess is begun again longer, what has no end is said."""
+"""How long motions may take: those held back by their guess are begun again longer, what has no end is said."""
 
 import numpy as np
 
-from planner.guess import motion_of
+from planner.guess import Guess, motion_of
 from planner.mechanism_case import case_of
 from planner.mesh import Mesh
-from planner.phase_plane import stretched
+from planner.phase_plane import least_time_guess, stretched
 from planner.plan import Step
 from planner.problem import PlanningProblem
 from planner.refinement import Say, attempt
 from planner.solve import Solution
 
+# A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth.
+SURELY = 1.001
 # A duration within this share of where it may end is there.
 _AT_END = 0.01
 # A motion whose duration ended where its guess held it is begun so many times again, so many times longer; it has no end
@@ -52,3 +54,22 @@ def runs_away(problem: PlanningProblem, solution: Solution) -> str | None:
     what = problem.objective.name.replace("_", " ")
     without = f"failed: the longer the motion the less its {what}, without end"
     return f"{without}: still at {duration:.4g} s; set motion.max_duration_s"
+
+
+def known_motion(problem: PlanningProblem, guess: Guess) -> float | None:
+    """Return the duration of a motion that is known to keep the effort limits, in no more time than is given; or None."""
+    known = least_time_guess(problem, guess.start_pose)
+    return None if known is None or longest(problem) < SURELY * known.duration_s else known.duration_s
+
+
+def longest(problem: PlanningProblem) -> float:
+    """Return the longest that a motion may take [s]."""
+    return problem.motion.duration_s or problem.motion.max_duration_s or np.inf
+
+
+def may_swing(problem: PlanningProblem) -> bool:
+    """Return whether a motion may gather way over a time without end, by ways that no start has tried.
+
+    With one degree of freedom the phase plane has tried them all.
+    """
+    return problem.mechanism.dof > 1 and not np.isfinite(longest(problem))
