@@ -16,7 +16,7 @@ from models.errors import LinkplanError
 from models.mechanism import Mechanism
 from planner.planning import silent
 from planner.problem import Tracking
-from studies.loops import LAWS, OperatingPoint, feedback_loop, law_gain
+from studies.loops import LAW_NAMES, LAWS, OperatingPoint, feedback_loop, law_gain
 from studies.margins import Margins, margins
 from studies.quick import quick_margins
 from studies.stability_map import effort_map
@@ -213,7 +213,7 @@ def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, f
     if np.isfinite(wanted.sensitivity_peak):
         asked += f" with |S| up to {wanted.sensitivity_peak:g}"
     title, everywhere = (
-        law.replace("pd", "PD").replace("lqr", "LQR"),
+        LAW_NAMES[law],
         f"all {len(points)} angles" if len(points) > 1 else "the angle",
     )
     sampled = f"sampled every {timing.period_s:g} s"
