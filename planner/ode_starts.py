@@ -22,6 +22,8 @@ _LONGER = (4.0, 16.0, 0.25)
 _WIDE = 20.0
 # A duration within this share of a bound is at it.
 _AT_BOUND = 0.01
+# Bounds this near, relative, are one: they went through units and back.
+_ROUNDING = 1e-9
 # Rows of a solution as a guess.
 _SAMPLES = 101
 # Where in an interval the effort is read that is then held over it: the first node of radau-3.
@@ -94,9 +96,9 @@ def runs_away(problem: OdeProblem, motion: OdeTrajectory, solution: Solution) ->
         return None
     unit = transcribed.units.time_s
     lower, upper = (float(bound[place[0]]) * unit for bound in (transcribed.lower, transcribed.upper))
-    if upper < high and (1 - _AT_BOUND) * upper < T:
+    if upper < (1 - _ROUNDING) * high and (1 - _AT_BOUND) * upper < T:
         return f"the longer the motion the better, without end, still at {T:.4g} s: bound duration_s from above"
-    if lower > low and (1 + _AT_BOUND) * lower > T:
+    if lower > (1 + _ROUNDING) * low and (1 + _AT_BOUND) * lower > T:
         return f"the shorter the motion the better, down to nothing, still at {T:.4g} s: bound duration_s from below"
     return None
 

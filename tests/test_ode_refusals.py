@@ -226,3 +226,11 @@ def test_a_best_duration_far_from_any_guess_is_found_all_the_same():
     plan = planned(goal=[1e-6, 0], effort_limit=[[-1e3, 1e3]], duration_s=(1e-6, 10))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(2 * np.sqrt(1e-6 / 1e3), rel=ODE_CLOSED_FORM)
+
+
+@pytest.mark.parametrize("shortest", [0.3, 0.7, 1.1, 1.3])
+def test_a_shortest_duration_that_binds_is_the_user_s_own(shortest):
+    """Nothing is asked of the end: the least time is the shortest allowed, whatever units it went through."""
+    plan = planned(duration_s=(shortest, 40.0), goal=[NAN, NAN])
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(shortest, rel=ODE_CLOSED_FORM)
