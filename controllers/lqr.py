@@ -95,12 +95,12 @@ def lqr(
     try:
         P = scipy.linalg.solve_discrete_are(A[n - 1], B[n - 1], Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise LinkplanError(f"lqr has no stabilising gain at the end of the motion: {error}") from error
+        raise LinkplanError(f"LQR has no stabilising gain at the end of the motion: {error}") from error
     gains, P_next = _backward(A[:n], B[:n], Q, R, P)
     cycles = 0
     while reference.cycle is not None and np.abs(P_next - P).max() > _CYCLE_TOLERANCE * np.abs(P).max():
         if (cycles := cycles + 1) > _MAX_CYCLES:
-            raise LinkplanError("lqr found no gain that repeats with the motion: the periodic Riccati recursion diverges")
+            raise LinkplanError("LQR found no gain that repeats with the motion: the periodic Riccati recursion diverges")
         P = P_next
         gains, P_next = _backward(A[:n], B[:n], Q, R, P)
     full = np.zeros((n, mechanism.n_u, 2 * n_s))

@@ -15,9 +15,10 @@ from models.errors import ProblemError, one_line
 from models.library import is_file
 from models.names import nearest
 from planner.plan import Plan
-from planner.problem_file import problem_from_tables
+from planner.problem_file import beside, problem_from_tables
 from planner.refinement import Say, silent
 from planner.replan import Planner
+from planner.tables import BUILT_IN as PROBLEMS
 from planner.tables import apply_override, read_tables
 
 KEYS = ("problem", "set", "case", "sweep")
@@ -64,8 +65,8 @@ def read_batch(path: str | Path) -> Batch:
     problem = tables.get("problem")
     if not isinstance(problem, str) or not problem:
         raise ProblemError(f"problem of a batch is a built-in name or a TOML file, got {problem!r}")
-    if not is_file(Path(problem)) and is_file(path.parent / problem):
-        problem = str(path.parent / problem)
+    if problem not in PROBLEMS:
+        problem = str(beside(problem, path.parent))
     common = _settings(tables.get("set", []), "set")
     if ("case" in tables) == ("sweep" in tables):
         raise ProblemError("a batch has [[case]] tables or a [sweep] table, one of the two")

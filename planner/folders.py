@@ -12,7 +12,7 @@ import numpy as np
 from models.errors import PlanFileError
 
 # A folder that holds one of these is a result of ours and may be replaced by a newer one.
-RECORDS = ("plan.json", "track.json", "compare.json", "bode.json", "check.json", "demo.json", "batch.json")
+RECORDS = ("plan.json", "track.json", "compare.json", "bode.json", "tune.json", "check.json", "demo.json", "batch.json")
 
 
 def check_target(target: Path, record: str = "plan.json") -> None:

@@ -5,32 +5,42 @@ problem = OdeProblem(name="double integrator", rate=lambda x, u, p, t: [x[1], u[
 plan = plan_ode(problem).require()        # plan.objective is 2, with one switch at T / 2
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from models.errors import InfeasibleError
-from planner.collocation import Transcribed, collocate, curves_of
-from planner.formulation import Start, Units
-from planner.insets import Inset, drawn
 from planner.mesh import Mesh, broken, uniform
-from planner.ode_certificate import INTEGRATION, SLACK, OdeCertificate, certify_ode
-from planner.ode_formulation import completed, formulate_ode, start_from, start_of, straight_guess, units_of
+from planner.ode_case import OdeCase
+from planner.ode_certificate import OdeCertificate
+from planner.ode_costates import is_affine
+from planner.ode_formulation import completed, start_of, straight_guess, units_of
 from planner.ode_problem import OdeProblem, StateGuess
+from planner.ode_starts import bent, held, is_open, of_least_effort, of_other_durations, runs_away, sampled_guess
+from planner.ode_switches import cut_by_costates, has_arcs
 from planner.ode_trajectory import OdeTrajectory
 from planner.plan import Step
-from planner.problem import MeshSettings, SolverSettings
 from planner.refinement import Say, attempt, refine, silent, step_of
-from planner.schemes import scheme
 from planner.solve import INVALID, OUT_OF_TIME, Solution, solve
 
-# Bends of further starts: half waves over the motion, and their size as a share of each state's.
-_WAVES = 3
-_BEND = 0.5
-# A bound drawn in takes a little more than what was overrun.
-_MORE = 1.1
+# An integrated state that ends this share of its size from a first solution: its efforts are looked at between the nodes.
+_WILD = 1e-3
+# Efforts linear over intervals bring the integrated state so much nearer where polynomials swing between their nodes.
+_SWINGS = 0.01
+# Bends tried where a motion's duration is open, or where no other start leads to a solution.
+_BENDS = 4
+# Objectives within this share of one another are of the same motion, as a mesh knows it.
+_ALIKE = 1e-4
+# Times that a motion is begun anew whose duration ended where the first guess held it: each is a factor of up to 100.
+_FURTHER = 3
+# What is left of an objective by one of them where it only falls and falls.
+_FALLS = 0.5
+# Iterations for starts tried beside others, or after others failed, and a time [s] that none needs but one that goes
+# astray: those measured took less than a second on programs of this size, or a few times what the first solve took.
+_ITERATIONS = 200
+_PATIENCE_S = 1.0
+_PATIENCE = 5.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -56,170 +66,153 @@ class OdePlan:
         return self
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class OdeCase:
-    """A `planner.refinement.Case` of a user's problem; solves are within `problem`, certificates against `asked`."""
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Found:
+    """A first solution: its motion and program, on which mesh, from which of the starts."""
 
-    problem: OdeProblem
-    asked: OdeProblem
-    units: Units
-    insets: tuple[Inset, ...] = ()
-
-    @property
-    def mesh(self) -> MeshSettings:
-        """The problem's mesh settings."""
-        return self.problem.mesh
-
-    @property
-    def solver(self) -> SolverSettings:
-        """The problem's solver settings."""
-        return self.problem.solver
-
-    @property
-    def effort_limit(self) -> np.ndarray:
-        """The effort limits (n_u, 2)."""
-        return self.asked.effort_limit
-
-    @property
-    def least_time(self) -> bool:
-        """Whether switches are looked for: wherever an effort has two limits to jump between."""
-        return bool(np.any(np.all(np.isfinite(self.asked.effort_limit), axis=1)))
-
-    @property
-    def tolerance_given(self) -> bool:
-        """Whether the mesh may grow beyond what is comfortable."""
-        return True
-
-    @property
-    def objective_tolerance(self) -> float | None:
-        """The tolerance on the objective's change from mesh to mesh."""
-        return self.asked.objective_tolerance
-
-    def transcribe(
-        self,
-        start: Start,
-        mesh: Mesh,
-        durations: np.ndarray,
-        *,
-        position_rows: bool = False,
-        pinned: np.ndarray | None = None,
-        held: np.ndarray | None = None,
-        least_limit: bool = False,
-    ) -> Transcribed:
-        """Return the program from a start."""
-        formulation = formulate_ode(
-            self.problem, self.units, state_rows=position_rows, least_limit=least_limit, insets=self.insets
-        )
-        return collocate(
-            formulation,
-            scheme(self.mesh.scheme, self.mesh.effort),
-            mesh,
-            durations,
-            start,
-            compile_mode=self.solver.compile,
-            least_limit=least_limit,
-            pinned=pinned,
-            held=held,
-        )
-
-    def motion(self, solution: Solution, limit: np.ndarray) -> OdeTrajectory:
-        """Return a solution's polynomials."""
-        curves = curves_of(solution.transcribed, solution.x, limit)
-        return OdeTrajectory(breaks_s=curves.breaks_s, state=curves.state, effort=curves.effort, n_x=self.asked.n_x)
-
-    def start_from(self, motion: OdeTrajectory) -> Start:
-        """Return a solution as a start."""
-        return start_from(motion, self.units)
-
-    def certify(self, motion: OdeTrajectory) -> OdeCertificate:
-        """Return a solution's certificate."""
-        return certify_ode(self.asked, motion)
-
-    def strictness(self) -> float:
-        """Return how many times more exact than a certificate demands the integrated state is to be."""
-        return INTEGRATION / self.asked.tolerance
-
-    def exact(self, certificate: OdeCertificate) -> bool:
-        """Return whether the integrated state is within the tolerance."""
-        return certificate.integration_error <= self.asked.tolerance
-
-    def noted(self, step: Step, certificate: OdeCertificate) -> Step:
-        """Return a step with the certificate's integration error."""
-        return replace(step, integration_error=certificate.integration_error)
-
-    def leaves_positions(self, certificate: OdeCertificate) -> bool:
-        """Return whether a state leaves its limits."""
-        return bool(np.any(certificate.state_margin < 0))
-
-    def overruns(self, certificate: OdeCertificate) -> bool:
-        """Return whether a path quantity or a state leaves its limits between the nodes."""
-        return bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -SLACK)
-
-    def overrun(self, certificate: OdeCertificate) -> np.ndarray:
-        """Return by what share of themselves path limits are overrun between the nodes, at most, on each interval (n,)."""
-        size = [max(abs(bound) for bound in limit if np.isfinite(bound)) or 1.0 for limit in self.asked.path_limit]
-        n = len(certificate.growth)
-        return (certificate.path_overrun / np.array(size).reshape(-1, 1)).max(axis=0, initial=0.0).reshape(n)
-
-    def tightened(self, certificate: OdeCertificate, motion: OdeTrajectory) -> "OdeCase":
-        """Return the case with limits drawn in by what the solution overran them."""
-        breaks = (motion.breaks_s - motion.breaks_s[0]) / motion.duration_s
-        further = []
-        for k, (overrun, limit) in enumerate(zip(certificate.path_overrun, self.asked.path_limit, strict=True)):
-            if overrun.max() > 0:
-                upper = bool(np.isfinite(limit[1]) and (limit[1] or not np.isfinite(limit[0])))
-                share = drawn(overrun / (abs(limit[int(upper)]) or 1.0))
-                further.append(Inset(what="path", item=k, breaks=breaks, share=share, upper=upper))
-        inward = np.array([1.0, -1.0])
-        state = self.problem.state_limit + _MORE * np.maximum(0.0, -certificate.state_margin)[:, None] * inward
-        return replace(self, problem=replace(self.problem, state_limit=state), insets=(*self.insets, *further))
-
-    def with_scheme(self, name: str) -> "OdeCase":
-        """Return the case with another transcription."""
-        return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
+    motion: OdeTrajectory
+    solution: Solution
+    case: OdeCase
+    mesh: Mesh
+    number: int
+    away: str | None = None  # the words on a duration that has no best
 
 
 def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     """Return the solution of a problem; one without an answer says why in `message`.
 
-    The guesses are tried in turn, the first where none is given being a straight line; with `solver.starts` above 1 as many
-    starts are solved, bent from the guesses at random but the same in every run, and the best is refined.
+    The guesses are tried in turn, the first where none is given being a straight line, at several durations where nothing
+    says how long a motion takes; where none leads to a solution, from a motion of least effort and from bends. With
+    `solver.starts` above 1 as many starts are solved, bent from the guesses at random but the same in every run. The best
+    is refined.
     """
     contradiction = _contradiction(problem)
     if contradiction is not None:
         return OdePlan(problem=problem, status="infeasible", message=contradiction)
     history: list[Step] = []
     given = [completed(problem, guess) for guess in problem.guesses] or [straight_guess(problem)]
-    starts = given if problem.solver.starts == 1 else _starts(problem, given)
-    found: list[tuple[float, int, Any, OdeCase, Mesh]] = []
-    for number, guess in enumerate(starts):
-        case = OdeCase(problem, problem, units_of(problem, guess))
-        mesh = uniform(problem.mesh.intervals) if problem.mesh.breaks is None else broken(problem.mesh.breaks)
-        durations = np.array([guess.duration_s])
-        word = f"start {number + 1}" if number or problem.solver.starts > 1 else "first solve"
-        solved = attempt(case, start_of(guess, case.units), mesh, durations, word, history, say)
-        if solved is not None:
-            found.append((solved[1].objective, number, solved, case, mesh))
-            if problem.solver.starts == 1:
-                break
-    failed = None
-    for _, _, solved, case, mesh in sorted(found, key=lambda item: item[:2]):
-        plan = _refined(problem, case, solved, mesh, history, say)
-        if plan.status == "optimal":
+    if problem.solver.starts > 1:
+        found = _first_solutions(problem, bent(problem, given, problem.solver.starts), history, say)
+    else:
+        found = _in_turn(problem, given, history, say)
+    failed, tried = None, np.zeros(0)
+    for one in sorted(found, key=lambda one: (one.solution.objective, one.number)):
+        if np.any(np.abs(tried - one.solution.objective) <= _ALIKE * abs(one.solution.objective)):
+            continue  # the same motion, that did not pass
+        tried = np.append(tried, one.solution.objective)
+        plan = _refined(problem, one, history, say)
+        if plan.status == "optimal" or one.away is not None:
             return plan
         failed = failed or plan
     return failed or _explain(problem, given[0], history, say)
 
 
-def _refined(problem: OdeProblem, case: OdeCase, solved, mesh: Mesh, history: list[Step], say: Say) -> OdePlan:
+def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], say: Say) -> list[_Found]:
+    """Return first solutions from the guesses, and from further starts where those lead to none or time is open."""
+    found = _first_solutions(problem, given, history, say, enough=1)
+    stopped = not found and history[-1].solver_status in (OUT_OF_TIME, INVALID)
+    if stopped or (found and not is_open(problem)):
+        return found
+    patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * history[-1].solve_s))
+    patient = replace(problem, solver=replace(problem.solver, max_iterations=_ITERATIONS, max_time_s=patience))
+    others = of_other_durations(problem, given[0]) if is_open(problem) else []
+    others += list(bent(problem, given, len(given) + _BENDS))[len(given) :]
+    if np.all(np.isfinite(problem.effort_limit)):
+        # With limits a motion of no duration's solves may be another local one; what forbids one is found by the efforts.
+        return found + _first_solutions(patient, others if is_open(problem) else [], history, say, number=len(given))
+    found += _from_least_effort(patient, given[0], history, say)
+    return found or _first_solutions(patient, others, history, say, enough=1, number=len(given))
+
+
+def _from_least_effort(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> list[_Found]:
+    """Return the solution that is begun from the motion of least squared effort, if there is one."""
+    for one in _first_solutions(of_least_effort(problem), [guess], history, say):
+        case = OdeCase(problem, problem, one.case.units)
+        start, durations = case.start_from(one.motion), np.diff(one.motion.breaks_s[[0, -1]])
+        solved = attempt(case, start, one.mesh, durations, "start from least effort", history, say)
+        if solved is not None:
+            return [_Found(motion=solved[0], solution=solved[1], case=case, mesh=one.mesh, number=1)]
+    return []
+
+
+def _first_solutions(
+    problem: OdeProblem, starts: Iterable[StateGuess], history: list[Step], say: Say, *, enough: int | None = None, number=0
+) -> list[_Found]:
+    """Return the solutions that starts lead to on the first mesh, the first `enough` of them."""
+    found: list[_Found] = []
+    for number, guess in enumerate(starts, number):  # noqa: B020
+        case = OdeCase(problem, problem, units_of(problem, guess))
+        mesh = uniform(problem.mesh.intervals) if problem.mesh.breaks is None else broken(problem.mesh.breaks)
+        word = f"start {number + 1}" if number or problem.solver.starts > 1 else "first solve"
+        solved = attempt(case, start_of(guess, case.units), mesh, np.array([guess.duration_s]), word, history, say)
+        away, times = None, 0
+        while solved is not None and times < _FURTHER:
+            held_at, before = runs_away(problem, *solved), solved[1].objective
+            if held_at is None:
+                break
+            # Guessed too short or too long by far: from what was found, with time in its own units.
+            rescaled = sampled_guess(solved[0])
+            case = OdeCase(problem, problem, units_of(problem, rescaled))
+            durations, what = np.array([rescaled.duration_s]), f"{word}, from where time was held"
+            solved, times = attempt(case, start_of(rescaled, case.units), mesh, durations, what, history, say), times + 1
+            # Still a fraction of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
+            falls = solved is not None and times > 1 and solved[1].objective < _FALLS * before
+            away = held_at if falls else None
+        if solved is not None:
+            found.append(_Found(motion=solved[0], solution=solved[1], case=case, mesh=mesh, number=number, away=away))
+            if len(found) == enough:
+                break
+    return found
+
+
+def _calmed(found: _Found, history: list[Step], say: Say) -> _Found:
+    """Return a first solution whose efforts are no wild polynomials between its nodes."""
+    before = found.case.certify(found.motion).integration_error
+    if before <= _WILD:
+        return found
+    durations = np.diff(found.motion.breaks_s[[0, -1]])
+    what = "efforts calmed between the nodes"
+    solved = attempt(found.case, held(found.case, found.motion), found.mesh, durations, what, history, say, warm=True)
+    if solved is None or found.case.certify(solved[0]).integration_error >= before:
+        return found
+    return replace(found, motion=solved[0], solution=solved[1])
+
+
+def _eased(found: _Found, history: list[Step], say: Say) -> _Found:
+    """Return a first solution with efforts that are linear over intervals, where it has arcs on which they could chatter.
+
+    On an arc within the limits an effort that enters affinely is held by the costates' higher derivatives alone: a
+    polynomial through an interval's nodes is free to swing there, a straight line is not.
+    """
+    case, asked = found.case, found.case.asked
+    if asked.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(found.motion, asked.effort_limit):
+        return found
+    case = replace(case, problem=replace(asked, mesh=replace(asked.mesh, effort="linear")))
+    start, durations = case.start_from(found.motion), np.diff(found.motion.breaks_s[[0, -1]])
+    solved = attempt(case, start, found.mesh, durations, "efforts linear over intervals", history, say, warm=True)
+    if solved is None:
+        return found
+    before, after = (case.certify(motion).integration_error for motion in (found.motion, solved[0]))
+    return replace(found, motion=solved[0], solution=solved[1], case=case) if after < _SWINGS * before else found
+
+
+def _refined(problem: OdeProblem, found: _Found, history: list[Step], say: Say) -> OdePlan:
+    case = OdeCase(problem, problem, found.case.units)
+    found = _calmed(replace(found, case=case), history, say)
+    found = _eased(found, history, say)
+    case = found.case
+    case, solved, mesh = cut_by_costates(case, (found.motion, found.solution), found.mesh, history, say)
     refined = refine(case, solved, mesh, history, say)
     assert refined is not None  # a user's solution always has a certificate
     trajectory, solution, certificate, settled = refined
+    away = found.away or runs_away(problem, trajectory, solution)
     status, message = "optimal", f"optimum {solution.objective:.10g} in {trajectory.duration_s:.8g} s"
-    if not certificate.passed:
+    if away is not None:
+        status, message = "failed", f"failed: {away}"
+    elif not certificate.passed:
         status = "failed"
         message = f"failed: the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
-    elif not case.exact(certificate):
+    elif certificate.integration_error > problem.tolerance:
         status = "failed"
         message = (
             f"failed: the integrated state ends {certificate.integration_error:.3g} of its size from the solution, more than"
@@ -242,27 +235,6 @@ def _refined(problem: OdeProblem, case: OdeCase, solved, mesh: Mesh, history: li
     )
 
 
-def _starts(problem: OdeProblem, given: list[StateGuess]) -> Iterator[StateGuess]:
-    """Yield as many starts as the problem asks for: the guesses, then the guesses bent at random."""
-    limit = problem.state_limit
-    for number in range(problem.solver.starts):
-        guess = given[number % len(given)]
-        if number < len(given):
-            yield guess
-            continue
-        rng = np.random.default_rng(number)
-        size = np.maximum(np.abs(guess.state).max(axis=0), units_of(problem, guess).state[: problem.n_x])
-        tau = np.linspace(0.0, 1.0, max(41, len(guess.state)))
-        at = np.linspace(0.0, 1.0, len(guess.state))
-        state = np.column_stack([np.interp(tau, at, column) for column in guess.state.T])
-        waves = np.sin(np.pi * np.outer(tau, 1 + np.arange(_WAVES)))
-        bend = waves @ (rng.uniform(-1, 1, (_WAVES, problem.n_x)) / (1 + np.arange(_WAVES))[:, None])
-        state = np.clip(state + _BEND * (1 + number // 4) * bend * size, limit[:, 0], limit[:, 1])
-        low, high = problem.duration
-        duration = float(np.clip(guess.duration_s * 2.0 ** rng.uniform(-1, 1), low, high))
-        yield completed(problem, StateGuess(state=state, effort=guess.effort, duration_s=duration))
-
-
 def _contradiction(problem: OdeProblem) -> str | None:
     """Return the sentence on a limit that no motion can keep, found without solving, or None."""
     for what, rows in (("start", problem.start), ("goal", problem.goal)):
@@ -274,12 +246,13 @@ def _contradiction(problem: OdeProblem) -> str | None:
 
 
 def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> OdePlan:
-    """Return the plan of a problem that no start solved, with the least effort where that is the reason."""
+    """Return the plan of a problem that no start solved: from the motion of the least limits, or the reason."""
     stopped = {
         OUT_OF_TIME: f"the solver ran out of its {problem.solver.max_time_s:g} s (solver.max_time_s)",
         INVALID: "the dynamics gave a number that is not finite (NaN), or the solver could not begin",
     }
-    status = history[-1].solver_status if history else "nothing tried"
+    # Of the first start: those after it were given less time.
+    status = history[0].solver_status
     reason = f"failed: {stopped.get(status, f'no start led to a solution ({status})')}"
     if status not in stopped and np.all(np.isfinite(problem.effort_limit)):
         say("no solution found; looking for the least effort that admits one")
@@ -296,4 +269,10 @@ def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: S
             message = f"infeasible: {found}" if fixed else f"failed: no solution was found; {found}, which is no proof"
             status = "infeasible" if fixed else "failed"
             return OdePlan(problem=problem, status=status, message=message, history=tuple(history))
+        if solution.converged:
+            motion = case.motion(solution, problem.effort_limit)
+            solved = attempt(case, case.start_from(motion), mesh, durations, "start from the least limits", history, say)
+            if solved is not None:
+                found = _Found(motion=solved[0], solution=solved[1], case=case, mesh=mesh, number=0)
+                return _refined(problem, found, history, say)
     return OdePlan(problem=problem, status="failed", message=reason, history=tuple(history))

@@ -8,11 +8,16 @@ from scipy.integrate import solve_ivp
 from planner.margins import least_between, look_points
 from planner.ode_problem import OdeProblem
 from planner.ode_trajectory import OdeTrajectory
+from planner.schemes import Scheme
 
 # The state reached by integration may differ by this share of each state's size; a tolerance below it is refined towards.
 INTEGRATION = 1e-4
 # Limits are kept but for rounding, and what the solver leaves of its own rows.
 SLACK = 1e-8
+# Between the nodes, where the integrated state need not be the polynomial, it may leave a limit by this share of its size.
+OVERRUN = 1e-6
+# The objective may differ from that of the integrated motion by so many times what its states may, relative.
+OBJECTIVE_SHARE = 10.0
 _RTOL, _ATOL = 1e-12, 1e-13
 
 
@@ -22,14 +27,18 @@ class OdeCertificate:
 
     `integration_error` is the largest distance of the integrated state from the planned one, as a share of each state's
     size;
-    `integrated_objective` the objective along the integrated state; margins are negative outside, infinite where nothing
-    limits.
+    `integrated_objective` the objective along the integrated state, and `objective_error` how far the solution's own is from
+    it, as a share of the sum of its parts' sizes; `overrun` how far the integrated state leaves its limits at the most, as a
+    share of its size; margins are negative outside, infinite where nothing limits.
     """
 
     effort_excess: float
     integration_error: float
     integrated_objective: float
+    objective_error: float
+    overrun: float
     state_margin: np.ndarray  # (n_x,)
+    leaves_states: bool
     path_margin: np.ndarray  # (n_path,)
     path_overrun: np.ndarray  # (n_path, n_intervals)
     boundary_error: float
@@ -50,7 +59,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
     size = np.maximum(np.abs(x).max(axis=0), np.ptp(x, axis=0))
     size = np.where(size > 0, size, 1.0)
-    errors, integrated = _integrate(problem, trajectory, size)
+    errors, integrated, misjudged, beyond = _integrate(problem, trajectory, size)
     over = np.maximum(u - problem.effort_limit[:, 1], problem.effort_limit[:, 0] - u).max()
     state_margin = np.minimum(x - problem.state_limit[:, 0], problem.state_limit[:, 1] - x).min(axis=0)
     p = np.tile(problem.parameters[:, None], (1, len(time)))
@@ -67,21 +76,32 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         failures.append(f"an effort exceeds its limit by {over:.3g}")
     if not error <= INTEGRATION:
         failures.append(f"the integrated state ends {error:.3g} of its size from the solution (allowed: {INTEGRATION:g})")
-    for name, value, scale in zip(problem.states, state_margin, size, strict=True):
-        if value < -SLACK * scale:
+    outside = state_margin < -SLACK * size
+    for name, value, left in zip(problem.states, state_margin, outside, strict=True):
+        if left:
             failures.append(f"state {name} leaves its limits by {-value:.3g} between the nodes")
+    if beyond.max() > INTEGRATION:
+        failures.append(f"the integrated state leaves its limits by {beyond.max():.3g} of its size between the nodes")
     path_size = np.abs(path).max(axis=1, initial=1.0)
     for k, value in enumerate(path_margin):
         if value < -SLACK * path_size[k]:
             failures.append(f"path quantity {k} leaves its limits by {-value:.3g} between the nodes")
+    if not abs(misjudged[-1]) <= OBJECTIVE_SHARE * INTEGRATION:
+        failures.append(f"the objective is {abs(misjudged[-1]):.3g} of its size from that of the integrated motion")
     if boundary > SLACK:
         failures.append(f"start, goal or ends are missed by {boundary:.3g}")
-    growth = np.abs(np.diff(np.vstack([np.zeros(n_x), errors]), axis=0)).max(axis=1) / INTEGRATION
+    both = np.column_stack([errors, misjudged / OBJECTIVE_SHARE])
+    growth = np.abs(np.diff(np.vstack([np.zeros(n_x + 1), both]), axis=0)).max(axis=1) / INTEGRATION
+    # An overrun at its limit asks for as much refinement as a state at its tolerance.
+    growth = np.maximum(growth, beyond / OVERRUN * problem.tolerance / INTEGRATION)
     return OdeCertificate(
         effort_excess=max(0.0, float(over)),
         integration_error=error,
         integrated_objective=integrated,
+        objective_error=float(abs(misjudged[-1])),
+        overrun=float(beyond.max()),
         state_margin=state_margin,
+        leaves_states=bool(outside.any()),
         path_margin=path_margin,
         path_overrun=np.maximum(0.0, -by_interval),
         boundary_error=boundary,
@@ -91,14 +111,32 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     )
 
 
-def _integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the integrated state's errors (n, n_x) at the intervals' ends, and the objective along it."""
+def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme) -> np.ndarray:
+    """Return what each interval (n,) adds to the running cost by a transcription's quadrature."""
+    breaks, m = trajectory.breaks_s, chosen.n_nodes
+    # The right end of an interval is the next one's left end, where efforts may jump: a hair inside.
+    time = breaks[:-1, None] + np.diff(breaks)[:, None] * np.clip(chosen.nodes, 0.0, 1.0 - 1e-12)
+    x, u = trajectory.state_at(time.ravel()).T, trajectory.effort_at(time.ravel()).T
+    p = np.tile(problem.parameters[:, None], (1, time.size))
+    rate = np.array(problem.at_instant("running_cost").map(time.size)(x, u, p, time.reshape(1, -1)))
+    return np.diff(breaks) * (rate.reshape(-1, m) @ chosen.weights)
+
+
+def _integrate(
+    problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray
+) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+    """Return the integrated state's errors (n, n_x) at the intervals' ends, the objective along it, its errors, overruns.
+
+    Errors (n,) are of the solution's running cost up to each interval's end, as shares of the objective's size; overruns
+    (n,) how far the integrated state leaves its limits within each interval, as a share of its size.
+    """
     f, L, n_x = problem.at_instant("rate"), problem.at_instant("running_cost"), problem.n_x
     has_cost = problem.running_cost is not None
     p, breaks = problem.parameters, trajectory.breaks_s
     begin = trajectory.state_at(breaks[:1])[0]
     state, n = np.append(begin, 0.0), len(breaks) - 1
-    errors = np.zeros((n, n_x))
+    errors, spent, beyond = np.zeros((n, n_x)), np.zeros(n), np.zeros(n)
+    low, high = problem.state_limit.T[:, :, None]
     planned = np.vstack([trajectory.state_at(breaks[1:-1]), trajectory.state[-1, -1, :n_x]])
     for k in range(n):
         coefficients, width = trajectory.effort[:, k], breaks[k + 1] - breaks[k]
@@ -112,16 +150,23 @@ def _integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray)
             return np.append(np.array(f(x, u[0], p, t0 + t)).ravel(), running)
 
         atol = _ATOL * np.maximum(1.0, np.abs(state))
-        result = solve_ivp(rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol)
+        at = np.linspace(0.0, width, _SAMPLES + 1)
+        result = solve_ivp(rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=at)
         if not result.success or not np.all(np.isfinite(result.y[:, -1])):
             errors[k:] = np.inf
-            return errors, np.inf
+            return errors, np.inf, np.full(n, np.inf), np.full(n, np.inf)
         state = result.y[:, -1]
         errors[k] = np.abs(state[:n_x] - planned[k]) / size
-    objective = state[n_x]
+        spent[k] = state[n_x]
+        inside = result.y[:n_x]
+        beyond[k] = max(0.0, float((np.maximum(inside - high, low - inside) / size[:, None]).max()))
+    final = 0.0
     if problem.final_cost is not None:
-        objective += float(problem.at_ends("final_cost")(begin, state[:n_x], trajectory.duration_s, p))
-    return errors, float(objective)
+        final = float(problem.at_ends("final_cost")(begin, state[:n_x], trajectory.duration_s, p))
+    if trajectory.running is None:
+        return errors, spent[-1] + final, np.zeros(n), beyond
+    scale = np.abs(trajectory.running).sum() + abs(final)
+    return errors, spent[-1] + final, (spent - np.cumsum(trajectory.running)) / (scale if scale > 0 else 1.0), beyond
 
 
 def _boundary_error(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> float:

@@ -13,17 +13,20 @@ class OdeTrajectory:
     """States and efforts as polynomials: Bernstein coefficients (degree + 1, n, n_x) and (degree + 1, n, n_u).
 
     `breaks_s` (n + 1,) are the intervals' ends [s]. `state` may carry time as a last state of its own: `n_x` does not
-    count it.
+    count it. `running` (n,) is what intervals add to the running cost by the transcription's own quadrature, where known.
     """
 
     breaks_s: np.ndarray
     state: np.ndarray
     effort: np.ndarray
     n_x: int
+    running: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         for name in ("breaks_s", "state", "effort"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+        if self.running is not None:
+            object.__setattr__(self, "running", frozen(self.running))
 
     @property
     def duration_s(self) -> float:

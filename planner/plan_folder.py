@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
@@ -10,7 +11,9 @@ import numpy as np
 
 from models.along import joint_rates
 from models.assembly import follow
+from models.digest import part_hashes
 from models.errors import AssemblyError, LinkplanError, PlanFileError
+from models.library import is_file
 from planner.certificate import Certificate, certify
 from planner.folders import plain_record, write_json
 from planner.margins import Margin
@@ -63,6 +66,7 @@ def record(plan: Plan) -> dict:
             "history": [{name: getattr(step, name) for name in step.__slots__} for step in plan.history],
             "not_honoured": list(not_honoured(plan)),
             "versions": versions(),
+            "fingerprint": part_hashes(mechanism.model),
             "problem": problem.source,
         }
     )
@@ -98,19 +102,35 @@ def _margin_record(margin: Margin) -> dict:
     return {name: getattr(margin, name) for name in ("what", "name", "value", "limit", "left", "unit", "time_s")}
 
 
-def write_plan(plan: Plan, folder: Path) -> None:
+def write_plan(plan: Plan, folder: Path, place: Path | None = None) -> None:
     """Write a plan's files into an existing, empty folder.
+
+    Args:
+        plan: with a motion.
+        folder: where to write.
+        place: where the folder will stand in the end, if not there: the model's path is kept as seen from it, too.
 
     Raises:
         PlanFileError: when the plan has no motion.
     """
     if plan.trajectory is None:
         raise PlanFileError(f"nothing to save: {plan.message}")
-    write_json(folder / "plan.json", record(plan))
+    write_json(folder / "plan.json", record(plan) | {"model_from_here": _from(place or folder, plan.problem)})
     trajectory = plan.trajectory
     arrays = {name: getattr(trajectory, name) for name in ARRAYS}
     np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)
     _write_csv(plan, folder / "trajectory.csv")
+
+
+def _from(place: Path, problem: PlanningProblem) -> str | None:
+    """Return the path of a problem's model file as seen from a plan's folder; None for a built-in model."""
+    model = problem.source.get("mechanism", {}).get("model")
+    if not isinstance(model, str) or not is_file(Path(model)):
+        return None
+    try:
+        return Path(os.path.relpath(Path(model).resolve(), place.resolve())).as_posix()
+    except ValueError:  # another drive
+        return None
 
 
 def _write_csv(plan: Plan, path: Path) -> None:
@@ -167,10 +187,7 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:
     trajectory = read_trajectory(folder / "trajectory.npz")
     for override in overrides:
         apply_override(said["problem"], override)
-    try:
-        problem = problem_from_tables(str(said["name"]), said["problem"])
-    except LinkplanError as error:
-        raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built again: {error}") from error
+    problem = _problem_again(said, folder)
     mechanism = problem.mechanism
     sizes = (trajectory.n_s, trajectory.velocity.shape[2], trajectory.n_u, len(trajectory.start_pose))
     if sizes != (mechanism.dof, mechanism.dof, mechanism.n_u, mechanism.n_q):
@@ -199,6 +216,59 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:
         certificate=certificate,
         details=said.get("details") or {},
     )
+
+
+def _problem_again(said: dict, folder: Path) -> PlanningProblem:
+    """Return a saved plan's problem, its model from beside the plan or from where it was; refused where that has changed."""
+    section = said["problem"].get("mechanism")
+    models = [section.get("model")] if isinstance(section, dict) else [None]
+    beside = said.get("model_from_here")
+    if isinstance(beside, str) and is_file(folder / beside):
+        models.insert(0, str((folder / beside).resolve()))
+    guess = said["problem"].get("guess")
+    if isinstance(guess, dict) and isinstance(guess.get("plan"), str) and not Path(guess["plan"]).is_dir():
+        del said["problem"]["guess"]  # where the solver once began; the motion is here without it
+    refusal, changed = None, ""
+    for model in dict.fromkeys(models):
+        if isinstance(section, dict):
+            section["model"] = model
+        try:
+            problem = problem_from_tables(str(said["name"]), said["problem"])
+        except LinkplanError as error:
+            refusal = refusal or error
+            continue
+        different = _changed(said, problem)
+        if not different:
+            return problem
+        changed = changed or f"model '{model}' has changed since '{folder}' was planned, in its {' and '.join(different)}"
+    if changed:
+        raise PlanFileError(f"{changed}; plan it again")
+    raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built again: {refusal}") from refusal
+
+
+def _changed(said: dict, problem: PlanningProblem) -> list[str]:
+    """Return the parts of a model that are not as they were planned with; nothing where that cannot be told."""
+    kept, versions_then = said.get("fingerprint"), said.get("versions")
+    if not isinstance(kept, dict) or not isinstance(versions_then, dict) or versions_then.get("mujoco") != mujoco_version():
+        return []
+    return [part for part, digest in part_hashes(problem.mechanism.model).items() if kept.get(part, digest) != digest]
+
+
+def unchecked(folder: str | Path) -> str | None:
+    """Return why it cannot be told whether a saved plan's model has changed since, or None where it can."""
+    said = _read_json(Path(folder) / "plan.json")
+    if not isinstance(said.get("fingerprint"), dict):
+        return "plan.json has no fingerprint of its model: whether that has changed since is not known"
+    versions_then = said.get("versions")
+    then = versions_then.get("mujoco") if isinstance(versions_then, dict) else None
+    if then != mujoco_version():
+        return f"planned with MuJoCo {then}, this is {mujoco_version()}: whether the model has changed since is not known"
+    return None
+
+
+def mujoco_version() -> str:
+    """Return the version of MuJoCo, which compiles the models."""
+    return metadata.version("mujoco")
 
 
 def _read_json(path: Path) -> dict:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from planner.certificate import certify
+from planner.durations import SURELY, known_motion, longer, longest, may_swing
 from planner.finishing import finished
 from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of, swinging_guesses
 from planner.infeasibility import LeastLimit, effort_sentence, least_limit
@@ -29,10 +30,10 @@ _COARSER = 4
 _COARSEST = 6
 # Intervals that each swing of a start is given at least.
 _PER_LEG = 40
-# A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth.
-_SURELY = 1.001
 # A least time beyond so many times that of the phase plane's motion is a local one.
 _SLOW = 1.002
+# A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
+_WORTH = 0.999
 # Iterations for solves that only look for the reason.
 _ITERATIONS = 200
 # Bends tried after the first failure, where the user asks for no further starts.
@@ -74,7 +75,7 @@ def _in_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple
     yield from guesses(problem, start_pose)
     quickest = least_time_guess(problem, start_pose)
     if quickest is not None:
-        if _longest(problem) * _SURELY < quickest.duration_s:
+        if longest(problem) * SURELY < quickest.duration_s:
             return  # no start leads to a motion that there is no time for: the reason is looked for
         if quickest.legs > 1 and list(problem.objective.weights) != ["time"]:
             swung = _least_time_motion(problem, quickest)
@@ -93,10 +94,13 @@ def _quicker(
     """Return a least-time plan that is quicker than a local optimum, where the phase plane knows of one; else None."""
     if plan is None or plan.status != "optimal" or list(problem.objective.weights) != ["time"]:
         return None
+    if any(without(problem, what) is not None for what in RELAXABLE if what != "speed"):
+        return None  # what the phase plane does not know of is what makes the motion slow
     quickest = least_time_guess(problem, start_pose)
     if quickest is None or plan.trajectory.duration_s <= _SLOW * quickest.duration_s:
         return None
-    better = _first_of(problem, iter([("the phase plane", quickest)]), history, say)
+    worth = _WORTH * plan.trajectory.duration_s
+    better = _first_of(problem, iter([("the phase plane", quickest)]), history, say, below=worth)
     passes = better is not None and better.status == "optimal"
     return better if passes and better.trajectory.duration_s < plan.trajectory.duration_s else None
 
@@ -124,8 +128,13 @@ def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None =
     return uniform(n), np.array([guess.duration_s])
 
 
-def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], history: list[Step], say: Say) -> Plan | None:
-    """Return the first plan that a start leads to and that passes; else one that was found and does not; else None."""
+def _first_of(
+    problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], history: list[Step], say: Say, below: float = np.inf
+) -> Plan | None:
+    """Return the first plan that a start leads to and that passes; else one that was found and does not; else None.
+
+    Solutions whose objective is not `below` what is known already are not refined.
+    """
     failed = None
     for number, (what, guess) in enumerate(starts):
         if number >= 1 and (problem.motion.duration_s is not None or failed is not None) and what.startswith("bend"):
@@ -146,7 +155,14 @@ def _first_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], his
             if history[-1].solver_status in (OUT_OF_TIME, INVALID):
                 return None
             continue
+        if found[1].objective >= below:
+            continue
+        found, away = longer(patient, found, mesh, history, say)
+        if away is not None:
+            return Plan(problem=problem, status="failed", message=away, history=tuple(history))
         plan = _certified(problem, found, mesh, history, say)
+        if plan.status == "failed":
+            plan = _plainer(problem, plan, found, mesh, history, say) or plan
         if plan.status == "optimal":
             return plan
         if failed is not None:
@@ -170,6 +186,9 @@ def _best_of(problem: PlanningProblem, start_pose: np.ndarray, history: list[Ste
     failed = None
     for _, number, solved, mesh in sorted(found, key=lambda item: item[:2]):
         say(f"refining start {number + 1}")
+        solved, away = longer(problem, solved, mesh, history, say)
+        if away is not None:
+            return Plan(problem=problem, status="failed", message=away, history=tuple(history))
         plan = _certified(problem, solved, mesh, history, say)
         if plan.status == "optimal":
             return replace(
@@ -225,6 +244,22 @@ def _certified(problem: PlanningProblem, found, mesh: Mesh, history: list[Step],
     return plan
 
 
+def _plainer(problem: PlanningProblem, plan: Plan, found, mesh: Mesh, history: list[Step], say: Say) -> Plan | None:
+    """Return a plan with an effort that is constant over intervals, where polynomials overrun limits between their nodes.
+
+    Along an arc on a limit of force or power a polynomial effort swings about what keeps it, from node to node.
+    """
+    overrun = plan.certificate is not None and not all(margin.kept for margin in plan.certificate.margins)
+    if problem.mesh.effort != "polynomial" or not overrun:
+        return None
+    plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=_patient(problem.solver))
+    durations = np.bincount(mesh.segment, np.diff(found[0].breaks_s))
+    what = "efforts constant over intervals"
+    again = attempt(case_of(plain), motion_of(found[0]), mesh, durations, what, history, say)
+    held = None if again is None else _certified(plain, again, mesh, history, say)
+    return replace(held, problem=problem) if held is not None and held.status == "optimal" else None
+
+
 def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: Say) -> Plan:
     """Return the plan of a problem that no start solved: by way of a coarse mesh or relaxed limits, else the reason."""
     stopped = {
@@ -254,11 +289,11 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         found = attempt(case, start, least.mesh, least.durations, what, history, say)
         if found is not None:
             return replace(_certified(problem, found, least.mesh, history, say), problem=asked)
-    known = None if least is None or least.factor <= 1.0 else _known_motion(problem, guess)
+    known = None if least is None or least.factor <= 1.0 else known_motion(problem, guess)
     if known is not None:
         reason = f"failed: a motion of {known:.5g} s keeps the effort limits by the phase plane, the solver did not find it"
         return Plan(problem=asked, status="failed", message=reason, history=tuple(history))
-    if least is not None and least.factor > 1.0 and _may_swing(problem):
+    if least is not None and least.factor > 1.0 and may_swing(problem):
         sentence, _ = effort_sentence(problem, least)
         reason = f"failed: no motion was found; on the one of least effort that was, {sentence}, which is no proof"
         return Plan(problem=asked, status="failed", message=reason, history=tuple(history))
@@ -288,25 +323,6 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
     )
 
 
-def _known_motion(problem: PlanningProblem, guess: Guess) -> float | None:
-    """Return the duration of a motion that is known to keep the effort limits, in no more time than is given; or None."""
-    known = least_time_guess(problem, guess.start_pose)
-    return None if known is None or _longest(problem) < _SURELY * known.duration_s else known.duration_s
-
-
-def _longest(problem: PlanningProblem) -> float:
-    """Return the longest that a motion may take [s]."""
-    return problem.motion.duration_s or problem.motion.max_duration_s or np.inf
-
-
-def _may_swing(problem: PlanningProblem) -> bool:
-    """Return whether a motion may gather way over a time without end, by ways that no start has tried.
-
-    With one degree of freedom the phase plane has tried them all.
-    """
-    return problem.mechanism.dof > 1 and not np.isfinite(_longest(problem))
-
-
 def _explain_together(
     problem: PlanningProblem, bare: PlanningProblem, guess: Guess, history: list[Step], say: Say
 ) -> Plan | None:
@@ -320,9 +336,12 @@ def _explain_together(
 
 
 def _patient(settings: SolverSettings) -> SolverSettings:
-    """Return settings for solves that look for a reason: few iterations, and compiled, as there are many such solves."""
-    mode = "always" if settings.compile == "auto" else settings.compile
-    return replace(settings, max_iterations=_ITERATIONS, compile=mode)
+    """Return settings for solves that look for a reason: few iterations.
+
+    What the cache of compiled functions has is used as ever, but nothing is compiled for them: each is another program, and
+    compiling one costs more than its solve.
+    """
+    return replace(settings, max_iterations=_ITERATIONS)
 
 
 def _without(problem: PlanningProblem, what: str, guess: Guess, history: list[Step], say: Say) -> Plan | None:

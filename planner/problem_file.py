@@ -13,6 +13,7 @@ import numpy as np
 from models.assembly import close_at
 from models.audit import audit
 from models.errors import AssemblyError, ProblemError
+from models.library import BUILT_IN as MODELS
 from models.library import is_file
 from models.mechanism import Mechanism, load_mechanism
 from models.names import nearest
@@ -65,6 +66,8 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 }
 # The integration that judges is good to about a tenth of this.
 _TIGHTEST_DEG = 1e-9
+# Errors that LQR weighs, in degrees or metres and per second: beyond these a Riccati equation has no numbers left.
+_LQR_ERRORS = (1e-9, 1e9)
 # Starts beyond this take minutes without finding more.
 MAX_STARTS = 1000
 # Meshes beyond this take minutes; a typing slip of a zero should not.
@@ -87,7 +90,7 @@ def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> PlanningP
 
 
 def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -> PlanningProblem:
-    """Return the problem that a file's tables mean; model paths are taken from the working folder, then the file's."""
+    """Return the problem that a file's tables mean; paths in it are from its own folder, else the working folder."""
     tables = copy.deepcopy(tables)
     _check_keys(tables)
     section = {key: tables.get(key, {}) for key in KEYS}
@@ -152,16 +155,24 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
     model = section.get("model")
     if not isinstance(model, str) or not model:
         raise ProblemError(f"mechanism.model is a built-in name or a path to an MJCF file, got {model!r}")
-    if folder is not None and not is_file(Path(model)) and is_file(folder / model):
-        model = str(folder / model)
-    if is_file(Path(model)):
-        model = str(Path(model).resolve())
+    place = beside(model, folder)
+    if model not in MODELS and is_file(place):
+        model = str(place.resolve())
     section["model"] = model
     mechanism = load_mechanism(
         model, payload=section.get("payload"), home=_home(section), independent=section.get("independent")
     )
     joint_values(section, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
     return mechanism
+
+
+def beside(path: str, folder: Path | None) -> Path:
+    """Return a path that a problem file names: from the file's folder, or from the working folder where it is not there."""
+    try:
+        there = folder is not None and (folder / path).exists()
+    except (OSError, ValueError):  # a name that no file can have
+        there = False
+    return folder / path if folder is not None and there else Path(path)
 
 
 def _home(section: dict) -> dict[str, float]:
@@ -222,9 +233,10 @@ def _guess(section: dict, mechanism: Mechanism, folder: Path | None) -> Sketch |
     if plan is not None:
         if not isinstance(plan, str) or not plan:
             raise ProblemError(f"guess.plan is a saved plan's folder, got {plan!r}")
-        place = Path(plan) if Path(plan).is_dir() or folder is None else folder / plan
+        place = beside(plan, folder)
         if not place.is_dir():
-            raise ProblemError(f"guess.plan '{plan}' is not a folder; it is where a plan was saved")
+            where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
+            raise ProblemError(f"guess.plan '{plan}' is not a folder in {where}; it is where a plan was saved")
         section["plan"] = str(place.resolve())
         return read_trajectory(place / "trajectory.npz")
     if not paths:
@@ -290,11 +302,17 @@ def _tracking(section: dict) -> Tracking:
     whole(delay, "tracking.delay_periods", 0, 1000)
     duration = section.get("duration_s")
 
-    def angle(key: str, value: float) -> float:
-        return np.radians(number(section.get(key, np.degrees(value)), f"tracking.{key}", positive=True))
-
     def length(key: str, value: float) -> float:
-        return number(section.get(key, value), f"tracking.{key}", positive=True)
+        found = number(section.get(key, value), f"tracking.{key}", positive=True)
+        if not _LQR_ERRORS[0] <= found <= _LQR_ERRORS[1]:
+            raise ProblemError(
+                f"tracking.{key}, the error that weighs as much as the whole effort limit, is from {_LQR_ERRORS[0]:g} to"
+                f" {_LQR_ERRORS[1]:g}, got {found:g}"
+            )
+        return found
+
+    def angle(key: str, value: float) -> float:
+        return np.radians(length(key, np.degrees(value)))
 
     return Tracking(
         kp=number(section.get("kp", default.kp), "tracking.kp", least=0.0),

@@ -32,7 +32,10 @@ _WARM_BARRIER, _WARM_PUSH = 1e-6, 1e-9
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Solution:
-    """What a solver answered to which program: unknowns, whether a local optimum, its words, the time it took [s]."""
+    """What a solver answered to which program: unknowns, whether a local optimum, its words, the time it took [s].
+
+    `multipliers` (n_rows,) are the rows', of f + multipliers g; None from a solver that does not tell.
+    """
 
     transcribed: Transcribed
     x: np.ndarray
@@ -42,6 +45,7 @@ class Solution:
     iterations: int
     build_s: float
     solve_s: float
+    multipliers: np.ndarray | None = None
 
 
 def build_solver(
@@ -179,6 +183,7 @@ def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0
         iterations=int(stats["iter_count"]),
         build_s=build_s,
         solve_s=time.perf_counter() - begin,
+        multipliers=np.array(result["lam_g"]).ravel() if "lam_g" in result else None,
     )
 
 

@@ -95,4 +95,6 @@ def parse_value(text: str, where: str) -> object:
     except tomllib.TOMLDecodeError as error:
         if re.fullmatch(r"[^\s\"'\[\]{}=,]+", text):
             return text
-        raise ProblemError(f"--set {where}: the value is neither TOML nor a bare word: {one_line(error)}") from error
+        raise ProblemError(
+            f"--set {where}: '{text}' is neither TOML nor a bare word; write 1.5, true, \"two words\", [1, 2] or {{ O = 1 }}"
+        ) from error

@@ -12,7 +12,7 @@ from planner.planning import silent
 from planner.problem import Tracking
 from studies.compare import build_tracker
 from studies.floquet import Floquet, floquet, floquet_record, floquet_text, frozen_radii, tracker_gains
-from studies.loops import FeedbackLoop, OperatingPoint, feedback_loop
+from studies.loops import LAW_NAMES, FeedbackLoop, OperatingPoint, feedback_loop
 from studies.margins import Margins, margins
 
 # Instants along the motion whose margins are worked out.
@@ -97,7 +97,7 @@ def along_text(found: AlongMotion) -> str:
         f"disk margin {bounds.disk_margin:.3g}" if bounds.stable else f"unstable, largest pole {bounds.spectral_radius:.4g}"
     )
     lines = [
-        f"{found.law} frozen along {found.plan.problem.name}: the worst instant is"
+        f"{LAW_NAMES[found.law]} frozen along {found.plan.problem.name}: the worst instant is"
         f" {1e3 * found.reference.time_s[k]:.4g} ms ({said}); the largest frozen pole is {found.radius.max():.5g}"
     ]
     lines.append("the motion does not repeat: no multipliers" if found.floquet is None else floquet_text(found.floquet))

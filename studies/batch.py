@@ -51,7 +51,7 @@ def run_batch(arguments: argparse.Namespace) -> tuple[dict, str, bool]:
             for case, plan in results:
                 if plan.status == "optimal":
                     (place / case.name).mkdir()
-                    write_plan(plan, place / case.name)
+                    write_plan(plan, place / case.name, target / case.name)
 
         write_whole(target, write, "batch.json")
         say(f"saved in {target}")

@@ -60,7 +60,10 @@ def build_parser() -> argparse.ArgumentParser:
     _at(check, "report inertia, gravity and effort map at this pose; may be given again")
 
     plan = command("plan", "plan a motion and certify it between the nodes")
-    plan.add_argument("problem", metavar="PROBLEM", help="a built-in problem or a TOML file")
+    text = (
+        "a built-in problem or a TOML file; paths in it (model, guess.plan) are from its own folder, else the working folder"
+    )
+    plan.add_argument("problem", metavar="PROBLEM", help=text)
 
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
     batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")

@@ -16,7 +16,7 @@ from models.names import choose, nearest
 from models.payload import BUILT_IN as PAYLOADS
 from planner.folders import check_target, plain, write_json, write_whole
 from planner.plan import Plan
-from planner.plan_folder import read_plan, record, write_plan
+from planner.plan_folder import read_plan, record, unchecked, write_plan
 from planner.planning import plan_motion
 from planner.problem_file import mechanism_from_tables, problem_from_tables
 from planner.schemes import NAMES as SCHEMES
@@ -106,7 +106,10 @@ def _plan(arguments: argparse.Namespace, say: Say) -> Plan:
     for override in overrides:
         if not override.startswith("tracking."):
             raise ProblemError(f"--set {override}: a saved plan is fixed; only tracking.* can be set on it")
-    return read_plan(path, overrides)
+    plan, note = read_plan(path, overrides), unchecked(path)
+    if note is not None:
+        say(note)
+    return plan
 
 
 def run_list(arguments: argparse.Namespace) -> int:
@@ -190,7 +193,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         apply_override(tables, override)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
     if plan.status == "optimal" and target is not None:
-        write_whole(target, lambda place: save_plan(plan, place))
+        write_whole(target, lambda place: save_plan(plan, place, target))
         say(f"saved in {target}")
     elif target is not None:
         say(f"nothing written: {plan.status}")
@@ -208,11 +211,11 @@ def run_batch(arguments: argparse.Namespace) -> int:
     return DONE if whole else NO
 
 
-def save_plan(plan: Plan, place: Path) -> None:
-    """Write a plan and its figure into an empty folder."""
+def save_plan(plan: Plan, place: Path, target: Path | None = None) -> None:
+    """Write a plan and its figure into an empty folder, which will stand at `target` where it is to be moved."""
     from studies.draw_plan import plan_figure
 
-    write_plan(plan, place)
+    write_plan(plan, place, target)
     plan_figure(plan, place / "plan.png")
 
 

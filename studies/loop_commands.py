@@ -89,7 +89,15 @@ def run_tune(arguments: argparse.Namespace) -> int:
     found = tune(points, wanted, settings, timing, limit, law=arguments.tracker, say=say)
     said = tune_record(found)
     if target is not None:
-        write_whole(target, lambda place: write_json(place / "tune.json", said), "tune.json")
+        from studies.draw_tune import tune_figure
+        from studies.tune import tracking_table
+
+        def write(place: Path) -> None:
+            write_json(place / "tune.json", said)
+            (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
+            tune_figure(found, place / "tune.png")
+
+        write_whole(target, write, "tune.json")
     _show(arguments, said, tune_text(found))
     return DONE if found.found else NO
 

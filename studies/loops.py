@@ -36,6 +36,8 @@ QUANTITIES = {
     "reference+ff": "1",
 }
 LAWS = ("pd", "pd+ff", "lqr")
+# As sentences call them.
+LAW_NAMES = {"pd": "PD", "pd+ff": "PD with feedforward", "lqr": "LQR"}
 # An effort that misses this share of what is needed does not hold the pose.
 _HELD = 1e-9
 

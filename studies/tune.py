@@ -16,7 +16,7 @@ from models.errors import LinkplanError
 from models.mechanism import Mechanism
 from planner.planning import silent
 from planner.problem import Tracking
-from studies.loops import LAWS, OperatingPoint, feedback_loop, law_gain
+from studies.loops import LAW_NAMES, LAWS, OperatingPoint, feedback_loop, law_gain
 from studies.margins import Margins, margins
 from studies.quick import quick_margins
 from studies.stability_map import effort_map
@@ -212,6 +212,10 @@ def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, f
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"
     if np.isfinite(wanted.sensitivity_peak):
         asked += f" with |S| up to {wanted.sensitivity_peak:g}"
+    title, everywhere = (
+        LAW_NAMES[law],
+        f"all {len(points)} angles" if len(points) > 1 else "the angle",
+    )
     sampled = f"sampled every {timing.period_s:g} s"
     if timing.delay_steps:
         sampled += f" with {timing.delay_s:g} s of delay"
@@ -220,7 +224,7 @@ def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, f
     if found:
         reached = [] if band is None else [f"bandwidth {band:.4g} Hz at the least ({points[at_band].name})"]
         reached += [] if phase is None else [f"phase margin {phase:.4g} deg at the least ({points[at_phase].name})"]
-        return f"{law} gives {asked} at all {len(points)} angles, {sampled}: {', '.join(reached)}"
+        return f"{title} gives {asked} at {everywhere}, {sampled}: {', '.join(reached)}"
     unstable = [point.name for point, m in zip(points, best.bounds, strict=True) if not m.stable]
     if unstable:
         why = f"no gains near that bandwidth are even stable at {unstable[0]}"
@@ -236,7 +240,7 @@ def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, f
         why = f"the nearest has {' and '.join(lacking)}"
     # A hold of T and a delay cost so much phase at the wanted bandwidth, whatever the gains.
     cost = 360.0 * wanted.bandwidth_hz * (0.5 * timing.period_s + timing.delay_s)
-    cannot = f"{law} cannot give {asked} at all {len(points)} angles, {sampled}"
+    cannot = f"{title} cannot give {asked} at {everywhere}, {sampled}"
     return f"{cannot}: {why}; hold and delay alone cost {cost:.3g} deg at {wanted.bandwidth_hz:g} Hz"
 
 
@@ -276,6 +280,20 @@ def tune_record(tuning: Tuning) -> dict:
     }
 
 
+def tracking_table(tuning: Tuning) -> str:
+    """Return the gains as the [tracking] table of a problem file."""
+    settings, joint = tuning.best.settings, tuning.mechanism.independent_joints[0]
+    values = {"kp": settings.kp, "kd": settings.kd}
+    if tuning.law == "lqr":
+        position, velocity = (joint.shown(float(weight[0])) for weight in settings.lqr_errors([joint]))
+        values = {f"lqr_position_{joint.unit}": position, f"lqr_velocity_{joint.unit}_s": velocity}
+    values |= {"period_s": settings.period_s}
+    if settings.delay_periods and float(settings.delay_periods).is_integer():
+        values |= {"delay_periods": int(settings.delay_periods)}
+    lines = [f"# {tuning.message}", "[tracking]", *(f"{key} = {value:.6g}" for key, value in values.items())]
+    return "\n".join(lines) + "\n"
+
+
 def tune_text(tuning: Tuning) -> str:
     """Return the gains, in the joint's units and the motor's, and the margins at every angle."""
     from studies.tables import table
@@ -284,7 +302,7 @@ def tune_text(tuning: Tuning) -> str:
     joint, actuator = mechanism.independent_joints[0], mechanism.actuators[0]
     turn = "rad" if joint.kind == "hinge" else "m"
     force = "N.m" if joint.kind == "hinge" else "N"
-    lines = [f"{tuning.message[0].upper()}{tuning.message[1:]}", ""]
+    lines = [tuning.message, ""]
     if tuning.law == "lqr":
         position, velocity = (joint.shown(float(weight[0])) for weight in settings.lqr_errors([joint]))
         lines.append(

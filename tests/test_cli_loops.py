@@ -1,6 +1,7 @@
 """The commands about loops as their users meet them: bode with its measurement and maps, tune."""
 
 import json
+import tomllib
 
 import pytest
 
@@ -79,7 +80,7 @@ def test_tune_answers_with_gains_or_with_no(ask):
     where = ["--at-deg", "O=-40", "--at-deg", "O=40", "--period-s", "1e-3"]
     code, out, err = ask("tune", "optimus-knee", "--bandwidth-hz", "60", *where)
     assert code == 0
-    assert "Pd gives 60 Hz and 60 deg at all 2 angles" in out
+    assert "PD gives 60 Hz and 60 deg at all 2 angles" in out
     assert "at the motor act_O" in out
     assert "grid 1 of" in err
     code, out, _ = ask("tune", "optimus-knee", "--bandwidth-hz", "400", *where, "--delay-periods", "2", "--json")
@@ -87,3 +88,24 @@ def test_tune_answers_with_gains_or_with_no(ask):
     said = json.loads(out)
     assert said["found"] is False
     assert "cannot give 400 Hz" in said["message"]
+
+
+@pytest.mark.parametrize("tracker", ["pd", "lqr"])
+def test_tune_writes_gains_that_a_problem_file_takes_and_a_figure(tracker, ask, tmp_path):
+    folder, where = tmp_path / "tuned", ["--at-deg", "O=-40", "--at-deg", "O=40", "--period-s", "1e-3"]
+    code, out, _ = ask(
+        "tune", "optimus-knee", "--bandwidth-hz", "60", "--tracker", tracker, *where, "--json", "-o", str(folder)
+    )
+    assert code == 0
+    assert {path.name for path in folder.iterdir()} == {"tune.json", "tune.png", "tracking.toml"}
+    assert json.loads((folder / "tune.json").read_text()) == json.loads(out)
+    table = tomllib.loads((folder / "tracking.toml").read_text())["tracking"]
+    settings = [f"tracking.{key}={value!r}" for key, value in table.items()]
+    again = [word for setting in settings for word in ("--set", setting)]
+    code, out, _ = ask("bode", "optimus-knee", "--tracker", tracker, *where[:4], *again, "--measure", "none", "--json")
+    assert code == 0  # stable with these gains, and as fast as was asked
+    assert min(pose["bandwidth_hz"] for pose in _margins(json.loads(out))) >= 60
+
+
+def _margins(said: dict) -> list[dict]:
+    return [next(iter(point["loops"].values())) for point in said["points"]]

@@ -9,6 +9,7 @@ from planner.ode import OdePlan, plan_ode
 from planner.ode_problem import OdeProblem, StateGuess
 from planner.problem import MeshSettings, SolverSettings
 from tests.test_ode_textbook import INF, NAN, double_integrator, duration, squared_effort
+from tests.tolerances_planner import ODE_CLOSED_FORM
 
 SOUND = {
     "name": "double integrator",
@@ -208,3 +209,28 @@ def test_an_integrated_state_that_misses_its_tolerance_is_said():
     )
     assert plan.status == "failed"
     assert "integrated state" in plan.message
+
+
+@pytest.mark.parametrize("longest", [INF, 1e9])
+def test_an_effort_that_falls_for_ever_with_time_has_no_optimum_and_says_so(longest):
+    """Rest to rest over 1 in T costs 12 / T^3."""
+    plan = planned(duration_s=(0.1, longest), effort_limit=[[-INF, INF]], running_cost=squared_effort, final_cost=None)
+    assert plan.status == "failed"
+    assert "the longer the motion the better, without end" in plan.message
+    assert "bound duration_s from above" in plan.message
+    assert "\n" not in plan.message
+
+
+def test_a_best_duration_far_from_any_guess_is_found_all_the_same():
+    """Least time 2 sqrt(d / u) for a micrometre under 1000: 63 us, where a second is begun from."""
+    plan = planned(goal=[1e-6, 0], effort_limit=[[-1e3, 1e3]], duration_s=(1e-6, 10))
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(2 * np.sqrt(1e-6 / 1e3), rel=ODE_CLOSED_FORM)
+
+
+@pytest.mark.parametrize("shortest", [0.3, 0.7, 1.1, 1.3])
+def test_a_shortest_duration_that_binds_is_the_user_s_own(shortest):
+    """Nothing is asked of the end: the least time is the shortest allowed, whatever units it went through."""
+    plan = planned(duration_s=(shortest, 40.0), goal=[NAN, NAN])
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(shortest, rel=ODE_CLOSED_FORM)

@@ -1,0 +1,54 @@
+"""What a plan hangs on in a model, as a hash of each part: enough to say later which of them has changed.
+
+Colours, cameras, contacts and the simulator's own settings are left out: no plan follows from them.
+"""
+
+import hashlib
+
+import mujoco
+import numpy as np
+
+# Fields of mjModel (of its options for the last) that dynamics, closures, limits and transmissions are read from.
+_PARTS: dict[str, tuple[str, ...]] = {
+    "bodies": (
+        "body_parentid", "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "body_gravcomp",
+    ),
+    "joints": (
+        "jnt_type", "jnt_bodyid", "jnt_pos", "jnt_axis", "jnt_limited", "jnt_range", "jnt_stiffness", "jnt_stiffnesspoly",
+        "dof_armature", "dof_damping", "dof_dampingpoly", "dof_frictionloss", "qpos0", "qpos_spring",
+    ),
+    "actuators": (
+        "actuator_trntype", "actuator_trnid", "actuator_gear", "actuator_cranklength", "actuator_gaintype",
+        "actuator_gainprm",
+        "actuator_biastype", "actuator_biasprm", "actuator_dyntype", "actuator_dynprm", "actuator_ctrllimited",
+        "actuator_ctrlrange", "actuator_forcelimited", "actuator_forcerange", "actuator_armature", "actuator_damping",
+        "actuator_dampingpoly", "jnt_actfrclimited", "jnt_actfrcrange",
+    ),
+    "loop closures": ("eq_type", "eq_objtype", "eq_obj1id", "eq_obj2id", "eq_active0", "eq_data"),
+    "tendons and sites": (
+        "tendon_adr", "tendon_num", "tendon_limited", "tendon_range", "tendon_stiffness", "tendon_stiffnesspoly",
+        "tendon_damping", "tendon_dampingpoly", "tendon_lengthspring", "tendon_armature", "wrap_type", "wrap_objid",
+        "wrap_prm", "site_bodyid", "site_pos", "site_quat",
+    ),
+    "gravity and other options": ("gravity", "wind", "density", "viscosity", "disableflags"),
+}  # fmt: skip
+# Significant digits that are compared: MuJoCo's compiler need not round alike on every machine.
+_DIGITS = 9
+
+
+def part_hashes(model: mujoco.MjModel) -> dict[str, str]:
+    """Return a hash of each part of a compiled model, by the part's name.
+
+    Fields that this MuJoCo does not have are left out, so hashes are to be compared under one version of MuJoCo.
+    """
+    found = {}
+    for part, fields in _PARTS.items():
+        digest = hashlib.sha256()
+        for field in fields:
+            value = getattr(model.opt if part == "gravity and other options" else model, field, None)
+            if value is not None:
+                array = np.array(value)
+                digest.update(f"{field}{array.shape}".encode())
+                digest.update(" ".join(f"{number + 0.0:.{_DIGITS}g}" for number in array.ravel()).encode())
+        found[part] = digest.hexdigest()[:16]
+    return found
