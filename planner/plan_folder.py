@@ -10,6 +10,7 @@ import numpy as np
 
 from models.along import joint_rates
 from models.assembly import follow
+from models.contacts import Meeting
 from models.errors import AssemblyError, LinkplanError, PlanFileError
 from planner.certificate import Certificate, certify
 from planner.folders import plain_record, write_json
@@ -18,6 +19,7 @@ from planner.plan import Plan, not_honoured
 from planner.problem import PlanningProblem
 from planner.problem_file import problem_from_tables
 from planner.tables import apply_override
+from planner.touching import with_contacts
 from planner.trajectory_file import ARRAYS, read_trajectory
 
 FORMAT = 1
@@ -88,6 +90,7 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
         "speed_margin_deg_s": {j.name: j.shown(m) for j, _, m in margins if j.kind == "hinge" and np.isfinite(m)},
         "speed_margin_m_s": {j.name: m for j, _, m in margins if j.kind == "slide" and np.isfinite(m)},
         "singularity_ratio": certificate.singularity_ratio,
+        "contacts": [_contact_record(meeting) for meeting in certificate.contacts],
         "margins": [_margin_record(margin) for margin in certificate.margins],
         "worst_time_s": certificate.worst_time_s,
     }
@@ -95,6 +98,17 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
 
 def _margin_record(margin: Margin) -> dict:
     return {name: getattr(margin, name) for name in ("what", "name", "value", "limit", "left", "unit", "time_s")}
+
+
+def _contact_record(meeting: Meeting) -> dict:
+    return {
+        "geoms": [meeting.first, meeting.second],
+        "bodies": list(meeting.bodies),
+        "since_s": meeting.since,
+        "depth_m": meeting.depth_m,
+        "deepest_at_s": meeting.deepest_at,
+        "home_depth_m": meeting.home_depth_m,
+    }
 
 
 def write_plan(plan: Plan, folder: Path) -> None:
@@ -178,7 +192,7 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:
             f" {trajectory.n_u} actuators, '{mechanism.name}' has {mechanism.dof} and {mechanism.n_u}"
         )
     try:
-        certificate = certify(problem, trajectory)
+        certificate = with_contacts(problem, trajectory, certify(problem, trajectory))
     except AssemblyError as error:
         raise PlanFileError(
             f"'{folder / 'trajectory.npz'}' holds a motion that the mechanism cannot make: {error}"

@@ -9,6 +9,8 @@ from models.audit import audit
 from models.contacts import ContactPair, contact_pairs
 from models.errors import AssemblyError, ProblemError
 from models.mechanism import Joint, Mechanism
+from studies.contact_findings import contact_findings
+from studies.loop_report import LoopPath
 
 # A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
 OPEN_M = 1e-6
@@ -44,21 +46,31 @@ class Inspection:
     notes: tuple[str, ...]
 
 
-def inspect(mechanism: Mechanism, positions: list[dict[str, float]]) -> Inspection:
-    """Return the inspection of a mechanism, with a report at each of `positions` (joint name to position [rad or m])."""
+def inspect(
+    mechanism: Mechanism,
+    positions: list[dict[str, float]],
+    *,
+    motion: LoopPath | None = None,
+    contacts: str = "refuse",
+) -> Inspection:
+    """Return the inspection of a mechanism, with a report at each of `positions` (joint name to position [rad or m]).
+
+    Contacts are judged along a problem's `motion` where there is one, by its `contacts`.
+    """
     reaches = tuple(reach(mechanism, column) for column in range(mechanism.dof))
     poses = np.vstack([can.poses for can in reaches])
-    contacts = contact_pairs(mechanism, poses)
+    touching = contact_pairs(mechanism, poses)
     gap = max(mechanism.gap_m(mechanism.home), mechanism.home_gap_m if mechanism.home_gap_m > OPEN_M else 0.0)
-    problems, notes = _findings(mechanism, reaches, poses, contacts)
+    problems, notes = _findings(mechanism, reaches)
+    refused, noted = contact_findings(mechanism, touching, len(poses), motion, contacts)
     return Inspection(
         mechanism=mechanism,
         closure_gap_m=gap,
         reaches=reaches,
-        contacts=contacts,
+        contacts=touching,
         points=tuple(pose_report(mechanism, asked) for asked in positions),
-        problems=tuple(problems),
-        notes=tuple(notes),
+        problems=tuple(dict.fromkeys([*problems, *refused])),
+        notes=(*notes, *noted),
     )
 
 
@@ -110,7 +122,7 @@ def _pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
     return f"joint {joint.name} moves freely: {who} pushes it one way only, and no spring or weight brings it back"
 
 
-def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str], list[str]]:
+def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     """Return the problems, and the notes on what is worth knowing but no fault, each a sentence."""
     problems, notes = [], []
     if mechanism.home_gap_m > OPEN_M:
@@ -163,14 +175,9 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
                 f"toggle pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: joint"
                 f" {mechanism.joints[other].name} turns back there"
             )
-    for pair in contacts:
-        problems.append(
-            f"geoms {pair.first} and {pair.second} touch in {len(pair.poses)} of {len(poses)} poses within reach, up to"
-            f" {1e3 * pair.depth_m:.2g} mm deep: contact forces are not planned for"
-        )
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}")
-    return list(dict.fromkeys(problems)), notes
+    return problems, notes
 
 
 def _steerable(mechanism: Mechanism) -> bool:
