@@ -7,6 +7,7 @@ the distance of two surfaces is below the margin; its depth is counted from ther
 import copy
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -115,7 +116,7 @@ def meetings(
         return ()
     size, look = _rounding_radii(mechanism), _looker(mechanism, model)
     first = [look(pose) for pose in poses]
-    span = max((_travel(a, b, size).max() for a, b in zip(first[:-1], first[1:], strict=True)), default=0.0)
+    span = max((_travel(a, b, size).max() for a, b in pairwise(first)), default=0.0)
     look = _looker(mechanism, _with_wider_gaps(model, 2 * float(span)))
     at_home = look(mechanism.home)
     seen = [(float(t), pose, look(pose)) for t, pose in zip(time, poses, strict=True)]

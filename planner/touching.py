@@ -35,7 +35,7 @@ def _failure(found: tuple[Meeting, ...]) -> str:
     more = f", and {others} more pair{'s' if others > 1 else ''} of geoms after them" if others else ""
     return (
         f"{who(first)} meet at t = {first.since:.5g} s and are up to {1e3 * first.depth_m:.2g} mm deep in one another at"
-        f" t = {first.deepest_at:.5g} s{already}{more}; contact forces are not planned for (limits.contacts = \"note\""
+        f' t = {first.deepest_at:.5g} s{already}{more}; contact forces are not planned for (limits.contacts = "note"'
         " plans without them)"
     )
 
@@ -51,7 +51,7 @@ def who(meeting: Meeting) -> str:
 
 def noted(meeting: Meeting) -> str:
     """Return the words for a contact that a plan leaves out."""
-    depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep along the motion"
+    depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep along the motion: its forces are not planned for"
     if meeting.since is not None:
         return f"contact of {who(meeting)} from t = {meeting.since:.5g} s on, {depth}"
-    return f"contact of {who(meeting)}, {depth}, which overlap by construction"
+    return f"contact of {who(meeting)}, as at home, all along, or on a pin that they share, {depth}"

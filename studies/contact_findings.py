@@ -40,7 +40,10 @@ def contact_findings(
         named.add((meeting.first, meeting.second))
         if meeting.since is None:
             depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
-            notes.append(f"{who(meeting)} overlap by construction, {depth}: contact forces are not planned for")
+            notes.append(
+                f"{who(meeting)} touch as at home, all along, or on a pin that they share, {depth}: contact forces are not"
+                " planned for"
+            )
         elif treatment == "note":
             notes.append(f"{_on_the_way(mechanism, meeting, path, position_at)}: contact forces are not planned for")
         else:

@@ -11,6 +11,7 @@ from models.errors import AssemblyError, ProblemError
 from models.mechanism import Joint, Mechanism
 from studies.contact_findings import contact_findings
 from studies.loop_report import LoopPath
+from studies.softness import softness_note
 
 # A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
 OPEN_M = 1e-6
@@ -20,6 +21,9 @@ _AT_THE_END = 1e-8
 _UNREACHED = 1e-9
 # An actuator does not drive a coordinate on which its effort is below this share of the largest: rounding.
 _NO_ARM = 1e-9
+# Toggle poses a turn apart are found to this [rad], and so many of a joint are listed; all are in the record.
+_SAME_POSE = 1e-6
+_TOGGLES = 4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -137,6 +141,8 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
             )
     if not mechanism.closure_names:
         notes.append("the model has no active loop closure: it is an open tree")
+    soft = softness_note(mechanism)
+    notes += [] if soft is None else [soft]
     if mechanism.n_u == 0:
         problems.append("no actuator is one that a plan can use: nothing can be planned")
     notes += mechanism.notes
@@ -170,14 +176,29 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
             notes.append(
                 f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: there the loop ends or branches"
             )
-        for other, position in can.toggles:
-            notes.append(
-                f"toggle pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: joint"
-                f" {mechanism.joints[other].name} turns back there"
-            )
+        notes += _toggle_notes(mechanism, can)
     for item in audit(mechanism.model):
-        (problems if item.falsifies else notes).append(f"not honoured: {item.text}")
+        (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
     return problems, notes
+
+
+def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
+    """Return the sentence on a coordinate's toggle poses, if it has any: for each dependent joint, where it turns back."""
+    joint = mechanism.joints[mechanism.independent[can.coordinate]]
+    turn = 2 * np.pi if can.turns_fully and joint.kind == "hinge" else np.inf
+    by_joint: dict[int, list[float]] = {}
+    for other, position in can.toggles:  # of a joint that turns fully, those of one turn
+        found = by_joint.setdefault(other, [])
+        known = [abs((position - one + turn / 2) % turn - turn / 2) if np.isfinite(turn) else np.inf for one in found]
+        if min(known, default=np.inf) > _SAME_POSE:
+            found.append(position)
+    said = []
+    for other, positions in by_joint.items():
+        first = ", ".join(f"{joint.shown(x):.5g}" for x in positions[:_TOGGLES])
+        more = f" and {len(positions) - _TOGGLES} more" if len(positions) > _TOGGLES else ""
+        said.append(f"joint {mechanism.joints[other].name} turns back at {joint.name} = {first}{more} {joint.unit}")
+    again = ", and again every turn" if np.isfinite(turn) else ""
+    return [f"toggle poses: {'; '.join(said)}{again}"] if said else []
 
 
 def _steerable(mechanism: Mechanism) -> bool:

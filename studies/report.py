@@ -98,7 +98,7 @@ def plan_text(plan: Plan) -> str:
         f"certificate: {'passed' if certificate.passed else 'NOT passed'}",
         table(["between the nodes", "worst", "unit"], rows),
     ]
-    lines += [f"not honoured: {text}" for text in not_honoured(plan)]
+    lines += [f"note: {text}" for text in not_honoured(plan)]
     return "\n".join(lines)
 
 
