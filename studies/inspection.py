@@ -10,6 +10,7 @@ from models.contacts import ContactPair, contact_pairs
 from models.errors import AssemblyError, ProblemError
 from models.mechanism import Joint, Mechanism
 from studies.contact_findings import contact_findings
+from studies.drives import NO_ARM, feeble_drives, pushed_one_way
 from studies.loop_report import LoopPath
 from studies.softness import softness_note
 
@@ -19,8 +20,6 @@ OPEN_M = 1e-6
 _AT_THE_END = 1e-8
 # A direction of motion that the actuators reach by less than this share of the best-reached one is beyond them.
 _UNREACHED = 1e-9
-# An actuator does not drive a coordinate on which its effort is below this share of the largest: rounding.
-_NO_ARM = 1e-9
 # Toggle poses a turn apart are found to this [rad], and so many of a joint are listed; all are in the record.
 _SAME_POSE = 1e-6
 _TOGGLES = 4
@@ -107,25 +106,6 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
     )
 
 
-def _pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
-    """Return the sentence on an independent joint that actuators only push to one side, with nothing to bring it back."""
-    index, dynamics = int(mechanism.independent[column]), mechanism.dynamics
-    joint, model = mechanism.joints[index], mechanism.model
-    arms = np.array(dynamics.effort_map(mechanism.home))[column]
-    acting = [(a, arm) for a, arm in zip(mechanism.actuators, arms, strict=True) if abs(arm) > _NO_ARM * np.abs(arms).max()]
-    ends = np.array([sorted((arm * a.lower, arm * a.upper)) for a, arm in acting]).reshape(-1, 2)
-    if not len(ends) or (np.any(ends[:, 0] < 0) and np.any(ends[:, 1] > 0)):
-        return None
-    held = (
-        np.any(model.jnt_stiffness)
-        or np.abs(np.array(dynamics.gravity_effort(mechanism.home))[column]) > 0.01 * np.abs(ends).max()
-    )
-    if held:
-        return None
-    who = ", ".join(f"{a.name} ({a.lower:g} to {a.upper:g} {a.unit})" for a, _ in acting)
-    return f"joint {joint.name} moves freely: {who} pushes it one way only, and no spring or weight brings it back"
-
-
 def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     """Return the problems, and the notes on what is worth knowing but no fault, each a sentence."""
     problems, notes = [], []
@@ -147,7 +127,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
         problems.append("no actuator is one that a plan can use: nothing can be planned")
     notes += mechanism.notes
     reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
-    driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > _NO_ARM * reached.max()}
+    driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > NO_ARM * reached.max()}
     steerable = bool(driven) and _steerable(mechanism)
     for column, can in enumerate(reaches):
         index = int(mechanism.independent[column])
@@ -160,7 +140,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
                 problems.append(
                     f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}"
                 )
-        one_sided = _pushed_one_way(mechanism, column)
+        one_sided = pushed_one_way(mechanism, column)
         if one_sided is not None:
             problems.append(one_sided)
         for end in (can.lower, can.upper):
@@ -177,6 +157,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
                 f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: there the loop ends or branches"
             )
         notes += _toggle_notes(mechanism, can)
+    notes += feeble_drives(mechanism)
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
     return problems, notes
