@@ -11,6 +11,8 @@ BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
 TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE}
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+# Solid, dashed, dotted ...: lines of one panel that lie on one another stay visible.
+STYLES = ("-", "--", ":", "-.")
 
 # A legend's row holds about so many letters over half of a page's width; what is longer goes on in a further row.
 _LETTERS_A_ROW = 56
