@@ -4,10 +4,13 @@ import numpy as np
 
 from models.actuators import Actuator
 from models.mechanism import Mechanism
+from planner.equilibrium import sprung_freedoms
 from studies.check_report import effort_unit
 
 # An actuator does not drive a coordinate on which its effort is below this share of the largest: rounding.
 NO_ARM = 1e-9
+# A joint stands at the end of its range within this [rad or m]: what assembly leaves.
+AT_THE_END = 1e-8
 # A weight below this share of what pushes a joint does not bring it back.
 _LIGHT = 0.01
 # An actuator that has less than this share of what the others give every coordinate it acts on does next to nothing.
@@ -37,6 +40,50 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
         f" brings it back; {pushes}"
         if all(a.joint != index for a, _ in acting)
         else f"joint {joint.name} moves freely: {pushes}, and no spring or weight brings it back"
+    )
+
+
+def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str, bool]:
+    """Return the sentence on an independent joint that no actuator drives, and whether it is a fault: nothing moves it."""
+    joint = mechanism.independent_joints[column]
+    if steerable:
+        return f"joint {joint.name} has no actuator: it is moved through the others only (underactuated)", False
+    if column in sprung_freedoms(mechanism):
+        return f"joint {joint.name} has no actuator and is not steered by the others: springs hold it", False
+    along = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column]
+    still = np.zeros(mechanism.n_q)
+    drag = [np.array(mechanism.dynamics.passive(mechanism.home, speed)).ravel() @ along for speed in (along, still)]
+    damped = abs(drag[0] - drag[1]) > 0
+    return f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}", True
+
+
+def pressed_stops(mechanism: Mechanism) -> str | None:
+    """Return the sentence on joints that weight and springs press onto their stops at home, or None.
+
+    As the fingers of an adaptive gripper lie on theirs. The actuators hold the coordinates that they drive, as far as their
+    limits allow.
+    """
+    dynamics, home, still = mechanism.dynamics, mechanism.home, np.zeros(mechanism.dof)
+    limit, arms = mechanism.effort_limit, np.array(dynamics.effort_map(home))
+    mobility = np.linalg.solve(np.array(dynamics.reduced_inertia(home)), arms)
+    falling = np.array(dynamics.acceleration(home, still, np.zeros(mechanism.n_u))).ravel()
+    driven = np.abs(arms).max(axis=1, initial=0.0) > NO_ARM * np.abs(arms).max(initial=0.0)
+    hold = np.clip(np.linalg.pinv(mobility[driven]) @ -falling[driven], limit[:, 0], limit[:, 1])
+    gained = falling + mobility @ hold
+    rates = np.array(dynamics.velocity_map(home)) @ gained
+    least = NO_ARM * np.abs(falling).max(initial=0.0)
+    pressed = [
+        (joint, x)
+        for joint, x, rate in zip(mechanism.joints, home, rates, strict=True)
+        if (abs(x - joint.upper) <= AT_THE_END and rate > least) or (abs(x - joint.lower) <= AT_THE_END and rate < -least)
+    ]
+    if not pressed:
+        return None
+    names = ", ".join(f"{joint.name} ({joint.shown(x):.4g} {joint.unit})" for joint, x in pressed)
+    return (
+        f"at home weight and springs press {names} onto {'its stop' if len(pressed) == 1 else 'their stops'}, against which no"
+        " actuator holds: a stop's force is not planned for, an equality's that locks the joint is"
+        f' (<joint joint1="{pressed[0][0].name}" polycoef="..."/>)'
     )
 
 

@@ -10,14 +10,14 @@ from models.contacts import ContactPair, contact_pairs
 from models.errors import AssemblyError, ProblemError
 from models.mechanism import Joint, Mechanism
 from studies.contact_findings import contact_findings
-from studies.drives import NO_ARM, feeble_drives, pushed_one_way
+from studies.drives import AT_THE_END, NO_ARM, feeble_drives, pressed_stops, pushed_one_way, undriven
 from studies.loop_report import LoopPath
 from studies.softness import softness_note
 
 # A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
 OPEN_M = 1e-6
-# A joint stands at the end of its range within this [rad or m]: what assembly leaves.
-_AT_THE_END = 1e-8
+# A stop that takes less than this share of a joint's own range from it is meant: the two ranges say the same.
+_SHORT = 0.01
 # A direction of motion that the actuators reach by less than this share of the best-reached one is beyond them.
 _UNREACHED = 1e-9
 # Toggle poses a turn apart are found to this [rad], and so many of a joint are listed; all are in the record.
@@ -115,10 +115,12 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
             " reference pose: the simulator snaps it shut, on whichever branch"
         )
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
-        if not joint.lower - _AT_THE_END <= x <= joint.upper + _AT_THE_END:
+        if not joint.lower - AT_THE_END <= x <= joint.upper + AT_THE_END:
             problems.append(
                 f"joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at home, outside its range {_range(joint)}"
             )
+    pressed = pressed_stops(mechanism)
+    problems += [] if pressed is None else [pressed]
     if not mechanism.closure_names:
         notes.append("the model has no active loop closure: it is an open tree")
     soft = softness_note(mechanism)
@@ -133,13 +135,8 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
         index = int(mechanism.independent[column])
         joint = mechanism.joints[index]
         if driven and index not in driven and index not in mechanism.idle and mechanism.n_u < mechanism.dof:
-            if steerable:
-                notes.append(f"joint {joint.name} has no actuator: it is moved through the others only (underactuated)")
-            else:
-                damped = float(mechanism.model.dof_damping[index]) > 0
-                problems.append(
-                    f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}"
-                )
+            sentence, fault = undriven(mechanism, column, steerable=steerable)
+            (problems if fault else notes).append(sentence)
         one_sided = pushed_one_way(mechanism, column)
         if one_sided is not None:
             problems.append(one_sided)
@@ -148,7 +145,10 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
                 other = mechanism.joints[end.joint]
                 stop = f"joint {other.name}'s range {_range(other)} stops the loop at {joint.name} ="
                 stop += f" {joint.shown(end.position):.4g} {joint.unit}"
-                if np.isfinite([joint.lower, joint.upper]).any():
+                own = joint.lower if end is can.lower else joint.upper
+                if np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
+                    joint.upper - joint.lower
+                ):
                     problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
                 else:  # the coordinate has no range of its own that says otherwise: the stop is meant
                     notes.append(stop)
@@ -156,7 +156,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
             notes.append(
                 f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: there the loop ends or branches"
             )
-        notes += _toggle_notes(mechanism, can)
+        notes += _toggle_notes(mechanism, can) if index not in mechanism.idle else []
     notes += feeble_drives(mechanism)
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
