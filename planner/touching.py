@@ -54,4 +54,8 @@ def noted(meeting: Meeting) -> str:
     depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep along the motion: its forces are not planned for"
     if meeting.since is not None:
         return f"contact of {who(meeting)} from t = {meeting.since:.5g} s on, {depth}"
-    return f"contact of {who(meeting)}, as at home, all along, or on a pin that they share, {depth}"
+    one, other = meeting.bodies
+    return (
+        f"contact of {who(meeting)}, as at home, all along, or on a pin that they share, {depth}; the simulator's act,"
+        f' but for <exclude body1="{one}" body2="{other}"/>'
+    )

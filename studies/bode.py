@@ -32,6 +32,8 @@ POINTS = 5
 # shares of it.
 _OVER_THE_REACH = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
 SCANNED = 41
+# What an actuator is to have left beside what holds a default pose, of its range: room for a loop to answer in.
+_ROOM = 0.05
 # Positions tried for whether the actuators hold them.
 _LOOKED = 81
 FREQUENCIES = 20
@@ -178,8 +180,12 @@ def default_poses(
 
 
 def _is_held(mechanism: Mechanism, position: float, effort_limit: np.ndarray | None) -> bool:
+    """Return whether the actuators hold a position with some of their limits' range left to either side."""
+    limit = np.array(mechanism.effort_limit if effort_limit is None else effort_limit)
+    room = _ROOM * np.diff(limit, axis=1).ravel()
+    inside = np.where(np.isfinite(limit), limit + np.outer(room, [1.0, -1.0]), limit) if np.isfinite(room).all() else limit
     try:
-        operating_point(mechanism, np.array([position]), effort_limit)
+        operating_point(mechanism, np.array([position]), inside)
     except LinkplanError:
         return False
     return True

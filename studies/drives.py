@@ -81,8 +81,8 @@ def pressed_stops(mechanism: Mechanism) -> str | None:
         return None
     names = ", ".join(f"{joint.name} ({joint.shown(x):.4g} {joint.unit})" for joint, x in pressed)
     return (
-        f"at home weight and springs press {names} onto {'its stop' if len(pressed) == 1 else 'their stops'}, against which no"
-        " actuator holds: a stop's force is not planned for, an equality's that locks the joint is"
+        f"at home weight and springs press {names} onto {'its stop' if len(pressed) == 1 else 'their stops'}, against which"
+        " no actuator holds: a stop's force is not planned for, an equality's that locks the joint is"
         f' (<joint joint1="{pressed[0][0].name}" polycoef="..."/>)'
     )
 
