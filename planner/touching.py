@@ -8,10 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from models.assembly import follow
-from models.contacts import Meeting, meetings, new_meetings
+from models.contacts import Meeting, may_collide, meetings, new_meetings
 from planner.certificate import SAMPLES_PER_INTERVAL, Certificate
 from planner.problem import PlanningProblem
 from planner.trajectory import Trajectory
+
+# Poses looked at on a fine mesh; between them it is looked where geoms come near.
+_LOOKS = 5000
 
 
 def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
@@ -19,13 +22,27 @@ def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate:
 
     Refinement certifies a motion many times, on which contacts do not depend; they are looked at once, at the end.
     """
-    time = np.unique(trajectory.dense_times(SAMPLES_PER_INTERVAL))
+    if not may_collide(problem.mechanism.model):
+        return certificate
+    n = len(trajectory.breaks_s) - 1
+    time = np.unique(trajectory.dense_times(max(1, min(SAMPLES_PER_INTERVAL, _LOOKS // n))))
     poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
     found = meetings(problem.mechanism, time, poses, trajectory.position_at)
     failures = certificate.failures
     if problem.contacts == "refuse" and new_meetings(found):
         failures = (*failures, _failure(new_meetings(found)))
     return replace(certificate, contacts=found, failures=failures)
+
+
+def unavoidable(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> bool:
+    """Return whether geoms meet where every motion passes: between start and goal of a single freedom."""
+    start, goal = problem.motion.start, problem.motion.goal
+    if problem.contacts != "refuse" or problem.mechanism.dof != 1 or start is None or goal is None:
+        return False
+    met = np.array([meeting.since for meeting in new_meetings(certificate.contacts)])
+    at = trajectory.position_at(met)[:, 0] if len(met) else np.empty(0)
+    low, high = sorted((float(start[0]), float(goal[0])))
+    return bool(np.any((low <= at) & (at <= high)))
 
 
 def _failure(found: tuple[Meeting, ...]) -> str:
