@@ -44,11 +44,12 @@ def page(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] 
 
 
 def outside_legend(axes, *, narrow: bool = False, **options) -> None:
-    """Put a legend above the axes, where it hides no data: in one row, or in as many as half of a page's width asks for."""
+    """Put a legend above the axes, where it hides no data: in one row, or in as many as the page, or half of it, asks for."""
     handles, labels = axes.get_legend_handles_labels()
     columns = max(1, len(labels))
-    if narrow and sum(len(label) + _LETTERS_BESIDE for label in labels) > _LETTERS_A_ROW:
-        columns = max(1, _LETTERS_A_ROW // (max(map(len, labels)) + _LETTERS_BESIDE))
+    room = _LETTERS_A_ROW if narrow else 2 * _LETTERS_A_ROW
+    if sum(len(label) + _LETTERS_BESIDE for label in labels) > room:
+        columns = max(1, room // (max(map(len, labels)) + _LETTERS_BESIDE))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
 
 
