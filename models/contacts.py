@@ -114,7 +114,7 @@ def meetings(
     model = mechanism.model
     if not may_collide(model):
         return ()
-    size, look = _rounding_radii(mechanism), _looker(mechanism, model)
+    size, look = _bounding_radii(mechanism), _looker(mechanism, model)
     first = [look(pose) for pose in poses]
     span = max((_travel(a, b, size).max() for a, b in pairwise(first)), default=0.0)
     look = _looker(mechanism, _with_wider_gaps(model, 2 * float(span)))
@@ -190,7 +190,7 @@ def _looker(mechanism: Mechanism, model: mujoco.MjModel) -> Callable[[np.ndarray
     """Return a function from a pose (n_q,) to what collision detection with a model shows at it."""
     pins = shared_pins(mechanism.model, mechanism.qpos_of(mechanism.home), mechanism.extent_m)
     data = mujoco.MjData(model)
-    weld, body, radius = model.body_weldid, model.geom_bodyid, _rounding_radii(mechanism)
+    weld, body, radius = model.body_weldid, model.geom_bodyid, _bounding_radii(mechanism)
 
     def on_a_pin(pair: Pair, place: np.ndarray) -> bool:
         shared = pins.get(tuple(sorted((int(weld[body[pair[0]]]), int(weld[body[pair[1]]])))), ())
@@ -216,7 +216,7 @@ def _looker(mechanism: Mechanism, model: mujoco.MjModel) -> Callable[[np.ndarray
     return look
 
 
-def _rounding_radii(mechanism: Mechanism) -> np.ndarray:
+def _bounding_radii(mechanism: Mechanism) -> np.ndarray:
     """Return the radius (n_geoms,) [m] of the ball about each geom's centre; of one without end, the model's extent."""
     radius = mechanism.model.geom_rbound
     return np.where(radius > 0, radius, mechanism.extent_m)

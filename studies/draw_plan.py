@@ -14,7 +14,7 @@ def plan_figure(plan: Plan, path: Path) -> None:
         draw_position(axes[0, 0], plan)
         draw_velocity(axes[1, 0], plan)
         draw_effort(axes[2, 0], plan)
-        axes[0, 0].set_title(f"{plan.problem.name}: {plan.message}", fontsize=10, pad=24, wrap=True)
+        axes[0, 0].figure.suptitle(f"{plan.problem.name}: {plan.message}", fontsize=10, wrap=True)
         axes[2, 0].set_xlabel(_time_label(plan))
 
 

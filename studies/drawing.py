@@ -14,8 +14,9 @@ SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
 # Solid, dashed, dotted ...: lines of one panel that lie on one another stay visible.
 STYLES = ("-", "--", ":", "-.")
 
-# A legend's row holds about so many letters over half of a page's width; what is longer goes on in a further row.
-_LETTERS_A_ROW = 56
+# A legend's row holds about so many letters over half of a wide page's width, or over a narrow page; what is longer goes
+# on in a further row.
+_LETTERS_A_ROW, _LETTERS_A_PAGE = 56, 76
 # What a legend's line and gaps take beside its text, in letters.
 _LETTERS_BESIDE = 8
 
@@ -44,10 +45,10 @@ def page(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] 
 
 
 def outside_legend(axes, *, narrow: bool = False, **options) -> None:
-    """Put a legend above the axes, where it hides no data: in one row, or in as many as the page, or half of it, asks for."""
+    """Put a legend above the axes, where it hides no data: in as many rows as the page, or half of it, asks for."""
     handles, labels = axes.get_legend_handles_labels()
     columns = max(1, len(labels))
-    room = _LETTERS_A_ROW if narrow else 2 * _LETTERS_A_ROW
+    room = _LETTERS_A_ROW if narrow else _LETTERS_A_PAGE
     if sum(len(label) + _LETTERS_BESIDE for label in labels) > room:
         columns = max(1, room // (max(map(len, labels)) + _LETTERS_BESIDE))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
