@@ -6,6 +6,7 @@ began on, and a path that meets a singular pose stops there instead of slipping 
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy.optimize
@@ -318,7 +319,13 @@ def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[
     rates = np.array([np.array(mechanism.dynamics.velocity_map(pose))[:, coordinate] for pose in poses])
     rates[np.abs(rates) < _STILL] = 0.0
     for joint in mechanism.dependent:
-        for k in np.flatnonzero(rates[:-1, joint] * rates[1:, joint] < 0):
-            pose = _pose_where(mechanism, poses[k], poses[k + 1], coordinate, lambda p, j=int(joint): rate(p, j))
+        moving = np.flatnonzero(rates[:, joint])  # a sample on the toggle itself has no sign: its neighbours have
+        for before, after in pairwise(moving):
+            if rates[before, joint] * rates[after, joint] > 0:
+                continue
+            if after > before + 1:
+                found.append((int(joint), float(poses[(before + after) // 2, index])))
+                continue
+            pose = _pose_where(mechanism, poses[before], poses[after], coordinate, lambda p, j=int(joint): rate(p, j))
             found.append((int(joint), float(pose[index])))
     return tuple(sorted(found, key=lambda item: item[1]))

@@ -113,8 +113,8 @@ def _actuators(model: mujoco.MjModel):
         if np.isfinite([actuator.control_lower, actuator.control_upper]).any():
             within = f", cut at its ctrlrange {actuator.control_lower:g} to {actuator.control_upper:g}"
         yield Unhonoured(
-            text=f"servo of actuator {actuator.name}: plans command its effort{limits}; its ctrl is what gives that effort"
-            f" against its gain and bias{within}",
+            text=f"actuator {actuator.name} is a servo: a plan commands its effort{limits}, and its ctrl is set to what"
+            f" gives that effort against its gain and bias{within}",
             falsifies=False,
         )
 

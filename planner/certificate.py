@@ -11,6 +11,7 @@ import numpy as np
 
 from models.along import joint_rates, needed_effort, sampled
 from models.assembly import follow
+from models.contacts import Meeting
 from models.controls import control_excess
 from models.mechanism import Mechanism
 from planner.integration import integrate
@@ -74,6 +75,7 @@ class Certificate:
     residual_share: np.ndarray  # (n_intervals,) of the dynamics residual, in shares of what is allowed
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
+    contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see planner.touching
 
     @property
     def passed(self) -> bool:

@@ -4,10 +4,12 @@ from dataclasses import replace
 
 from planner.plan import Plan, tracking_errors
 from planner.prescribed import reference_demand
+from planner.touching import with_contacts
 
 
 def finished(problem, trajectory, certificate, objective, history, message: str | None) -> Plan:
     """Return the plan of a certified motion, its status by the certificate and its message in words."""
+    certificate = with_contacts(problem, trajectory, certificate)
     plan = Plan(
         problem=problem, status="optimal", message="", objective=objective, trajectory=trajectory, certificate=certificate
     )

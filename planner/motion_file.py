@@ -5,6 +5,7 @@ import numpy as np
 from models.errors import ProblemError
 from models.mechanism import Mechanism
 from models.names import nearest
+from planner.equilibrium import resting, sprung_freedoms
 from planner.joint_values import joint_values
 from planner.motion import Motion, Waypoint
 from planner.prescribed import is_whole
@@ -60,6 +61,8 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
     if not values:
         return None
     result = []
+    if default is None:
+        values = _with_rests(values, f"{where}.{key}", mechanism)
     for index in mechanism.independent:
         joint = mechanism.joints[index]
         if index not in values and default is None and int(index) not in mechanism.idle:
@@ -76,6 +79,24 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
                     f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
                 )
     return np.array(result)
+
+
+def _with_rests(values: dict[int, object], where: str, mechanism: Mechanism) -> dict[int, object]:
+    """Return a state's values with those freedoms that it does not name, and that nothing drives, resting on springs."""
+    unnamed = tuple(c for c in sprung_freedoms(mechanism) if int(mechanism.independent[c]) not in values)
+    if not unnamed:
+        return values
+    joints = mechanism.joints
+    named = {
+        column: joints[index].read(number(values[index], f"{where} of joint {joints[index].name}"))
+        for column, index in enumerate(mechanism.independent.tolist())
+        if index in values
+    }
+    s = resting(mechanism, named, unnamed)
+    if s is None:
+        names = ", ".join(joints[int(mechanism.independent[c])].name for c in unnamed)
+        raise ProblemError(f"{where} names no value for {names}, and springs and weight balance nowhere near home")
+    return values | {int(mechanism.independent[c]): joints[int(mechanism.independent[c])].shown(s[c]) for c in unnamed}
 
 
 def _optional(section: dict, key: str) -> float | None:

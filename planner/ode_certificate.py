@@ -59,7 +59,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
     size = np.maximum(np.abs(x).max(axis=0), np.ptp(x, axis=0))
     size = np.where(size > 0, size, 1.0)
-    errors, integrated, misjudged, beyond = _integrate(problem, trajectory, size)
+    errors, integrated, misjudged, beyond = _integrate(problem, trajectory, size, points)
     over = np.maximum(u - problem.effort_limit[:, 1], problem.effort_limit[:, 0] - u).max()
     state_margin = np.minimum(x - problem.state_limit[:, 0], problem.state_limit[:, 1] - x).min(axis=0)
     p = np.tile(problem.parameters[:, None], (1, len(time)))
@@ -123,7 +123,7 @@ def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme)
 
 
 def _integrate(
-    problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray
+    problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
     """Return the integrated state's errors (n, n_x) at the intervals' ends, the objective along it, its errors, overruns.
 
@@ -150,7 +150,7 @@ def _integrate(
             return np.append(np.array(f(x, u[0], p, t0 + t)).ravel(), running)
 
         atol = _ATOL * np.maximum(1.0, np.abs(state))
-        at = np.linspace(0.0, width, _SAMPLES + 1)
+        at = width * np.append(points[:-1], 1.0)
         result = solve_ivp(rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=at)
         if not result.success or not np.all(np.isfinite(result.y[:, -1])):
             errors[k:] = np.inf

@@ -4,16 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from models.assembly import follow
-from models.contacts import contact_pairs
-from models.errors import AssemblyError, InfeasibleError
+from models.errors import InfeasibleError
 from planner.certificate import Certificate
 from planner.collocation import Transcribed
 from planner.problem import PlanningProblem
+from planner.touching import noted
 from planner.trajectory import Trajectory
-
-# Poses along a motion at which geoms are looked at for contact.
-_CONTACT_SAMPLES = 61
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -78,20 +74,8 @@ class Plan:
 
 def not_honoured(plan: Plan) -> tuple[str, ...]:
     """Return what a plan leaves out of what its model says: the problem's list, and contacts along the motion."""
-    left_out = plan.problem.not_honoured
-    if plan.trajectory is None:
-        return left_out
-    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
-    time = np.linspace(trajectory.breaks_s[0], trajectory.breaks_s[-1], _CONTACT_SAMPLES)
-    try:
-        poses = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
-    except AssemblyError:
-        return left_out
-    contacts = (
-        f"contact of geoms {pair.first} and {pair.second}, up to {1e3 * pair.depth_m:.2g} mm deep along the motion"
-        for pair in contact_pairs(mechanism, poses)
-    )
-    return (*left_out, *contacts)
+    contacts = () if plan.certificate is None else plan.certificate.contacts
+    return (*plan.problem.not_honoured, *(noted(meeting) for meeting in contacts))
 
 
 def tracking_errors(plan: Plan) -> tuple[float, float] | None:

@@ -11,6 +11,7 @@ import numpy as np
 
 from models.along import joint_rates
 from models.assembly import follow
+from models.contacts import Meeting
 from models.digest import part_hashes
 from models.errors import AssemblyError, LinkplanError, PlanFileError
 from models.library import is_file
@@ -21,6 +22,7 @@ from planner.plan import Plan, not_honoured
 from planner.problem import PlanningProblem
 from planner.problem_file import problem_from_tables
 from planner.tables import apply_override
+from planner.touching import with_contacts
 from planner.trajectory_file import ARRAYS, read_trajectory
 
 FORMAT = 1
@@ -93,6 +95,7 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
         "speed_margin_deg_s": {j.name: j.shown(m) for j, _, m in margins if j.kind == "hinge" and np.isfinite(m)},
         "speed_margin_m_s": {j.name: m for j, _, m in margins if j.kind == "slide" and np.isfinite(m)},
         "singularity_ratio": certificate.singularity_ratio,
+        "contacts": [_contact_record(meeting) for meeting in certificate.contacts],
         "margins": [_margin_record(margin) for margin in certificate.margins],
         "worst_time_s": certificate.worst_time_s,
     }
@@ -100,6 +103,17 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
 
 def _margin_record(margin: Margin) -> dict:
     return {name: getattr(margin, name) for name in ("what", "name", "value", "limit", "left", "unit", "time_s")}
+
+
+def _contact_record(meeting: Meeting) -> dict:
+    return {
+        "geoms": [meeting.first, meeting.second],
+        "bodies": list(meeting.bodies),
+        "since_s": meeting.since,
+        "depth_m": meeting.depth_m,
+        "deepest_at_s": meeting.deepest_at,
+        "home_depth_m": meeting.home_depth_m,
+    }
 
 
 def write_plan(plan: Plan, folder: Path, place: Path | None = None) -> None:
@@ -196,7 +210,7 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:
             f" {trajectory.n_u} actuators, '{mechanism.name}' has {mechanism.dof} and {mechanism.n_u}"
         )
     try:
-        certificate = certify(problem, trajectory)
+        certificate = with_contacts(problem, trajectory, certify(problem, trajectory))
     except AssemblyError as error:
         raise PlanFileError(
             f"'{folder / 'trajectory.npz'}' holds a motion that the mechanism cannot make: {error}"

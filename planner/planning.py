@@ -22,6 +22,7 @@ from planner.problem import PlanningProblem, SolverSettings
 from planner.refinement import Say, attempt, cut_mesh, refine, silent
 from planner.relaxation import RELAXABLE, least_of, violated_sentence, without
 from planner.solve import INVALID, OUT_OF_TIME
+from planner.touching import unavoidable
 
 __all__ = ["Say", "finished", "plan_motion", "silent"]
 
@@ -165,6 +166,8 @@ def _first_of(
             plan = _plainer(problem, plan, found, mesh, history, say) or plan
         if plan.status == "optimal":
             return plan
+        if plan.trajectory is not None and unavoidable(problem, plan.trajectory, plan.certificate):
+            return plan  # other motions pass there too
         if failed is not None:
             break  # a second motion that does not pass: others will not either
         failed = plan

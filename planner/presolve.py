@@ -62,7 +62,8 @@ def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, can: Reach 
             raise ProblemError(
                 f"{what} {joint.name} = {joint.shown(s[column]):.6g} {joint.unit} is beyond reach:"
                 f" {joint.name} reaches from {joint.shown(interval[0]):.6g} to {joint.shown(interval[1]):.6g} {joint.unit}"
-                f" ({reason})"
+                f" ({reason}"
+                f"{'; another joint as mechanism.independent may pass it' if reason == 'singular pose' else ''})"
             )
 
 

@@ -9,6 +9,7 @@ from models.audit import audit
 from models.errors import ProblemError
 from models.joints import Joint
 from models.mechanism import Mechanism
+from models.names import choose
 from planner.limits import Limits, Motor
 from planner.motion import KINDS, Motion, Waypoint, frozen
 from planner.objective import Objective, objective_from
@@ -18,6 +19,7 @@ from planner.trajectory import Trajectory
 
 __all__ = [
     "COMPILE",
+    "CONTACTS",
     "KINDS",
     "REFINE",
     "SOLVERS",
@@ -33,6 +35,7 @@ __all__ = [
 ]
 
 
+CONTACTS = ("refuse", "note")
 REFINE = ("both", "intervals", "degree")
 
 
@@ -134,6 +137,7 @@ class PlanningProblem:
     motors: tuple[Motor | None, ...] = ()
     reference: Sine | None = None
     guess: Sketch | Trajectory | None = None
+    contacts: str = "refuse"  # a plan whose geoms meet on the way, or "note" them and plan without their forces
     mesh: MeshSettings = field(default_factory=MeshSettings)
     solver: SolverSettings = field(default_factory=SolverSettings)
     tracking: Tracking = field(default_factory=Tracking)
@@ -142,6 +146,7 @@ class PlanningProblem:
     def __post_init__(self) -> None:
         object.__setattr__(self, "objective", objective_from(self.objective))
         object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)
+        choose("limits.contacts", self.contacts, CONTACTS, ProblemError)
         motion, objective = self.motion, self.objective
         falsifying = [item.text for item in audit(self.mechanism.model) if item.falsifies]
         if falsifying:

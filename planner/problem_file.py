@@ -26,6 +26,7 @@ from planner.motion_file import motion_of
 from planner.objective import TERMS, Objective, objective_from
 from planner.problem import (
     COMPILE,
+    CONTACTS,
     KINDS,
     REFINE,
     SOLVERS,
@@ -47,7 +48,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "motion": MOTION_KEYS,
     "reference": ("amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg", "frequency_hz"),
     "objective": ("minimize",),
-    "limits": LIMIT_KEYS,
+    "limits": (*LIMIT_KEYS, "contacts"),
     "motors": (),
     "guess": ("plan", "path_deg", "path_m", "duration_s"),
     "mesh": ("scheme", "intervals", "effort", "tolerance_deg", "refine", "breaks"),
@@ -114,6 +115,7 @@ def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -
         motors=motors_of(section["motors"], mechanism),
         reference=reference,
         guess=_guess(section["guess"], mechanism, folder),
+        contacts=word(section["limits"], "limits.contacts", CONTACTS, "refuse"),
         mesh=_mesh(section["mesh"]),
         solver=_solver(section["solver"]),
         tracking=_tracking(section["tracking"]),

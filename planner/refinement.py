@@ -21,7 +21,7 @@ from planner.switches import find_cuts, pinned_efforts
 
 # Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
 _ROUNDS = 12
-# From this round on limits are drawn in while the mesh still grows; from the later one on even where the mesh could mend them.
+# From this round on limits are drawn in while the mesh still grows; from the later one on even those that it could mend.
 _MERGED, _MERGED_ALL = 4, 8
 # How often switches are looked for again where limits are overrun next to ends of arcs that a finer mesh shows.
 _AGAIN = 2

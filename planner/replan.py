@@ -91,7 +91,8 @@ class Planner:
             solve_s=solution.solve_s,
         )
         self._last = replace(solution.transcribed, start=solution.x)
-        return finished(problem, trajectory, certificate, solution.objective, [step], None)
+        plan = finished(problem, trajectory, certificate, solution.objective, [step], None)
+        return plan if plan.status == "optimal" else None
 
     def _keep(self, problem: PlanningProblem, solved: Transcribed) -> None:
         self._last, self._key = solved, structure(problem)

@@ -28,7 +28,14 @@ from studies.response import Response
 from studies.trial import settle_trials
 
 POINTS = 5
+# Over a reach, five evenly and the two next to its ends, where gains are extreme (a singular end itself has none): as
+# shares of it.
+_OVER_THE_REACH = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
 SCANNED = 41
+# What an actuator is to have left beside what holds a default pose, of its range: room for a loop to answer in.
+_ROOM = 0.05
+# Positions tried for whether the actuators hold them.
+_LOOKED = 81
 FREQUENCIES = 20
 # Where to measure by default, from and to, in units of the crossover, and never beyond this share of the sampling rate.
 _FROM, _TO, _SHARE = 1 / 20, 40.0, 0.45
@@ -145,24 +152,54 @@ class BodeStudy:
         return self.mechanism.independent_joints[0].unit
 
 
-def default_positions(mechanism: Mechanism, positions: np.ndarray | None = None) -> np.ndarray:
-    """Return positions (n, n_s): for a single freedom five, over given ones (m,) or the middle of its reach; else home."""
+def default_poses(
+    mechanism: Mechanism, positions: np.ndarray | None = None, effort_limit: np.ndarray | None = None
+) -> tuple[np.ndarray, str | None]:
+    """Return positions (n, n_s) to look at, and a sentence where the actuators cannot hold all that was to be looked at.
+
+    For a single freedom five over given ones (m,), or seven over its reach, next to its ends too, of those that the efforts'
+    limits (n_u, 2) hold at rest; of several freedoms home.
+    """
     if mechanism.dof != 1:
-        return mechanism.home[mechanism.independent][None]
+        return mechanism.home[mechanism.independent][None], None
     if positions is not None and len(positions):
-        return np.linspace(float(np.min(positions)), float(np.max(positions)), POINTS)[:, None]
-    low, high = _middle_of_reach(mechanism, 0)
-    return np.linspace(low, high, POINTS)[:, None]
+        low, high, shares = float(np.min(positions)), float(np.max(positions)), np.linspace(0.0, 1.0, POINTS)
+    else:
+        low, high = _most_of_reach(mechanism, 0)
+        shares = (np.array(_OVER_THE_REACH) - _OVER_THE_REACH[0]) / (_OVER_THE_REACH[-1] - _OVER_THE_REACH[0])
+    looked = np.linspace(low, high, _LOOKED)
+    held = np.array([_is_held(mechanism, position, effort_limit) for position in looked])
+    if held.all() or not held.any():  # where none is held, the first one's refusal says why
+        return (low + shares * (high - low))[:, None], None
+    kept, unheld, joint = looked[held], looked[~held], mechanism.independent_joints[0]
+    return kept[(shares * (len(kept) - 1)).round().astype(int)][:, None], (
+        f"poses are taken from {joint.name} = {joint.shown(kept[0]):.4g} to {joint.shown(kept[-1]):.4g} {joint.unit}; of"
+        f" {len(looked)} from {joint.shown(low):.4g} to {joint.shown(high):.4g}, the actuators cannot hold {len(unheld)} at"
+        f" rest, between {joint.shown(unheld[0]):.4g} and {joint.shown(unheld[-1]):.4g}"
+    )
 
 
-def _middle_of_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
+def _is_held(mechanism: Mechanism, position: float, effort_limit: np.ndarray | None) -> bool:
+    """Return whether the actuators hold a position with some of their limits' range left to either side."""
+    limit = np.array(mechanism.effort_limit if effort_limit is None else effort_limit)
+    room = _ROOM * np.diff(limit, axis=1).ravel()
+    inside = np.where(np.isfinite(limit), limit + np.outer(room, [1.0, -1.0]), limit) if np.isfinite(room).all() else limit
+    try:
+        operating_point(mechanism, np.array([position]), inside)
+    except LinkplanError:
+        return False
+    return True
+
+
+def _most_of_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
+    """Return what lies next to the ends of a joint's reach; of one that nothing stops, half a turn about home."""
     can = reach(mechanism, coordinate)
     low, high = can.lower.position, can.upper.position
     home = float(mechanism.home[mechanism.independent[coordinate]])
     if can.turns_fully or not np.isfinite(high - low):
         half = 0.5 * np.pi if mechanism.independent_joints[coordinate].kind == "hinge" else 0.5 * mechanism.model.stat.extent
         low, high = home - half, home + half
-    return low + 0.1 * (high - low), high - 0.1 * (high - low)
+    return low + _OVER_THE_REACH[0] * (high - low), low + _OVER_THE_REACH[-1] * (high - low)
 
 
 def bode_study(
@@ -246,7 +283,7 @@ def bode_study(
 def _scans(mechanism, where: Sequence[OperatingPoint], settings, effort_limit, timing, law: str, count: int, say):
     """Yield the margins of each joint over its reach, the others as at the first pose."""
     for channel, joint in enumerate(mechanism.independent_joints):
-        low, high = _middle_of_reach(mechanism, channel)
+        low, high = _most_of_reach(mechanism, channel)
         asked = [float(point.state[channel]) for point in where]
         positions = np.linspace(min(low, *asked), max(high, *asked), count)
         ends = f"{joint.shown(positions[0]):.4g} to {joint.shown(positions[-1]):.4g} {joint.unit}"

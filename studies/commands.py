@@ -136,13 +136,15 @@ def run_check(arguments: argparse.Namespace) -> int:
     """Report on a mechanism and what it does along its way; 1 where problems are found."""
     from studies.check_report import path_text
     from studies.inspection import inspect, inspection_record
-    from studies.loop_report import path_record
+    from studies.loop_report import path_record, reach_paths
     from studies.report import inspection_text
 
     target = _output(arguments)
     mechanism, problem, note = _to_check(*_tables(arguments.model, arguments.set))
-    found = inspect(mechanism, _positions(arguments, mechanism))
-    paths, off_path = _paths(found, problem)
+    motion, off_path = _motion(problem)
+    contacts = "refuse" if problem is None else problem.contacts
+    found = inspect(mechanism, _positions(arguments, mechanism), motion=motion, contacts=contacts)
+    paths = reach_paths(mechanism, found.reaches) if motion is None else (motion,)
     found = replace(found, notes=(*found.notes, *(text for text in (note, off_path) if text)))
     said = inspection_record(found) | {"along": [path_record(path) for path in paths]}
     if target is not None:
@@ -171,16 +173,16 @@ def _to_check(name: str, tables: dict, folder: Path | None, is_problem: bool):
     return problem.mechanism, problem, None
 
 
-def _paths(found, problem):
-    """Return the paths along which a mechanism is reported on, and why they are not the problem's motion, if so."""
-    from studies.loop_report import motion_path, reach_paths
+def _motion(problem):
+    """Return the path of a problem's motion, or None, and why there is none, if there is a problem."""
+    from studies.loop_report import motion_path
 
-    if problem is not None:
-        try:
-            return (motion_path(problem),), None
-        except LinkplanError as error:
-            return reach_paths(found.mechanism, found.reaches), f"no path for the problem's motion: {error}"
-    return reach_paths(found.mechanism, found.reaches), None
+    if problem is None:
+        return None, None
+    try:
+        return motion_path(problem), None
+    except LinkplanError as error:
+        return None, f"no path for the problem's motion: {error}"
 
 
 def run_plan(arguments: argparse.Namespace) -> int:

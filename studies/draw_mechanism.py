@@ -6,48 +6,55 @@ import numpy as np
 
 from models.along import sampled
 from models.assembly import Reach
+from models.joints import Joint
 from models.mechanism import Mechanism
 from models.skeleton import sticks
-from studies.drawing import BLACK, GREY, RED, SERIES, outside_legend, page
+from studies.drawing import BLACK, BLUE, GREY, RED, SERIES, STYLES, outside_legend, page
 from studies.inspection import Inspection
 
 # An inertia that changes by more than this factor over the reach is drawn on a logarithmic axis.
 _LOGARITHMIC = 5.0
+# Coordinates of which the sweep is drawn: more would make a page that nobody looks at. Each has loop-N.png of its own.
+_DRAWN = 3
+# Springs that take less than this share of the weight are not drawn beside it: rounding.
+_NOTHING = 1e-9
 
 
 def inspection_figure(found: Inspection, path: Path) -> None:
-    """Draw the mechanism at five poses of its reach, its dependent joints, reduced inertia and gravity's effort."""
-    with page(path, rows=2, columns=2, size=(10.5, 7.5)) as axes:
-        draw_mechanism(axes[0, 0], found)
-        draw_dependent(axes[0, 1], found)
-        draw_inertia(axes[1, 0], found)
-        draw_gravity(axes[1, 1], found)
-        axes[0, 0].figure.suptitle(found.mechanism.name)
+    """Draw, over each coordinate's reach, the mechanism, its dependent joints, inertia, and the effort that holds it."""
+    reaches, mechanism = found.reaches[:_DRAWN], found.mechanism
+    with page(path, rows=2 * len(reaches), columns=2, size=(10.5, 7.5 * len(reaches))) as axes:
+        for row, can in zip(range(0, 2 * len(reaches), 2), reaches, strict=True):
+            draw_mechanism(axes[row, 0], mechanism, can)
+            draw_dependent(axes[row, 1], mechanism, can)
+            draw_inertia(axes[row + 1, 0], mechanism, can)
+            draw_holding(axes[row + 1, 1], mechanism, can)
+        names = [mechanism.joints[mechanism.independent[can.coordinate]].name for can in reaches]
+        others = "" if mechanism.dof == 1 else f": {' then '.join(names)} each over its reach, the other coordinates at home"
+        axes[0, 0].figure.suptitle(f"{mechanism.name}{others}")
 
 
-def _shown(found: Inspection) -> tuple[np.ndarray, np.ndarray, object]:
-    """Return poses over the first coordinate's reach, that coordinate in its shown unit, and its joint."""
-    can = found.reaches[0]
-    joint = found.mechanism.joints[found.mechanism.independent[0]]
-    position = can.poses[:, found.mechanism.independent[0]]
-    return can.poses, np.array([joint.shown(x) for x in position]), joint
+def _x(mechanism: Mechanism, can: Reach) -> tuple[np.ndarray, Joint]:
+    """Return the swept coordinate at a reach's poses in its shown unit, and its joint."""
+    index = mechanism.independent[can.coordinate]
+    joint = mechanism.joints[index]
+    return np.array([joint.shown(x) for x in can.poses[:, index]]), joint
 
 
-def _drawn_reach(found: Inspection) -> np.ndarray:
-    """Return the poses of the first coordinate's reach; of one that turns fully, those of most of one turn from home."""
-    poses = found.reaches[0].poses
-    if not found.reaches[0].turns_fully:
-        return poses
-    index = found.mechanism.independent[0]
-    travel = poses[:, index] - found.mechanism.home[index]
-    return poses[(travel >= 0) & (travel <= 1.6 * np.pi)]
+def _drawn_reach(mechanism: Mechanism, can: Reach) -> np.ndarray:
+    """Return the poses of a reach; of one that turns fully, those of most of one turn from home."""
+    if not can.turns_fully:
+        return can.poses
+    index = mechanism.independent[can.coordinate]
+    travel = can.poses[:, index] - mechanism.home[index]
+    return can.poses[(travel >= 0) & (travel <= 1.6 * np.pi)]
 
 
-def draw_mechanism(axes, found: Inspection) -> None:
-    """Draw the bodies as sticks at poses spread over the reach, the home pose strong."""
-    poses = _drawn_reach(found)
+def draw_mechanism(axes, mechanism: Mechanism, can: Reach) -> None:
+    """Draw the bodies as sticks at poses spread over a reach, the home pose strong."""
+    poses = _drawn_reach(mechanism, can)
     chosen = poses[np.linspace(0, len(poses) - 1, 5).astype(int)]
-    draw_poses(axes, found.mechanism, np.vstack([chosen, found.mechanism.home]))
+    draw_poses(axes, mechanism, np.vstack([chosen, mechanism.home]))
     outside_legend(axes, narrow=True, fontsize=8)
 
 
@@ -87,10 +94,10 @@ def mark_turning(axes, mechanism: Mechanism, can: Reach) -> None:
             axes.axvline(joint.shown(position), color=colour, linestyle=":", linewidth=1.2)
 
 
-def draw_dependent(axes, found: Inspection) -> None:
-    """Draw the dependent joints over the independent one, slides on the right; singular poses dotted red, toggles grey."""
-    poses, x, joint = _shown(found)
-    dependent = [(int(index), found.mechanism.joints[index]) for index in found.mechanism.dependent]
+def draw_dependent(axes, mechanism: Mechanism, can: Reach) -> None:
+    """Draw the dependent joints over the swept one, slides on the right; singular poses dotted red, toggles grey."""
+    x, joint = _x(mechanism, can)
+    dependent = [(int(index), mechanism.joints[index]) for index in mechanism.dependent]
     kinds = list(dict.fromkeys(other.kind for _, other in dependent))
     sides = dict.fromkeys(kinds, axes)
     if len(kinds) == 2:
@@ -98,41 +105,53 @@ def draw_dependent(axes, found: Inspection) -> None:
         sides["slide"].grid(visible=False)
         sides["slide"].spines["right"].set_visible(True)
     for k, (index, other) in enumerate(dependent):
-        colour = SERIES[k % len(SERIES)]
-        sides[other.kind].plot(x, [other.shown(q) for q in poses[:, index]], color=colour)
-        axes.plot([], [], color=colour, label=f"{other.name} [{other.unit}]")
+        look = {"color": SERIES[k % len(SERIES)], "linestyle": STYLES[k % len(STYLES)]}
+        sides[other.kind].plot(x, [other.shown(q) for q in can.poses[:, index]], **look)
+        axes.plot([], [], label=f"{other.name} [{other.unit}]", **look)
     for kind, side in sides.items():
         side.set_ylabel(f"dependent joints [{'deg' if kind == 'hinge' else 'm'}]")
-    mark_turning(axes, found.mechanism, found.reaches[0])
+    mark_turning(axes, mechanism, can)
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
     if dependent:
         outside_legend(axes, narrow=True)
+    else:
+        axes.set_ylabel("dependent joints")
+        axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color=GREY)
+        axes.set_xticks([])
+        axes.set_yticks([])
 
 
-def draw_inertia(axes, found: Inspection) -> None:
-    """Draw the reduced inertia about the first independent joint, logarithmic where it rises without end."""
-    poses, x, joint = _shown(found)
-    inertia = sampled(found.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
+def draw_inertia(axes, mechanism: Mechanism, can: Reach) -> None:
+    """Draw the reduced inertia along the swept coordinate, logarithmic where it rises without end."""
+    (x, joint), column = _x(mechanism, can), can.coordinate
+    inertia = sampled(mechanism.dynamics.reduced_inertia, can.poses)[:, column, column]
     axes.plot(x, inertia, color=BLACK)
     if inertia.max() > _LOGARITHMIC * inertia.min() > 0:
         axes.set_yscale("log")
     else:
         axes.set_ylim(0.0, 1.2 * inertia.max())
-    mark_turning(axes, found.mechanism, found.reaches[0])
+    mark_turning(axes, mechanism, can)
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
     axes.set_ylabel(f"reduced inertia [{'kg m2' if joint.kind == 'hinge' else 'kg'}]")
 
 
-def draw_gravity(axes, found: Inspection) -> None:
-    """Draw the effort on the first independent joint that holds the mechanism's weight."""
-    poses, x, joint = _shown(found)
-    effort = sampled(found.mechanism.dynamics.gravity_effort, poses)[:, 0, 0]
-    axes.plot(x, effort, color=BLACK)
+def draw_holding(axes, mechanism: Mechanism, can: Reach) -> None:
+    """Draw the effort on the swept coordinate that holds weight and springs, and the weight's own where they differ."""
+    (x, joint), column = _x(mechanism, can), can.coordinate
+    weight = sampled(mechanism.dynamics.gravity_effort, can.poses)[:, column, 0]
+    still = np.zeros((len(can.poses), mechanism.dof))
+    holding = sampled(mechanism.dynamics.inverse_dynamics, can.poses, still, still)[:, column, 0]
+    axes.plot(x, holding, color=BLACK, label="weight and springs")
+    sprung = np.abs(holding - weight).max() > _NOTHING * max(np.abs(weight).max(), np.finfo(float).tiny)
+    if sprung:
+        axes.plot(x, weight, color=BLUE, linestyle="--", label="the weight alone")
+        outside_legend(axes, narrow=True)
     # Next to a singular pose the effort grows without bound and would hide all else.
-    inner = effort[len(effort) // 20 : -max(1, len(effort) // 20)]
+    cut = max(1, len(x) // 20)
+    inner = np.concatenate([line[cut:-cut] for line in ((holding, weight) if sprung else (holding,))])
     if len(inner):
-        margin = 0.2 * np.ptp(inner) + 1e-9
+        margin = 0.2 * float(np.ptp(inner)) or 1.0
         axes.set_ylim(inner.min() - margin, inner.max() + margin)
-    mark_turning(axes, found.mechanism, found.reaches[0])
+    mark_turning(axes, mechanism, can)
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
-    axes.set_ylabel(f"effort that holds the weight [{'N.m' if joint.kind == 'hinge' else 'N'}]")
+    axes.set_ylabel(f"effort that holds it still [{'N.m' if joint.kind == 'hinge' else 'N'}]")

@@ -8,7 +8,7 @@ import numpy as np
 from models.assembly import Reach
 from studies.check_report import effort_unit, inertia_unit, ratio_unit
 from studies.draw_mechanism import draw_poses, mark_turning
-from studies.drawing import BLACK, GREY, RED, SERIES, level_zeros, outside_legend, page, sides_by_unit
+from studies.drawing import BLACK, GREY, RED, SERIES, STYLES, level_zeros, outside_legend, page, sides_by_unit
 from studies.loop_report import LoopPath, acts
 
 # Poses drawn: few enough to tell apart.
@@ -19,10 +19,10 @@ _INNER = (0.05, 0.95)
 _GROWN = 3.0
 # An inertia that changes by more than this factor along a path is drawn on a logarithmic axis.
 _LOGARITHMIC = 5.0
+# Springs that take less than this share of what is held are not drawn: rounding.
+_NO_SPRING = 1e-9
 # A legend of more lines than this would leave no room for the lines.
 _LEGEND = 12
-# Solid, dashed, dotted ...: lines of one panel that lie on one another stay visible.
-_STYLES = ("-", "--", ":", "-.")
 
 Line = tuple[str, np.ndarray, str]  # label, values (n,), unit
 
@@ -64,10 +64,12 @@ def _x(path: LoopPath) -> np.ndarray:
 
 
 def _draw(axes, path: LoopPath, lines: Sequence[Line], what: str, *, from_zero: bool = False, log: bool = False) -> None:
-    """Draw lines over the path, each against its unit; a note where there is none."""
+    """Draw lines over the path, each against its unit, of more than two units as shares; a note where there is none."""
+    if len({unit for *_, unit in lines}) > 2:
+        lines, what = shares(lines), f"{what}, of its largest"
     x, sides = _x(path), sides_by_unit(axes, what, [unit for *_, unit in lines])
     for k, (label, values, unit) in enumerate(lines):
-        look = {"color": SERIES[k % len(SERIES)], "linestyle": _STYLES[k % len(_STYLES)]}
+        look = {"color": SERIES[k % len(SERIES)], "linestyle": STYLES[k % len(STYLES)]}
         sides[unit].plot(x, values, **look)
         axes.plot([], [], label=label if len(set(sides.values())) == 1 else f"{label} [{unit}]", **look)
     for side in set(sides.values()):
@@ -82,6 +84,15 @@ def _draw(axes, path: LoopPath, lines: Sequence[Line], what: str, *, from_zero: 
     else:
         axes.set_ylabel(what)
         axes.text(0.5, 0.5, "none", transform=axes.transAxes, ha="center", color=GREY)
+
+
+def shares(lines: Sequence[Line]) -> list[Line]:
+    """Return lines as shares of their largest sizes, which their labels name."""
+    largest = [float(np.abs(values[np.isfinite(values)]).max(initial=0.0)) or 1.0 for _, values, _ in lines]
+    return [
+        (f"{label} (1 is {most:.3g}{'' if unit == '1' else f' {unit}'})", values / most, "1")
+        for (label, values, unit), most in zip(lines, largest, strict=True)
+    ]
 
 
 def _legend(axes) -> None:
@@ -144,10 +155,15 @@ def draw_reflected(axes, path: LoopPath) -> None:
 
 
 def draw_weight(axes, path: LoopPath) -> None:
-    """Draw the effort on each coordinate that holds the weight."""
+    """Draw the effort on each coordinate that holds weight and springs, and the weight's own where they differ."""
     joints = path.mechanism.independent_joints
-    lines = [(joint.name, path.gravity_effort[:, i], effort_unit(joint)) for i, joint in enumerate(joints)]
-    _draw(axes, path, lines, "holds the weight")
+    needed = np.einsum("ksu,ku->ks", path.ratio, path.holding_effort) + path.unheld_effort
+    lines = [(joint.name, needed[:, i], effort_unit(joint)) for i, joint in enumerate(joints)]
+    if np.abs(needed - path.gravity_effort).max() > _NO_SPRING * max(np.abs(needed).max(), np.finfo(float).tiny):
+        lines += [
+            (f"{joint.name}, weight alone", path.gravity_effort[:, i], effort_unit(joint)) for i, joint in enumerate(joints)
+        ]
+    _draw(axes, path, lines, "holds it still")
 
 
 def draw_available(axes, path: LoopPath) -> None:
@@ -158,7 +174,7 @@ def draw_available(axes, path: LoopPath) -> None:
     lines: dict = {side: [] for side in sides.values()}
     for i, joint in enumerate(joints):
         side, (low, high) = sides[effort_unit(joint)], path.available_effort[:, i].T
-        colour, style = SERIES[i % len(SERIES)], _STYLES[i % len(_STYLES)]
+        colour, style = SERIES[i % len(SERIES)], STYLES[i % len(STYLES)]
         if np.isfinite(path.available_effort[:, i]).all():
             side.fill_between(x, low, high, color=colour, alpha=0.15, linewidth=0)
         side.plot(x, np.column_stack([low, high]), color=colour, linestyle=style)

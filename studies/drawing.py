@@ -11,9 +11,12 @@ BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
 TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE}
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+# Solid, dashed, dotted ...: lines of one panel that lie on one another stay visible.
+STYLES = ("-", "--", ":", "-.")
 
-# A legend's row holds about so many letters over half of a page's width; what is longer goes on in a further row.
-_LETTERS_A_ROW = 56
+# A legend's row holds about so many letters over half of a wide page's width, or over a narrow page; what is longer goes
+# on in a further row.
+_LETTERS_A_ROW, _LETTERS_A_PAGE = 56, 76
 # What a legend's line and gaps take beside its text, in letters.
 _LETTERS_BESIDE = 8
 
@@ -42,11 +45,12 @@ def page(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] 
 
 
 def outside_legend(axes, *, narrow: bool = False, **options) -> None:
-    """Put a legend above the axes, where it hides no data: in one row, or in as many as half of a page's width asks for."""
+    """Put a legend above the axes, where it hides no data: in as many rows as the page, or half of it, asks for."""
     handles, labels = axes.get_legend_handles_labels()
     columns = max(1, len(labels))
-    if narrow and sum(len(label) + _LETTERS_BESIDE for label in labels) > _LETTERS_A_ROW:
-        columns = max(1, _LETTERS_A_ROW // (max(map(len, labels)) + _LETTERS_BESIDE))
+    room = _LETTERS_A_ROW if narrow else _LETTERS_A_PAGE
+    if sum(len(label) + _LETTERS_BESIDE for label in labels) > room:
+        columns = max(1, room // (max(map(len, labels)) + _LETTERS_BESIDE))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
 
 

@@ -9,15 +9,20 @@ from models.audit import audit
 from models.contacts import ContactPair, contact_pairs
 from models.errors import AssemblyError, ProblemError
 from models.mechanism import Joint, Mechanism
+from studies.contact_findings import contact_findings
+from studies.drives import AT_THE_END, NO_ARM, feeble_drives, pressed_stops, pushed_one_way, undriven
+from studies.loop_report import LoopPath
+from studies.softness import softness_note
 
 # A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
 OPEN_M = 1e-6
-# A joint stands at the end of its range within this [rad or m]: what assembly leaves.
-_AT_THE_END = 1e-8
+# A stop that takes less than this share of a joint's own range from it is meant: the two ranges say the same.
+_SHORT = 0.01
 # A direction of motion that the actuators reach by less than this share of the best-reached one is beyond them.
 _UNREACHED = 1e-9
-# An actuator does not drive a coordinate on which its effort is below this share of the largest: rounding.
-_NO_ARM = 1e-9
+# Toggle poses a turn apart are found to this [rad], and so many of a joint are listed; all are in the record.
+_SAME_POSE = 1e-6
+_TOGGLES = 4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -44,21 +49,31 @@ class Inspection:
     notes: tuple[str, ...]
 
 
-def inspect(mechanism: Mechanism, positions: list[dict[str, float]]) -> Inspection:
-    """Return the inspection of a mechanism, with a report at each of `positions` (joint name to position [rad or m])."""
+def inspect(
+    mechanism: Mechanism,
+    positions: list[dict[str, float]],
+    *,
+    motion: LoopPath | None = None,
+    contacts: str = "refuse",
+) -> Inspection:
+    """Return the inspection of a mechanism, with a report at each of `positions` (joint name to position [rad or m]).
+
+    Contacts are judged along a problem's `motion` where there is one, by its `contacts`.
+    """
     reaches = tuple(reach(mechanism, column) for column in range(mechanism.dof))
     poses = np.vstack([can.poses for can in reaches])
-    contacts = contact_pairs(mechanism, poses)
+    touching = contact_pairs(mechanism, poses)
     gap = max(mechanism.gap_m(mechanism.home), mechanism.home_gap_m if mechanism.home_gap_m > OPEN_M else 0.0)
-    problems, notes = _findings(mechanism, reaches, poses, contacts)
+    problems, notes = _findings(mechanism, reaches)
+    refused, noted = contact_findings(mechanism, touching, len(poses), motion, contacts)
     return Inspection(
         mechanism=mechanism,
         closure_gap_m=gap,
         reaches=reaches,
-        contacts=contacts,
+        contacts=touching,
         points=tuple(pose_report(mechanism, asked) for asked in positions),
-        problems=tuple(problems),
-        notes=tuple(notes),
+        problems=tuple(dict.fromkeys([*problems, *refused])),
+        notes=(*notes, *noted),
     )
 
 
@@ -91,26 +106,7 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
     )
 
 
-def _pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
-    """Return the sentence on an independent joint that actuators only push to one side, with nothing to bring it back."""
-    index, dynamics = int(mechanism.independent[column]), mechanism.dynamics
-    joint, model = mechanism.joints[index], mechanism.model
-    arms = np.array(dynamics.effort_map(mechanism.home))[column]
-    acting = [(a, arm) for a, arm in zip(mechanism.actuators, arms, strict=True) if abs(arm) > _NO_ARM * np.abs(arms).max()]
-    ends = np.array([sorted((arm * a.lower, arm * a.upper)) for a, arm in acting]).reshape(-1, 2)
-    if not len(ends) or (np.any(ends[:, 0] < 0) and np.any(ends[:, 1] > 0)):
-        return None
-    held = (
-        np.any(model.jnt_stiffness)
-        or np.abs(np.array(dynamics.gravity_effort(mechanism.home))[column]) > 0.01 * np.abs(ends).max()
-    )
-    if held:
-        return None
-    who = ", ".join(f"{a.name} ({a.lower:g} to {a.upper:g} {a.unit})" for a, _ in acting)
-    return f"joint {joint.name} moves freely: {who} pushes it one way only, and no spring or weight brings it back"
-
-
-def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str], list[str]]:
+def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     """Return the problems, and the notes on what is worth knowing but no fault, each a sentence."""
     problems, notes = [], []
     if mechanism.home_gap_m > OPEN_M:
@@ -119,30 +115,29 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
             " reference pose: the simulator snaps it shut, on whichever branch"
         )
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
-        if not joint.lower - _AT_THE_END <= x <= joint.upper + _AT_THE_END:
+        if not joint.lower - AT_THE_END <= x <= joint.upper + AT_THE_END:
             problems.append(
                 f"joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at home, outside its range {_range(joint)}"
             )
+    pressed = pressed_stops(mechanism)
+    problems += [] if pressed is None else [pressed]
     if not mechanism.closure_names:
         notes.append("the model has no active loop closure: it is an open tree")
+    soft = softness_note(mechanism)
+    notes += [] if soft is None else [soft]
     if mechanism.n_u == 0:
         problems.append("no actuator is one that a plan can use: nothing can be planned")
     notes += mechanism.notes
     reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
-    driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > _NO_ARM * reached.max()}
+    driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > NO_ARM * reached.max()}
     steerable = bool(driven) and _steerable(mechanism)
     for column, can in enumerate(reaches):
         index = int(mechanism.independent[column])
         joint = mechanism.joints[index]
         if driven and index not in driven and index not in mechanism.idle and mechanism.n_u < mechanism.dof:
-            if steerable:
-                notes.append(f"joint {joint.name} has no actuator: it is moved through the others only (underactuated)")
-            else:
-                damped = float(mechanism.model.dof_damping[index]) > 0
-                problems.append(
-                    f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}"
-                )
-        one_sided = _pushed_one_way(mechanism, column)
+            sentence, fault = undriven(mechanism, column, steerable=steerable)
+            (problems if fault else notes).append(sentence)
+        one_sided = pushed_one_way(mechanism, column)
         if one_sided is not None:
             problems.append(one_sided)
         for end in (can.lower, can.upper):
@@ -150,7 +145,10 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
                 other = mechanism.joints[end.joint]
                 stop = f"joint {other.name}'s range {_range(other)} stops the loop at {joint.name} ="
                 stop += f" {joint.shown(end.position):.4g} {joint.unit}"
-                if np.isfinite([joint.lower, joint.upper]).any():
+                own = joint.lower if end is can.lower else joint.upper
+                if np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
+                    joint.upper - joint.lower
+                ):
                     problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
                 else:  # the coordinate has no range of its own that says otherwise: the stop is meant
                     notes.append(stop)
@@ -158,19 +156,30 @@ def _findings(mechanism: Mechanism, reaches, poses, contacts) -> tuple[list[str]
             notes.append(
                 f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: there the loop ends or branches"
             )
-        for other, position in can.toggles:
-            notes.append(
-                f"toggle pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: joint"
-                f" {mechanism.joints[other].name} turns back there"
-            )
-    for pair in contacts:
-        problems.append(
-            f"geoms {pair.first} and {pair.second} touch in {len(pair.poses)} of {len(poses)} poses within reach, up to"
-            f" {1e3 * pair.depth_m:.2g} mm deep: contact forces are not planned for"
-        )
+        notes += _toggle_notes(mechanism, can) if index not in mechanism.idle else []
+    notes += feeble_drives(mechanism)
     for item in audit(mechanism.model):
-        (problems if item.falsifies else notes).append(f"not honoured: {item.text}")
-    return list(dict.fromkeys(problems)), notes
+        (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
+    return problems, notes
+
+
+def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
+    """Return the sentence on a coordinate's toggle poses, if it has any: for each dependent joint, where it turns back."""
+    joint = mechanism.joints[mechanism.independent[can.coordinate]]
+    turn = 2 * np.pi if can.turns_fully and joint.kind == "hinge" else np.inf
+    by_joint: dict[int, list[float]] = {}
+    for other, position in can.toggles:  # of a joint that turns fully, those of one turn
+        found = by_joint.setdefault(other, [])
+        known = [abs((position - one + turn / 2) % turn - turn / 2) if np.isfinite(turn) else np.inf for one in found]
+        if min(known, default=np.inf) > _SAME_POSE:
+            found.append(position)
+    said = []
+    for other, positions in by_joint.items():
+        first = ", ".join(f"{joint.shown(x):.5g}" for x in positions[:_TOGGLES])
+        more = f" and {len(positions) - _TOGGLES} more" if len(positions) > _TOGGLES else ""
+        said.append(f"joint {mechanism.joints[other].name} turns back at {joint.name} = {first}{more} {joint.unit}")
+    again = ", and again every turn" if np.isfinite(turn) else ""
+    return [f"toggle poses: {'; '.join(said)}{again}"] if said else []
 
 
 def _steerable(mechanism: Mechanism) -> bool:

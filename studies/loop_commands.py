@@ -36,9 +36,10 @@ def run_bode(arguments: argparse.Namespace) -> int:
             raise ProblemError(f"--amplitude-deg is a positive number, got {amplitude:g}")
         joint = mechanism.independent_joints[0]
         setup = Setup(method=arguments.measure, amplitude=None if amplitude is None else joint.read(amplitude))
+    poses, note = _asked(arguments, problem, mechanism, limit)
     study = bode_study(
         mechanism,
-        _asked(arguments, problem, mechanism),
+        poses,
         settings,
         limit,
         say,
@@ -47,6 +48,8 @@ def run_bode(arguments: argparse.Namespace) -> int:
         frequency_hz=_frequencies(arguments, settings),
     )
     said, texts = bode_record(study), [bode_text(study)]
+    said["note"] = note
+    texts += [f"note: {note}"] if note else []
     extras = [name for name in ("map", "large", "along") if getattr(arguments, name)]
     drawers = []
     for name in extras:
@@ -84,10 +87,11 @@ def run_tune(arguments: argparse.Namespace) -> int:
     )
     if mechanism.dof != 1:
         raise ProblemError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
-    points = [operating_point(mechanism, position, limit) for position in _asked(arguments, problem, mechanism)]
+    poses, note = _asked(arguments, problem, mechanism, limit)
+    points = [operating_point(mechanism, position, limit) for position in poses]
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
     found = tune(points, wanted, settings, timing, limit, law=arguments.tracker, say=say)
-    said = tune_record(found)
+    said, text = tune_record(found) | {"note": note}, tune_text(found) + (f"\nnote: {note}" if note else "")
     if target is not None:
         from studies.draw_tune import tune_figure
         from studies.tune import tracking_table
@@ -98,7 +102,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
             tune_figure(found, place / "tune.png")
 
         write_whole(target, write, "tune.json")
-    _show(arguments, said, tune_text(found))
+    _show(arguments, said, text)
     return DONE if found.found else NO
 
 
@@ -133,14 +137,16 @@ def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
     return settings
 
 
-def _asked(arguments: argparse.Namespace, problem: PlanningProblem | None, mechanism: Mechanism) -> np.ndarray:
-    """Return the independent positions to look at (n, n_s)."""
-    from studies.bode import default_positions
+def _asked(
+    arguments: argparse.Namespace, problem: PlanningProblem | None, mechanism: Mechanism, limit: np.ndarray
+) -> tuple[np.ndarray, str | None]:
+    """Return the independent positions to look at (n, n_s), and a sentence on how they were chosen where that matters."""
+    from studies.bode import default_poses
     from studies.loops import require_actuated
 
     require_actuated(mechanism)
     if not arguments.at_deg:
-        return default_positions(mechanism, _motion_range(problem))
+        return default_poses(mechanism, _motion_range(problem), limit)
     names = [joint.name for joint in mechanism.independent_joints]
     asked = _positions(arguments, mechanism)
     home = dict(zip(names, mechanism.home[mechanism.independent], strict=True))
@@ -150,7 +156,7 @@ def _asked(arguments: argparse.Namespace, problem: PlanningProblem | None, mecha
             raise ProblemError(
                 f"--at-deg names the independent joint{'s' * (len(names) > 1)} {', '.join(names)}; {wrong[0]} follows"
             )
-    return np.array([[(home | pose)[name] for name in names] for pose in asked])
+    return np.array([[(home | pose)[name] for name in names] for pose in asked]), None
 
 
 def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarray | None:

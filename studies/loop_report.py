@@ -106,6 +106,8 @@ def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[LoopP
     """Return the report over the reach of each independent joint, the others at home."""
     found = []
     for column, can in enumerate(reaches):
+        if int(mechanism.independent[column]) in mechanism.idle:
+            continue  # a rod that spins about its line changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""
         found.append(measure(mechanism, swept(mechanism, can), f"the reach of {name}{others}", coordinate=column))

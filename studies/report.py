@@ -78,8 +78,8 @@ def plan_text(plan: Plan) -> str:
     ]
     if certificate.integration_restarts:
         lines.append(
-            f"the motion is unstable: a small error grows more than ten thousandfold along it, {certificate.integration_restarts}"
-            " time(s) over; integration was begun anew as often, and nothing but feedback would follow this plan"
+            "the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can follow"
+            f" it; integration was begun anew {certificate.integration_restarts} time(s)"
         )
     kinds = {joint.kind for joint in problem.mechanism.independent_joints}
     if "hinge" in kinds:
@@ -103,7 +103,7 @@ def plan_text(plan: Plan) -> str:
         f"certificate: {'passed' if certificate.passed else 'NOT passed'}",
         table(["between the nodes", "worst", "unit"], rows),
     ]
-    lines += [f"not honoured: {text}" for text in not_honoured(plan)]
+    lines += [f"note: {text}" for text in not_honoured(plan)]
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""`make bench`: what plans cost and what is exact for it, beside a program written by hand; five minutes in all.
+"""`make bench`: what plans cost and what is exact for it, beside a program written by hand; eight minutes in all.
 
 Only ratios within one run mean anything on a shared machine; the medians beside them say what they are ratios of. Parts can
 be named: `python -m tests.bench peer shares`. Tables are printed, figures and CSV go to bench-results/, progress to stderr.
@@ -14,6 +14,7 @@ from tests.bench_peer import bench_peer, bench_plans, between_nodes
 from tests.bench_precision import bench_precision
 from tests.bench_scaling import bench_scaling
 from tests.bench_shares import bench_shares
+from tests.bench_sizes import bench_sizes
 
 __all__ = ["PARTS", "between_nodes", "main"]
 
@@ -22,6 +23,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "peer": bench_peer,
     "shares": bench_shares,
     "plans": bench_plans,
+    "sizes": lambda: bench_sizes(RESULTS),
     "loop": bench_loop,
     "measurement": bench_measurement,
     "scaling": lambda: bench_scaling(RESULTS),

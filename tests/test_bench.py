@@ -1,13 +1,19 @@
 """The yardsticks of `make bench`: they measure what they say, and a part that is not there is named."""
 
+import csv
+
 import numpy as np
 import pytest
 
+from models.mechanism import load_mechanism
+from planner.problem_file import load_problem
 from planner.solve import build_solver, run_solver
+from tests import bench_sizes
 from tests.bench import PARTS, between_nodes, main
 from tests.bench_shares import Timed
 from tests.bench_timing import GOAL, START, first_program
 from tests.peer import build_peer, drift
+from tests.planar import random_planar
 from tests.test_planner_plans import problem_of
 
 # A fourth-order scheme on twice the intervals: its error falls by 16; quadratic torques leave some of that.
@@ -47,3 +53,31 @@ def test_the_parts_of_a_solve_make_up_its_whole():
     assert parts["evaluation"] > 0
     assert parts["linear algebra"] > 0
     assert sum(parts.values()) == pytest.approx(solver.whole)
+
+
+def test_sizes_counts_bodies_loops_and_freedoms_and_writes_every_solve(tmp_path, monkeypatch):
+    wanted = ("knee-linear-reach", "cart-pole-swing-up")
+    monkeypatch.setattr(bench_sizes, "problems", lambda: map(load_problem, wanted))
+    text = bench_sizes.bench_sizes(tmp_path, (4, 8))
+    rows = list(csv.DictReader((tmp_path / "sizes.csv").open(encoding="utf-8")))
+    counted = {(row["problem"], row["bodies"], row["loops"], row["dof"]) for row in rows}
+    # Crank, coupler, rocker, barrel and rod; two loops on one pin. A cart and its pole.
+    assert counted == {("knee-linear-reach", "5", "2", "1"), ("cart-pole-swing-up", "2", "0", "2")}
+    assert [row["intervals"] for row in rows] == ["4", "8"] * 2
+    assert all(float(row["build [s]"]) > 0 and float(row["solve [s]"]) > 0 for row in rows)
+    assert "exponent" in text
+
+
+def test_a_fork_of_two_connects_is_one_loop():
+    forked = next(seed for seed in range(100) if "fork" in random_planar(seed).closures)
+    planar = random_planar(forked)
+    assert bench_sizes.n_loops(load_mechanism(planar.text)) == planar.n_loops
+
+
+def test_the_exponent_of_a_power_law_is_its_own():
+    sizes = [
+        bench_sizes.Size(intervals=n, build_s=3e-3 * n**1.25, solve_s=2.0, iterations=1, converged=True)
+        for n in (10, 20, 80)
+    ]
+    assert bench_sizes.exponent(sizes, "build_s") == pytest.approx(1.25)
+    assert bench_sizes.exponent(sizes, "solve_s") == pytest.approx(0.0, abs=1e-12)

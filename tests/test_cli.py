@@ -119,7 +119,7 @@ def test_check_speaks_to_people_too(ask):
     assert "1 degree of freedom" in out
     assert "rank 2" in out
     assert "singular pose at O = 78.522 deg" in out
-    assert "toggle pose at O = 61.433 deg" in out
+    assert "toggle poses: joint C turns back at O = 61.433 deg" in out
 
 
 def test_a_payload_set_on_the_command_line_reaches_the_inertia(ask_json):

@@ -69,7 +69,7 @@ REFUSALS = [
     (["bode", "optimus-knee", "--period-s", "-0.001"], ["--period-s", "-0.001"]),
     (["bode", "optimus-knee", "--along"], ["--along", "problem"]),
     (["bode", "optimus-knee", "--at-deg", "A=10"], ["independent", "O"]),
-    (["bode", "knee-reach", "--set", "limits.effort.act_O=[-2, 2]"], ["cannot be held", "act_O", "N.m"]),
+    (["bode", "knee-reach", "--set", "limits.effort.act_O=[-2, 2]", "--at-deg", "O=50"], ["cannot be held", "act_O", "N.m"]),
     (["tune", "optimus-knee"], ["--bandwidth-hz"]),
     (["tune", "optimus-knee", "--bandwidth-hz", "-5"], ["positive number of hertz"]),
     (["tune", "optimus-knee", "--bandwidth-hz", "6000"], ["Nyquist"]),

@@ -5,12 +5,14 @@ import warnings
 import control
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from controllers.sampling import sampling
+from models.assembly import close_at
 from models.library import built_in_text
 from models.mechanism import load_mechanism
 from planner.problem import Tracking
-from studies.bode import bode_study, default_positions
+from studies.bode import bode_study, default_poses
 from studies.bode_report import bode_record, bode_text
 from studies.excitation import Setup
 from studies.loops import SIMULATED, feedback_loop, law_gain, operating_point
@@ -82,7 +84,7 @@ def test_a_computing_delay_of_two_periods_and_a_half_is_measured_as_predicted():
 
 def test_the_study_names_the_worst_angle_and_says_how_well_the_two_agree():
     mechanism = load_mechanism("optimus-knee")
-    positions = default_positions(mechanism)[[0, 4]]
+    positions = default_poses(mechanism)[0][[1, 5]]
     study = bode_study(
         mechanism,
         positions,
@@ -93,7 +95,7 @@ def test_the_study_names_the_worst_angle_and_says_how_well_the_two_agree():
         scanned=7,
     )
     record, text = bode_record(study), bode_text(study)
-    # The inertia is least where the crank nears the end of its reach, and what a sampled damping gain meets is the inertia.
+    # Next to the singular end the inertia is fifty times what it is elsewhere, and the same gains leave it badly damped.
     scan = study.scans[0]
     assert scan.worst == len(scan.positions) - 1
     assert record["worst"]["O"]["disk_margin"] == pytest.approx(min(m.disk_margin for m in scan.margins))
@@ -138,3 +140,30 @@ def test_gain_and_phase_margins_are_python_controls(payload, kd, delay):
     assert found.crossover_hz == pytest.approx(crossover / (2 * np.pi), rel=1e-5)
     if found.gain_margin_db is not None and delay:
         assert found.gain_margin_db == pytest.approx(20 * np.log10(gain), abs=1e-3)
+
+
+def test_default_poses_reach_next_to_the_ends_of_the_reach():
+    mechanism = load_mechanism("optimus-knee")
+    poses, note = default_poses(mechanism)
+    low, high = -90.0, 78.52165904546642  # its own range, and the singular pose
+    assert np.degrees(poses[[0, -1], 0]) == pytest.approx([low + 0.01 * (high - low), high - 0.01 * (high - low)], abs=1e-6)
+    assert len(poses) == 7
+    assert note is None
+
+
+def test_default_poses_are_those_that_a_one_sided_actuator_can_hold():
+    """The gripper's cable only pulls: beyond where springs and weight balance it would have to push."""
+    mechanism = load_mechanism("parallel-gripper")
+    poses, note = default_poses(mechanism)
+    still = np.zeros(1)
+    for position in poses:
+        point = operating_point(mechanism, position)
+        assert 1.0 < point.hold[0] < 19.0  # a twentieth of its 20 N is left to either side
+
+    def torque(s: float) -> float:
+        return np.array(mechanism.dynamics.inverse_dynamics(close_at(mechanism, np.array([s])), still, still)).item()
+
+    assert torque(np.radians(-69.0)) < 0
+    first = brentq(lambda s: torque(s) - 1.0 * 2 * 0.008, np.radians(-69.0), np.radians(9.0))  # a newton on two pulleys
+    assert first < poses[0, 0] < first + np.radians(1.0)
+    assert "cannot hold" in note
