@@ -103,7 +103,7 @@ def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
 def margins(
     problem: PlanningProblem, trajectory: Trajectory, points: np.ndarray, time: np.ndarray, q, v, a, u
 ) -> tuple[Margin, ...]:
-    """Return what is left of every such limit of a problem along a motion, looked at `points` of each interval: times (n,)."""
+    """Return what is left of every such limit of a problem along a motion, looked at `points` of each interval."""
     mechanism, limits, found = problem.mechanism, problem.limits, []
     names = [actuator.name for actuator in mechanism.actuators]
 

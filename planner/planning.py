@@ -7,16 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.certificate import certify
 from planner.durations import SURELY, known_motion, longer, longest, may_swing
 from planner.finishing import finished
+from planner.first_mesh import PER_LEG, first_mesh
 from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of, swinging_guesses
 from planner.infeasibility import LeastLimit, effort_sentence, least_limit
+from planner.lengthening import LENGTHENING, SAVED, lengthened
 from planner.mechanism_case import case_of
-from planner.mesh import Mesh, broken, segmented, uniform
+from planner.mesh import Mesh
 from planner.phase_plane import least_time_guess, phase_plane_guess, stretched
 from planner.plan import Plan, Step
-from planner.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
+from planner.prescribed_plan import plan_prescribed
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem, SolverSettings
 from planner.refinement import Say, attempt, cut_mesh, refine, silent
@@ -29,8 +30,6 @@ __all__ = ["Say", "finished", "plan_motion", "silent"]
 # A mesh so many times coarser, and no coarser than that, is solved first where the fine one is not found from any start.
 _COARSER = 4
 _COARSEST = 6
-# Intervals that each swing of a start is given at least.
-_PER_LEG = 40
 # A least time beyond so many times that of the phase plane's motion is a local one.
 _SLOW = 1.002
 # A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
@@ -55,7 +54,7 @@ def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
     """
     start_pose = start_pose_of(problem)
     if problem.motion.kind == "track":
-        return _plan_prescribed(problem, start_pose, say)
+        return plan_prescribed(problem, start_pose, say)
     contradiction = plain_contradiction(problem)
     if contradiction is not None:
         return Plan(problem=problem, status="infeasible", message=contradiction)
@@ -65,6 +64,8 @@ def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
     else:
         plan = _first_of(problem, _in_turn(problem, start_pose), history, say)
         plan = _quicker(problem, plan, start_pose, history, say) or plan
+        if plan is None or (plan.certificate is not None and not plan.certificate.passed and not plan.certificate.contacts):
+            plan = _lengthened(problem, start_pose, history, say) or plan
     return plan or _explain(problem, first_guess(problem, start_pose), history, say)
 
 
@@ -81,7 +82,8 @@ def _in_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple
         if quickest.legs > 1 and list(problem.objective.weights) != ["time"]:
             swung = _least_time_motion(problem, quickest)
             if swung is not None:
-                yield "the least-time motion", swung
+                duration = problem.motion.duration_s or max(swung.duration_s, problem.motion.min_duration_s or 0.0)
+                yield "the least-time motion", replace(stretched(swung, duration), legs=quickest.legs)
         yield "the phase plane", phase_plane_guess(problem, start_pose, quickest)
     for swing in swinging_guesses(problem, start_pose):
         yield "a swing", swing
@@ -107,26 +109,38 @@ def _quicker(
 
 
 def _least_time_motion(problem: PlanningProblem, quickest: Guess) -> Guess | None:
-    """Return the motion of least time as a start for another objective, stretched to a fixed duration; None without one."""
+    """Return the motion of least time as a start for another objective; None without one."""
     motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
     free = replace(problem, objective="time", motion=motion, guess=None, solver=_patient(problem.solver))
     plan = _first_of(free, iter([("the phase plane", quickest)]), [], silent)
     if plan is None or plan.trajectory is None:
         return None
-    guess = motion_of(plan.trajectory)
-    duration = problem.motion.duration_s or max(guess.duration_s, problem.motion.min_duration_s or 0.0)
-    return replace(stretched(guess, duration), legs=quickest.legs)
+    return motion_of(plan.trajectory)
 
 
-def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
-    """Return the first mesh of a problem and its segments' durations [s] in a guess."""
-    n = n_intervals or max(problem.mesh.intervals, _PER_LEG * guess.legs if guess.legs > 1 else 0)
-    if guess.knots_s is not None:
-        durations = np.diff(guess.knots_s)
-        return segmented(durations, n, leg=np.arange(len(durations))), durations
-    if problem.mesh.breaks is not None and n_intervals is None:
-        return broken(problem.mesh.breaks), np.array([guess.duration_s])
-    return uniform(n), np.array([guess.duration_s])
+def _lengthened(problem: PlanningProblem, start_pose: np.ndarray, history: list[Step], say: Say) -> Plan | None:
+    """Return a plan reached from the motion of least time step by step; None where the phase plane knows of none."""
+    quickest = least_time_guess(problem, start_pose)
+    asks_for_time = list(problem.objective.weights) == ["time"]
+    if quickest is None or asks_for_time or longest(problem) < SURELY * quickest.duration_s:
+        return None
+    if history and history[-1].solver_status in (OUT_OF_TIME, INVALID):
+        return None
+    swung = _least_time_motion(problem, quickest)
+    n_intervals = max(2 * problem.mesh.intervals, PER_LEG * quickest.legs)
+    at = None if swung is None else lengthened(problem, swung, n_intervals, history, say)
+    if at is None:
+        return None
+    final = replace(problem, mesh=replace(problem.mesh, scheme=at.scheme), guess=None)
+    if at.enough:
+        final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
+    durations = np.array([at.start.duration_s])
+    found = attempt(case_of(final), at.start, at.mesh, durations, "at its full length", history, say, warm=True)
+    plan = None if found is None else _certified(final, found, at.mesh, history, say)
+    if plan is None or plan.status != "optimal":
+        return None
+    said = f"; its last {LENGTHENING - 1:.0%} of time saved less than {SAVED:.1%}, more was not tried" if at.enough else ""
+    return replace(plan, problem=problem, message=plan.message + said)
 
 
 def _first_of(
@@ -199,29 +213,6 @@ def _best_of(problem: PlanningProblem, start_pose: np.ndarray, history: list[Ste
             )
         failed = failed or plan
     return failed
-
-
-def _plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray, say: Say) -> Plan:
-    say("following the reference")
-    demand = reference_demand(problem, start_pose)
-    if demand is not None:
-        say("looking for the highest feasible frequency")
-        frequency = highest_frequency(problem, start_pose)
-        details = {"needed": demand.needed, "limit": demand.limit, "time_s": demand.time_s}
-        remedy = "no slower one keeps the limits"
-        if frequency is not None:
-            details["highest_frequency_hz"] = frequency
-            remedy = f"up to {rounded_down(frequency):g} Hz it keeps every limit"
-        return Plan(
-            problem=problem,
-            status="infeasible",
-            message=f"infeasible: {demand.sentence('following the reference exactly')}; at this amplitude {remedy};"
-            ' motion.kind = "periodic" plans the nearest motion that keeps them',
-            details=details,
-        )
-    trajectory = prescribe(problem, start_pose)
-    certificate = certify(problem, trajectory)
-    return finished(problem, trajectory, certificate, 0.0, [], "the reference keeps every limit and is followed exactly")
 
 
 def _certified(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say) -> Plan:

@@ -175,9 +175,11 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         over = _overrunning(case, certificate, mesh)
         if over.any() and case.least_time and turn and turn % 2 == 0 and again < _AGAIN and not _all_held(arcs):
             again += 1
-            found = settle_switches(kept, motion, solution, mesh, history, say, position_rows=position_rows, arcs=arcs)
-            if found[1] is not solution:
-                motion, solution, mesh, arcs = found
+            settled_again = settle_switches(
+                kept, motion, solution, mesh, history, say, position_rows=position_rows, arcs=arcs
+            )
+            if settled_again[1] is not solution:
+                motion, solution, mesh, arcs = settled_again
                 certificate = _certify(case, motion, history)
                 continue
         if not settled and not (marked | over).any():

@@ -9,12 +9,12 @@ import numpy as np
 
 from models.assembly import follow
 from models.contacts import Meeting, may_collide, meetings, new_meetings
-from planner.certificate import SAMPLES_PER_INTERVAL, Certificate
+from planner.certificate import Certificate
 from planner.problem import PlanningProblem
 from planner.trajectory import Trajectory
 
-# Poses looked at on a fine mesh; between them it is looked where geoms come near.
-_LOOKS = 5000
+# Poses looked at on an interval, and on a fine mesh in all; between them it is looked where geoms come near.
+_PER_INTERVAL, _LOOKS = 12, 5000
 
 
 def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
@@ -25,7 +25,7 @@ def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate:
     if not may_collide(problem.mechanism.model):
         return certificate
     n = len(trajectory.breaks_s) - 1
-    time = np.unique(trajectory.dense_times(max(1, min(SAMPLES_PER_INTERVAL, _LOOKS // n))))
+    time = np.unique(trajectory.dense_times(max(1, min(_PER_INTERVAL, _LOOKS // n))))
     poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
     found = meetings(problem.mechanism, time, poses, trajectory.position_at)
     failures = certificate.failures

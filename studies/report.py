@@ -78,8 +78,8 @@ def plan_text(plan: Plan) -> str:
     ]
     if certificate.integration_restarts:
         lines.append(
-            "the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can follow"
-            f" it; integration was begun anew {certificate.integration_restarts} time(s)"
+            "the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
+            f" follow it; integration was begun anew {certificate.integration_restarts} time(s)"
         )
     kinds = {joint.kind for joint in problem.mechanism.independent_joints}
     if "hinge" in kinds:
