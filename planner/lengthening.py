@@ -45,7 +45,7 @@ class Lengthened:
 def lengthened(
     problem: PlanningProblem, quickest: Guess, n_intervals: int, history: list[Step], say: Say
 ) -> Lengthened | None:
-    """Return the motion that a problem's objective prefers, reached from one of least time; None where it is lost on the way.
+    """Return the motion that a problem's objective prefers, reached from one of least time; None where it is lost.
 
     Args:
         problem: of a fixed duration, or of a free one.
@@ -96,7 +96,7 @@ def _step(
     durations = np.bincount(at.mesh.segment, weights=at.mesh.fraction) * start.duration_s
     what = f"the least-time motion lengthened to {longest:.4g} s"
     found = attempt(case, start, at.mesh, durations, what, history, say, warm=True)
-    refined = None if found is None else refine(case, found, at.mesh, history, say)
+    refined = None if found is None else refine(case, found, at.mesh, history, say, warm=True)
     if refined is None or not refined[2].passed:
         return None
     trajectory, solution, _, _ = refined

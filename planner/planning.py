@@ -64,7 +64,7 @@ def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
     else:
         plan = _first_of(problem, _in_turn(problem, start_pose), history, say)
         plan = _quicker(problem, plan, start_pose, history, say) or plan
-        if plan is None or (plan.certificate is not None and not plan.certificate.passed and not plan.certificate.contacts):
+        if plan is None or _unsound(plan):
             plan = _lengthened(problem, start_pose, history, say) or plan
     return plan or _explain(problem, first_guess(problem, start_pose), history, say)
 
@@ -121,10 +121,8 @@ def _least_time_motion(problem: PlanningProblem, quickest: Guess) -> Guess | Non
 def _lengthened(problem: PlanningProblem, start_pose: np.ndarray, history: list[Step], say: Say) -> Plan | None:
     """Return a plan reached from the motion of least time step by step; None where the phase plane knows of none."""
     quickest = least_time_guess(problem, start_pose)
-    asks_for_time = list(problem.objective.weights) == ["time"]
-    if quickest is None or asks_for_time or longest(problem) < SURELY * quickest.duration_s:
-        return None
-    if history and history[-1].solver_status in (OUT_OF_TIME, INVALID):
+    ended = list(problem.objective.weights) == ["time"] or (history and history[-1].solver_status in (OUT_OF_TIME, INVALID))
+    if quickest is None or ended or longest(problem) < SURELY * quickest.duration_s:
         return None
     swung = _least_time_motion(problem, quickest)
     n_intervals = max(2 * problem.mesh.intervals, PER_LEG * quickest.legs)
@@ -136,7 +134,7 @@ def _lengthened(problem: PlanningProblem, start_pose: np.ndarray, history: list[
         final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
     durations = np.array([at.start.duration_s])
     found = attempt(case_of(final), at.start, at.mesh, durations, "at its full length", history, say, warm=True)
-    plan = None if found is None else _certified(final, found, at.mesh, history, say)
+    plan = None if found is None else _certified(final, found, at.mesh, history, say, warm=True)
     if plan is None or plan.status != "optimal":
         return None
     said = f"; its last {LENGTHENING - 1:.0%} of time saved less than {SAVED:.1%}, more was not tried" if at.enough else ""
@@ -176,6 +174,9 @@ def _first_of(
         if away is not None:
             return Plan(problem=problem, status="failed", message=away, history=tuple(history))
         plan = _certified(problem, found, mesh, history, say)
+        if _unsound(plan):
+            again = _certified(problem, found, mesh, history, say, warm=True)
+            plan = again if again.status == "optimal" else plan
         if plan.status == "failed":
             plan = _plainer(problem, plan, found, mesh, history, say) or plan
         if plan.status == "optimal":
@@ -215,10 +216,15 @@ def _best_of(problem: PlanningProblem, start_pose: np.ndarray, history: list[Ste
     return failed
 
 
-def _certified(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say) -> Plan:
+def _unsound(plan: Plan) -> bool:
+    """Return whether a motion's certificate does not pass, for other reasons than contacts."""
+    return plan.certificate is not None and not plan.certificate.passed and not plan.certificate.contacts
+
+
+def _certified(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say, *, warm: bool = False) -> Plan:
     """Return the plan of a solution, refined until its certificate passes."""
     case = case_of(problem)
-    refined = refine(case, found, mesh, history, say)
+    refined = refine(case, found, mesh, history, say, warm=warm)
     if refined is None:
         return Plan(
             problem=problem,

@@ -147,11 +147,12 @@ def step_of(what: str, transcribed: Transcribed, solution: Solution) -> Step:
     )
 
 
-def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[Step], say: Say):
+def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[Step], say: Say, *, warm: bool = False):
     """Return the best motion towards the tolerance: (motion, solution, certificate, settled), or None without a certificate.
 
     The certificate may not pass: then the motion is the last one tried. `settled` says whether the objective has, where
-    that is asked for.
+    that is asked for. Warm, finer meshes are solved from next to the coarser one's answer: less exact, but a motion that is
+    unstable is not lost on the way.
     """
     motion, solution = found
     arcs: dict[str, Any] = {}
@@ -209,7 +210,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         mesh = halved(mesh, marked)
         durations = np.bincount(mesh.segment, weights=_widths(motion, marked))
         start = kept.start_from(motion)
-        finer = attempt(kept, start, mesh, durations, what, history, say, warm=True, position_rows=position_rows, **arcs)
+        finer = attempt(kept, start, mesh, durations, what, history, say, warm=warm, position_rows=position_rows, **arcs)
         if finer is None:
             break
         motion, solution = finer
