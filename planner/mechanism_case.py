@@ -49,9 +49,10 @@ class MechanismCase:
         return self.asked.limits.effort
 
     @property
-    def least_time(self) -> bool:
-        """Whether switches are looked for: the objective is nothing but time, and no limit but effort shapes its arcs."""
-        return self.problem.objective.has("time") and not self.problem.objective.has("effort_rate")
+    def switches(self) -> bool:
+        """Whether switches are looked for: time and work are least with efforts that jump between limits, none, and arcs."""
+        objective = self.problem.objective
+        return (objective.has("time") or objective.has("work")) and not objective.has("effort_rate")
 
     @property
     def tolerance_given(self) -> bool:

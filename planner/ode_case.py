@@ -48,7 +48,7 @@ class OdeCase:
         return self.asked.effort_limit
 
     @property
-    def least_time(self) -> bool:
+    def switches(self) -> bool:
         """Whether switches are looked for: wherever an effort has two limits to jump between."""
         return not self.cut and bool(np.any(np.all(np.isfinite(self.asked.effort_limit), axis=1)))
 

@@ -116,7 +116,7 @@ def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -
         reference=reference,
         guess=_guess(section["guess"], mechanism, folder),
         contacts=word(section["limits"], "limits.contacts", CONTACTS, "refuse"),
-        mesh=_mesh(section["mesh"]),
+        mesh=_mesh(section["mesh"], objective),
         solver=_solver(section["solver"]),
         tracking=_tracking(section["tracking"]),
         source=tables,
@@ -254,8 +254,9 @@ def _guess(section: dict, mechanism: Mechanism, folder: Path | None) -> Sketch |
     return Sketch(path=np.array(columns).T, duration_s=duration)
 
 
-def _mesh(section: dict) -> MeshSettings:
-    default = MeshSettings()
+def _mesh(section: dict, objective: Objective) -> MeshSettings:
+    # Least work pushes in full, coasts and brakes in full: a polynomial smears that, and is charged at its nodes alone.
+    default = MeshSettings(effort="constant" if list(objective.weights) == ["work"] else MeshSettings().effort)
     name = section.get("scheme", default.scheme)
     intervals = whole(section.get("intervals", default.intervals), "mesh.intervals", 2, MAX_INTERVALS)
     effort = section.get("effort", default.effort)

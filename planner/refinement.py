@@ -63,7 +63,7 @@ class Case(Protocol):
     mesh: MeshSettings
     solver: SolverSettings
     effort_limit: np.ndarray  # (n_u, 2)
-    least_time: bool  # whether time is in the objective: switches are then looked for
+    switches: bool  # whether efforts may jump between their limits: cuts are then looked for
     tolerance_given: bool  # whether the user asked for a tolerance
     objective_tolerance: float | None  # on the objective's change from mesh to mesh, relative
 
@@ -156,7 +156,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     """
     motion, solution = found
     arcs: dict[str, Any] = {}
-    if case.least_time:
+    if case.switches:
         motion, solution, mesh, arcs = settle_switches(case, motion, solution, mesh, history, say)
     certificate = _certify(case, motion, history)
     position_rows, kept, finest = False, case, _MOST * case.mesh.intervals
@@ -174,7 +174,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         position_rows = position_rows or certificate is None or case.leaves_positions(certificate)
         marked = _marked(mesh, certificate, case.strictness())
         over = _overrunning(case, certificate, mesh)
-        if over.any() and case.least_time and turn and turn % 2 == 0 and again < _AGAIN and not _all_held(arcs):
+        if over.any() and case.switches and turn and turn % 2 == 0 and again < _AGAIN and not _all_held(arcs):
             again += 1
             settled_again = settle_switches(
                 kept, motion, solution, mesh, history, say, position_rows=position_rows, arcs=arcs
@@ -186,7 +186,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         if not settled and not (marked | over).any():
             marked = _rough(motion)
         higher = _higher_on_arcs(kept, certificate, mesh, over, arcs)
-        if over.any() and case.least_time and not _all_held(arcs):
+        if over.any() and case.switches and not _all_held(arcs):
             marked = over  # an arc that is shorter than an interval must be seen before it can be cut out
         else:
             higher = higher or _higher(kept, certificate, marked)
@@ -214,7 +214,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         if finer is None:
             break
         motion, solution = finer
-        if position_rows and not begun and case.least_time:
+        if position_rows and not begun and case.switches:
             motion, solution, mesh, arcs = settle_switches(kept, motion, solution, mesh, history, say, position_rows=True)
         certificate = _certify(case, motion, history)
     if passed is not None and (certificate is None or not certificate.passed):
@@ -277,7 +277,7 @@ def _higher_on_arcs(case: Case, certificate: Any | None, mesh: Mesh, over: np.nd
     """Return the transcription of higher degree where motions along limits overrun them evenly: the arcs are smooth."""
     if certificate is None or not over.any():
         return None
-    if case.least_time and (not arcs or not np.all(arcs["held"][mesh.segment[over]].any(axis=1))):
+    if case.switches and (not arcs or not np.all(arcs["held"][mesh.segment[over]].any(axis=1))):
         return None  # an arc that is not held may end inside an interval, which wants to be cut
     overrun = case.overrun(certificate)[over]
     even = len(overrun) >= _AN_ARC and overrun.max() <= _STANDS_OUT * float(np.median(overrun))

@@ -123,9 +123,8 @@ ODE_LIMIT = 1e-8
 ODE_KINKED = 1e-6
 # Singular arcs: the cost is flat in the effort, which may chatter; the cost itself is met to its second order.
 ODE_SINGULAR = 1e-6
-# Positive work, relative: the small weight on effort rates that keeps it from chattering, and its kink where power changes
-# sign. Measured 2e-3.
-LEAST_WORK = 5e-3
+# Positive work with efforts constant over intervals and cuts where they jump, relative. Measured 7e-8.
+LEAST_WORK = 1e-6
 SMOOTHED = 1e-3
 WORK_INTEGRAL = 2e-3
 # A term of the objective against Gauss's rule along the motion, relative: both exact for the effort's polynomials.
