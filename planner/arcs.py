@@ -28,11 +28,12 @@ def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()[: n * interval.n_rows].reshape(n, -1)
     n_f = interval.n_equations + n_path
     values = rows[:, interval.n_own : interval.n_own + m * n_f].reshape(n, m, n_f)[:, :, interval.n_equations :]
-    size = np.where(np.isfinite(limit), np.abs(limit), 0.0).max(axis=1)
-    slack = _AT_LIMIT * np.where(size > 0, size, np.abs(values).max(axis=(0, 1)))
+    # Of each of its two ends by itself: 900 W may stand beside a million.
+    size = np.where(np.isfinite(limit), np.abs(limit), 0.0)
+    slack = _AT_LIMIT * np.where(size > 0, size, np.abs(values).max(axis=(0, 1))[:, None])
     may = (limit[:, 0] < limit[:, 1]) & np.array([kind != "work" for kind in interval.node_kinds[interval.n_equations :]])
-    upper = np.all(values > limit[:, 1] - slack, axis=1) & may
-    lower = np.all(values < limit[:, 0] + slack, axis=1) & may
+    upper = np.all(values > limit[:, 1] - slack[:, 1], axis=1) & may
+    lower = np.all(values < limit[:, 0] + slack[:, 0], axis=1) & may
     return upper.astype(int) - lower.astype(int)
 
 

@@ -28,7 +28,11 @@ CASES += [
     ("time", 2, "radau-2", True, False, False),
     ("effort", 1, "radau-3", False, False, True),
     ("effort", 2, "radau-3", True, True, True),
+    # Limits that jump with the effort are looked at where no node stands: Radau's left end, both of Gauss's.
+    ("effort", 2, "radau-3", "jumping", False, False),
+    ("time", 1, "gauss-2", "jumping", True, False),
 ]
+JUMPING = ("limits.power_w.act_O=500", "limits.closure_force.B=20", "limits.speed_deg_s.C=[-1500,1600]")
 
 
 def name_of(case: tuple) -> str:
@@ -42,7 +46,12 @@ def built(case: tuple) -> Transcribed:
     objective, segments, scheme, speeds, positions, least = case
     plan = planned(BASES[objective])
     # Interpreted: compiled functions cannot be differentiated again, which is how the assembled derivatives are judged.
-    settings = ("mesh.scheme=" + scheme, "mesh.intervals=6", "solver.compile=never", *(SPEEDS if speeds else ()))
+    settings = (
+        "mesh.scheme=" + scheme,
+        "mesh.intervals=6",
+        "solver.compile=never",
+        *({True: SPEEDS, "jumping": JUMPING}.get(speeds, ())),
+    )
     problem = problem_of(BASES[objective], *settings)
     duration = plan.trajectory.duration_s
     durations = duration * (np.array([1.0]) if segments == 1 else np.array([0.4, 0.6]))
@@ -140,7 +149,7 @@ def test_the_last_rows_are_the_linear_ones(case):
 def test_every_unknown_has_one_place(case):
     layout = built(case).program.layout
     places = [layout.states()[:, :], layout.acceleration(), layout.dependent(), layout.effort()]
-    places += [layout.durations(), layout.extra()]
+    places += [layout.durations(), layout.extra(), layout.looked()]
     np.testing.assert_array_equal(np.sort(np.concatenate([p.ravel() for p in places])), np.arange(layout.size))
 
 

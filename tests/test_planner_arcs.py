@@ -1,0 +1,100 @@
+"""Arcs along path limits: cut out, held at the limit, and exact; ends at which no node stands are looked at."""
+
+import numpy as np
+import pytest
+
+from planner.arcs import arc_ends, free_ends, held_paths, path_arcs
+from planner.planning import plan_motion
+from planner.problem_file import problem_from_tables
+from planner.schemes import NAMES, scheme
+from planner.switches import find_cuts
+from planner.trajectory import Trajectory
+from tests.fourbar_problems import random_case
+from tests.test_planner_plans import optimal
+from tests.tolerances_planner import LEAST_TIME_ON_ARCS, UNIT
+
+NAN = np.nan
+
+
+@pytest.mark.parametrize("number", [62, 92, 136])
+def test_a_speed_limit_on_a_dependent_joint_is_followed_in_the_least_time(number):
+    """The phase plane's trapezia know the least time of a four-bar whose coupler or rocker may only turn so fast."""
+    case = random_case(1, number)
+    assert case.kind == "speed limit"
+    assert case.notes["limited"] != "O"
+    plan = plan_motion(problem_from_tables("limited", case.tables))
+    assert plan.status == "optimal", plan.message
+    assert plan.trajectory.duration_s == pytest.approx(case.duration, rel=LEAST_TIME_ON_ARCS)
+
+
+def test_a_plan_along_a_power_limit_is_at_it_at_all_nodes_of_an_arc_and_nowhere_else():
+    plan = optimal("knee-sprint", "limits.power_w.act_O=[-1e6,900]")
+    arcs = path_arcs(plan.solved, plan.solved.start)
+    assert arcs.shape[1] == 1
+    assert set(np.unique(arcs)) == {0, 1}
+    held = np.flatnonzero(arcs[:, 0])
+    np.testing.assert_array_equal(np.diff(held), 1)  # one arc
+    motion = plan.trajectory
+    gear = plan.problem.mechanism.actuators[0].gear
+    at = np.flatnonzero(arcs[:, 0])[[0, -1]]
+    inside = np.linspace(motion.breaks_s[at[0]], motion.breaks_s[at[1] + 1], 500)[1:-1]
+    power = motion.effort_at(inside)[:, 0] * gear * motion.velocity_at(inside)[:, 0]
+    np.testing.assert_allclose(power, 900.0, rtol=1e-6)
+    before = np.linspace(motion.breaks_s[0], motion.breaks_s[at[0]], 100)[:-1]
+    assert (motion.effort_at(before)[:, 0] * gear * motion.velocity_at(before)[:, 0]).max() < 900.0
+
+
+def test_ends_of_arcs_are_cuts_but_for_those_near_a_cut_or_a_knot():
+    arcs = np.zeros((20, 1), dtype=int)
+    arcs[8:14] = 1
+    breaks = np.linspace(0.0, 2.0, 21)
+    knots = breaks[[0, -1]]
+    np.testing.assert_allclose(arc_ends(arcs, breaks, np.array([]), knots), [0.8, 1.4])
+    np.testing.assert_allclose(arc_ends(arcs, breaks, np.array([0.85]), knots), [1.4])
+    np.testing.assert_allclose(arc_ends(arcs[8:], breaks[8:] - 0.8, np.array([]), np.array([0.0, 1.2])), [0.6])
+
+
+def test_segments_hold_what_all_their_inner_intervals_follow_and_no_more_than_efforts_are_free():
+    breaks = np.linspace(0.0, 1.0, 11)
+    arcs = np.zeros((10, 2), dtype=int)
+    arcs[2:6, 0], arcs[6:, 1] = 1, -1
+    arcs[6:, 0] = 1
+    pinned = np.array([[NAN], [NAN], [NAN]])
+    held = held_paths(arcs, breaks, np.array([0.0, 0.2, 0.6, 1.0]), pinned)
+    np.testing.assert_array_equal(held, [[0, 0], [1, 0], [1, 0]])  # one effort bears one path quantity
+    pinned[1] = 3.0
+    assert not held_paths(arcs, breaks, np.array([0.0, 0.2, 0.6, 1.0]), pinned)[1].any()
+
+
+def test_the_ends_of_a_held_arc_are_split_off_and_free():
+    cuts, loose = free_ends(np.array([0.0, 1.0, 3.0]), np.array([[2.0], [NAN]]), np.array([[0], [1]]))
+    np.testing.assert_allclose(cuts, [1.3, 2.7])
+    np.testing.assert_array_equal(loose["held"], [[0], [0], [1], [0]])
+    np.testing.assert_array_equal(np.isnan(loose["pinned"]).ravel(), [False, True, True, True])
+
+
+def test_a_short_arc_along_a_path_limit_is_no_smeared_switch():
+    efforts = np.array([1.0, 1.0, 1.0, 1.0, 0.4, 0.2, -1.0, -1.0, -1.0, -1.0])
+    breaks = np.linspace(0.0, 1.0, 11)
+    flat = np.zeros((3, 10, 1))
+    motion = Trajectory(
+        breaks_s=breaks,
+        position=flat,
+        velocity=flat[:2],
+        effort=efforts.reshape(1, 10, 1),
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+    limit, on_path = np.array([[-1.0, 1.0]]), np.isin(np.arange(10), [4, 5])
+    assert len(find_cuts(motion, limit)) == 1
+    np.testing.assert_allclose(find_cuts(motion, limit, on_path=on_path), [0.4, 0.6])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_polynomials_are_taken_to_the_ends_at_which_no_node_stands(name):
+    constants = scheme(name)
+    ends = np.array(constants.open_ends, dtype=float)
+    expected = {"radau": [0.0], "gauss": [0.0, 1.0]}.get(name.split("-")[0], [])
+    np.testing.assert_array_equal(ends, expected)
+    for power in range(constants.n_nodes):
+        np.testing.assert_allclose(constants.at_open_ends @ constants.nodes**power, ends**power, atol=UNIT * 1e3)
