@@ -19,7 +19,7 @@ from planner.phase_plane import least_time_guess, phase_plane_guess, stretched
 from planner.plan import Plan, Step
 from planner.prescribed_plan import plan_prescribed
 from planner.presolve import plain_contradiction, start_pose_of
-from planner.problem import PlanningProblem, SolverSettings
+from planner.problem import PlanningProblem
 from planner.refinement import Say, attempt, cut_mesh, refine, silent
 from planner.relaxation import RELAXABLE, least_of, violated_sentence, without
 from planner.solve import INVALID, OUT_OF_TIME
@@ -34,8 +34,6 @@ _COARSEST = 6
 _SLOW = 1.002
 # A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
 _WORTH = 0.999
-# Iterations for solves that only look for the reason.
-_ITERATIONS = 200
 # Bends tried after the first failure, where the user asks for no further starts.
 _BENDS = 3
 # Bends looked at for one that closes the loops, per one that is wanted.
@@ -57,7 +55,10 @@ def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
         return plan_prescribed(problem, start_pose, say)
     contradiction = plain_contradiction(problem)
     if contradiction is not None:
-        return Plan(problem=problem, status="infeasible", message=contradiction)
+        details: dict[str, float] = {}
+        longer_would_do = plain_contradiction(replace(problem, motion=replace(problem.motion, duration_s=None))) is None
+        message = contradiction + (_shortest(problem, details, say) if longer_would_do else "")
+        return Plan(problem=problem, status="infeasible", message=message, details=details)
     history: list[Step] = []
     if problem.solver.starts > 1:
         plan = _best_of(problem, start_pose, history, say)
@@ -111,7 +112,7 @@ def _quicker(
 def _least_time_motion(problem: PlanningProblem, quickest: Guess) -> Guess | None:
     """Return the motion of least time as a start for another objective; None without one."""
     motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
-    free = replace(problem, objective="time", motion=motion, guess=None, solver=_patient(problem.solver))
+    free = replace(problem, objective="time", motion=motion, guess=None, solver=problem.solver.hurried())
     plan = _first_of(free, iter([("the phase plane", quickest)]), [], silent)
     if plan is None or plan.trajectory is None:
         return None
@@ -156,7 +157,7 @@ def _first_of(
             continue
         mesh, durations = first_mesh(problem, guess)
         word = "first solve" if number == 0 else f"start from {what}"
-        patient = problem if number == 0 else replace(problem, solver=_patient(problem.solver))
+        patient = problem if number == 0 else replace(problem, solver=problem.solver.hurried())
         found = attempt(case_of(patient), guess, mesh, durations, word, history, say)
         if guess.cuts_s is not None and list(problem.objective.weights) == ["time"]:
             # Its switches are known: with cuts there and efforts held between them, the instants alone are to be found.
@@ -252,7 +253,7 @@ def _plainer(problem: PlanningProblem, plan: Plan, found, mesh: Mesh, history: l
     overrun = plan.certificate is not None and not all(margin.kept for margin in plan.certificate.margins)
     if problem.mesh.effort != "polynomial" or not overrun:
         return None
-    plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=_patient(problem.solver))
+    plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=problem.solver.hurried())
     durations = np.bincount(mesh.segment, np.diff(found[0].breaks_s))
     what = "efforts constant over intervals"
     again = attempt(case_of(plain), motion_of(found[0]), mesh, durations, what, history, say)
@@ -270,7 +271,7 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         reason = f"failed: {stopped[history[-1].solver_status]}"
         return Plan(problem=problem, status="failed", message=reason, history=tuple(history))
     # A motion that exists is found in tens of iterations; what forbids one is not worth a thousand.
-    asked, problem = problem, replace(problem, solver=_patient(problem.solver))
+    asked, problem = problem, replace(problem, solver=problem.solver.hurried())
     case, mesh = case_of(problem), first_mesh(problem, guess)[0]
     if mesh.n_intervals > _COARSER * _COARSEST:
         coarse, lengths = first_mesh(problem, guess, mesh.n_intervals // _COARSER)
@@ -333,15 +334,6 @@ def _explain_together(
     sentence, details = effort_sentence(bare, least)
     message = f"infeasible: even without its other limits, {sentence}{_shortest(problem, details, say)}"
     return Plan(problem=problem, status="infeasible", message=message, history=tuple(history), details=details)
-
-
-def _patient(settings: SolverSettings) -> SolverSettings:
-    """Return settings for solves that look for a reason: few iterations.
-
-    What the cache of compiled functions has is used as ever, but nothing is compiled for them: each is another program, and
-    compiling one costs more than its solve.
-    """
-    return replace(settings, max_iterations=_ITERATIONS)
 
 
 def _without(problem: PlanningProblem, what: str, guess: Guess, history: list[Step], say: Say) -> Plan | None:

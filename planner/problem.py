@@ -63,6 +63,10 @@ class MeshSettings:
             object.__setattr__(self, "breaks", breaks)
 
 
+# Iterations for solves that only look for the reason.
+_HURRIED = 200
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SolverSettings:
     """How a program is solved: by which solver, compiled or not, in how many starts, and how long it may take [s].
@@ -76,6 +80,14 @@ class SolverSettings:
     max_time_s: float = 600.0
     starts: int = 1
     max_iterations: int | None = None  # None: as many as a hard problem takes
+
+    def hurried(self) -> "SolverSettings":
+        """Return settings for solves that look for a reason: few iterations.
+
+        What the cache of compiled functions has is used as ever, but nothing is compiled for them: each is another program,
+        and compiling one costs more than its solve.
+        """
+        return replace(self, max_iterations=_HURRIED)
 
 
 SOLVERS = ("ipopt", "fatrop")

@@ -138,9 +138,9 @@ FURTHER_LIMIT = 1e-8
 BINDS = 1e-3
 # Least time along arcs that are held at a path limit, relative: what limits are drawn in by. Measured 6e-7.
 LEAST_TIME_ON_ARCS = 2e-6
-# Least time where arcs on a limit meet arcs at the effort's: kinks of the effort stand on no cut, and the limit is drawn in
-# by more than it was overrun, relative. Measured 1.3e-4.
-TIME_WITH_ARCS = 2e-4
+# Least time where arcs on a limit meet arcs at the effort's, relative: exact where they are held (4e-11 on power), and what
+# the convex hull of a motor's line keeps off it. Measured 6e-7.
+TIME_WITH_ARCS = 2e-6
 # Least effort by a waypoint at a free instant against scipy's minimum over instant and speed, relative: scipy's own 1e-9.
 WAYPOINT_EFFORT = 1e-7
 # An effort at the very start of a motion, absolute, of order one: a polynomial's end, of lower order than its nodes.
