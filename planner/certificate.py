@@ -75,12 +75,18 @@ class Certificate:
     residual_share: np.ndarray  # (n_intervals,) of the dynamics residual, in shares of what is allowed
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
+    unmendable: tuple[str, ...] = ()  # those of the failures that no other mesh mends: a servo's range, contacts
     contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see planner.touching
 
     @property
     def passed(self) -> bool:
         """Whether everything holds."""
         return not self.failures
+
+    @property
+    def mendable(self) -> bool:
+        """Whether there are failures that another mesh may mend."""
+        return any(failure not in self.unmendable for failure in self.failures)
 
 
 def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
@@ -156,13 +162,14 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
                 )
     servos = any(a.is_servo for a in mechanism.actuators)
     cut = control_excess(mechanism, q, v, u) if servos else np.zeros_like(u)
+    unmendable = []
     for j in np.flatnonzero(cut.max(axis=0) > RANGE_SLACK):
         at = int(np.argmax(cut[:, j]))
-        failures.append(
+        unmendable.append(
             f"{mechanism.actuators[j].name} would need a ctrl {cut[at, j]:.3g} beyond its range at t = {time[at]:.4g} s to"
             " give the planned effort"
         )
-    failures += [margin.sentence() for margin in others if not margin.kept]
+    failures += unmendable + [margin.sentence() for margin in others if not margin.kept]
     return Certificate(
         effort_excess=effort_excess,
         inverse_dynamics_excess=inverse_excess,
@@ -186,6 +193,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         residual_share=residual.reshape(len(growth), -1).max(axis=1) / allowed,
         worst_time_s=worst,
         failures=tuple(failures),
+        unmendable=tuple(unmendable),
     )
 
 

@@ -110,6 +110,10 @@ class MechanismCase:
         least = min(certificate.position_margin.min(), certificate.speed_margin.min())
         return bool(least < -RANGE_SLACK) or not all(margin.kept for margin in certificate.margins)
 
+    def mendable(self, certificate: Certificate) -> bool:
+        """Return whether another mesh may mend why a certificate does not pass."""
+        return certificate.mendable
+
     def overrun(self, certificate: Certificate) -> np.ndarray:
         """Return by what share of themselves limits are overrun between the nodes, at most, on each interval (n,)."""
         over = [certificate.speed_overrun, certificate.position_overrun]

@@ -131,6 +131,10 @@ class OdeCase:
         """Return whether a path quantity or a state leaves its limits between the nodes."""
         return bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -SLACK)
 
+    def mendable(self, certificate: OdeCertificate) -> bool:
+        """Return whether another mesh may mend why a certificate does not pass: always, for all that is known."""
+        return not certificate.passed
+
     def overrun(self, certificate: OdeCertificate) -> np.ndarray:
         """Return by what share of themselves path limits are overrun between the nodes, at most, on each interval (n,)."""
         size = [max(abs(bound) for bound in limit if np.isfinite(bound)) or 1.0 for limit in self.asked.path_limit]

@@ -218,8 +218,8 @@ def _best_of(problem: PlanningProblem, start_pose: np.ndarray, history: list[Ste
 
 
 def _unsound(plan: Plan) -> bool:
-    """Return whether a motion's certificate does not pass, for other reasons than contacts."""
-    return plan.certificate is not None and not plan.certificate.passed and not plan.certificate.contacts
+    """Return whether a motion's certificate does not pass, for reasons that another way of solving may mend."""
+    return plan.certificate is not None and plan.certificate.mendable
 
 
 def _certified(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say, *, warm: bool = False) -> Plan:

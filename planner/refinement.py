@@ -103,6 +103,10 @@ class Case(Protocol):
         """Return whether a limit is left between the nodes that tightening mends."""
         ...
 
+    def mendable(self, certificate: Any) -> bool:
+        """Return whether another mesh may mend why a certificate does not pass."""
+        ...
+
     def overrun(self, certificate: Any) -> np.ndarray:
         """Return by what share of themselves limits are overrun between the nodes, at most, on each interval (n,)."""
         ...
@@ -163,6 +167,8 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
     settled, again = True, 0
     for turn in range(_ROUNDS):
+        if certificate is not None and not certificate.passed and not case.mendable(certificate):
+            break
         if certificate is not None and certificate.passed:
             passed = motion, solution, certificate
             wanted = case.objective_tolerance

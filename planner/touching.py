@@ -28,10 +28,11 @@ def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate:
     time = np.unique(trajectory.dense_times(max(1, min(_PER_INTERVAL, _LOOKS // n))))
     poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
     found = meetings(problem.mechanism, time, poses, trajectory.position_at)
-    failures = certificate.failures
     if problem.contacts == "refuse" and new_meetings(found):
-        failures = (*failures, _failure(new_meetings(found)))
-    return replace(certificate, contacts=found, failures=failures)
+        said = (_failure(new_meetings(found)),)
+        failures, unmendable = certificate.failures + said, certificate.unmendable + said
+        return replace(certificate, contacts=found, failures=failures, unmendable=unmendable)
+    return replace(certificate, contacts=found)
 
 
 def unavoidable(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> bool:
