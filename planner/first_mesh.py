@@ -1,13 +1,19 @@
 """The first mesh of a problem: as fine as it asks for, and fine enough for the swings of a start."""
 
+import itertools
+
 import numpy as np
 
 from planner.guess import Guess
 from planner.mesh import Mesh, broken, segmented, uniform
 from planner.problem import PlanningProblem
 
+# Samples of a guess at which its pace is looked at.
+_SAMPLES = 4001
 # Intervals that each swing of a start is given at least.
 PER_LEG = 40
+# And each segment between cuts.
+_LEAST_IN_SEGMENT = 3
 
 
 def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
@@ -19,3 +25,28 @@ def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None =
     if problem.mesh.breaks is not None and n_intervals is None:
         return broken(problem.mesh.breaks), np.array([guess.duration_s])
     return uniform(n), np.array([guess.duration_s])
+
+
+def graded_mesh(guess: Guess, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh with movable cuts (n_cuts,) [s], finer where a guess is quick, and its segments' durations [s].
+
+    Next to a singular pose a motion does in a hundredth of its time what elsewhere takes a half. Every interval has an
+    equal share of time, way and change of speed together.
+    """
+    ends = np.concatenate([[0.0], cuts_s, [guess.duration_s]])
+    times = np.linspace(0.0, guess.duration_s, _SAMPLES)
+    position, velocity = guess.position(times), guess.velocity(times)
+    pace = np.diff(times)[:, None] / guess.duration_s
+    for values in (position, velocity):
+        steps = np.abs(np.diff(values, axis=0))
+        pace = np.hstack([pace, steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)])
+    progress = np.concatenate([[0.0], np.cumsum(pace.mean(axis=1))])
+    at_ends = np.interp(ends, times, progress)
+    fraction, segment = [], []
+    for k, (begin, end) in enumerate(itertools.pairwise(at_ends)):
+        count = max(_LEAST_IN_SEGMENT, int(np.round(n_intervals * (end - begin) / progress[-1])))
+        breaks = np.interp(np.linspace(begin, end, count + 1), progress, times)
+        breaks[[0, -1]] = ends[k], ends[k + 1]
+        fraction.append(np.diff(breaks) / (ends[k + 1] - ends[k]))
+        segment += [k] * count
+    return Mesh(fraction=np.concatenate(fraction), segment=np.array(segment)), np.diff(ends)

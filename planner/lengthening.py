@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.first_mesh import graded_mesh
 from planner.guess import Guess, motion_of
 from planner.mechanism_case import case_of
 from planner.mesh import Mesh, uniform
@@ -20,6 +21,8 @@ from planner.refinement import Say, attempt, refine
 
 # By how much a motion is lengthened at a time, and the least that is tried where that is too much.
 LENGTHENING, _LEAST = 1.15, 1.03
+# A step that was lost is tried again on twice as many intervals, up to so many.
+_FINEST = 320
 # Steps at the most: a hundredfold duration.
 _STEPS = 40
 # Accuracy of the motions on the way [deg].
@@ -73,6 +76,8 @@ def lengthened(
             ratio = float(np.sqrt(ratio))
             if ratio < _LEAST:
                 return None
+            mesh, _ = graded_mesh(at.start, np.empty(0), min(2 * at.mesh.n_intervals, _FINEST))
+            at = replace(at, mesh=mesh)
             continue
         at, objective = found
         if not fixed:

@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.durations import SURELY, known_motion, longer, longest, may_swing
 from planner.finishing import finished
-from planner.first_mesh import PER_LEG, first_mesh
+from planner.first_mesh import PER_LEG, first_mesh, graded_mesh
 from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of, swinging_guesses
 from planner.infeasibility import LeastLimit, effort_sentence, least_limit
 from planner.lengthening import LENGTHENING, SAVED, lengthened
@@ -20,7 +20,7 @@ from planner.plan import Plan, Step
 from planner.prescribed_plan import plan_prescribed
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem
-from planner.refinement import Say, attempt, cut_mesh, refine, silent
+from planner.refinement import Say, attempt, refine, silent
 from planner.relaxation import RELAXABLE, least_of, violated_sentence, without
 from planner.solve import INVALID, OUT_OF_TIME
 from planner.touching import unavoidable
@@ -161,7 +161,7 @@ def _first_of(
         found = attempt(case_of(patient), guess, mesh, durations, word, history, say)
         if guess.cuts_s is not None and list(problem.objective.weights) == ["time"]:
             # Its switches are known: with cuts there and efforts held between them, the instants alone are to be found.
-            cut, lengths = cut_mesh(np.array([0.0, guess.duration_s]), guess.cuts_s, problem.mesh.intervals)
+            cut, lengths = graded_mesh(guess, guess.cuts_s, max(problem.mesh.intervals, PER_LEG * guess.legs))
             held = attempt(case_of(patient), guess, cut, lengths, f"{word}, efforts held", history, say, pinned=guess.held)
             if held is not None and (found is None or held[1].objective < found[1].objective):
                 found, mesh = held, cut
@@ -175,7 +175,7 @@ def _first_of(
         if away is not None:
             return Plan(problem=problem, status="failed", message=away, history=tuple(history))
         plan = _certified(problem, found, mesh, history, say)
-        if _unsound(plan):
+        if _unsound(plan) and (number or list(problem.objective.weights) != ["time"]):  # there the phase plane is tried next
             again = _certified(problem, found, mesh, history, say, warm=True)
             plan = again if again.status == "optimal" else plan
         if plan.status == "failed":

@@ -331,6 +331,8 @@ def settle_switches(
         ends = np.sort(np.concatenate([knots, cuts]))
         pinned, start = pinned_efforts(motion, case.effort_limit, ends[1:-1]), case.start_from(motion)
         held = {"pinned": pinned, "held": held_paths(on_path, motion.breaks_s, ends, pinned)}
+        if _known(solution.transcribed, held):
+            return motion, solution, mesh, held
         readings = [("cuts at the switches", cuts, held)]
         if held["held"].any():
             inner, loose = free_ends(ends, **held)
@@ -352,6 +354,15 @@ def settle_switches(
         if settled or _all_held(held):
             break
     return motion, solution, mesh, chosen
+
+
+def _known(transcribed: Transcribed, held: dict[str, np.ndarray]) -> bool:
+    """Return whether a program has held all of this already, and nothing was left free: there is nothing new to cut."""
+    before, paths = transcribed.pinned, held["held"]
+    if before is None or before.shape != held["pinned"].shape or not _all_held(held):
+        return False
+    same_paths = not paths.any() if transcribed.held is None else np.array_equal(transcribed.held, paths)
+    return bool(same_paths and np.array_equal(before, held["pinned"], equal_nan=True))
 
 
 def _all_held(held: dict[str, np.ndarray]) -> bool:
