@@ -166,7 +166,7 @@ def _first_of(
             if held is not None and (found is None or held[1].objective < found[1].objective):
                 found, mesh = held, cut
         if found is None:
-            if history[-1].solver_status in (OUT_OF_TIME, INVALID):
+            if history and history[-1].solver_status in (OUT_OF_TIME, INVALID):
                 return None
             continue
         if found[1].objective >= below:

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from models.errors import AssemblyError
 from planner.arcs import arc_ends, free_ends, held_paths, path_arcs
 from planner.collocation import Transcribed
 from planner.mesh import Mesh, halved, segmented
@@ -125,7 +126,10 @@ def attempt(
 ) -> tuple[Any, Solution] | None:
     """Return the motion and solution of one solve, noted in the history; None where it found none."""
     say(f"{what}: {case.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
-    transcribed = case.transcribe(start, mesh, durations, **options)
+    try:
+        transcribed = case.transcribe(start, mesh, durations, **options)
+    except AssemblyError:  # a start whose loops open between the instants at which it was looked at
+        return None
     solution = solve(transcribed, case.solver, warm=warm)
     history.append(step_of(what, transcribed, solution))
     if not solution.converged:
