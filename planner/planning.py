@@ -162,7 +162,12 @@ def _first_of(
         if guess.cuts_s is not None and list(problem.objective.weights) == ["time"]:
             # Its switches are known: with cuts there and efforts held between them, the instants alone are to be found.
             cut, lengths = graded_mesh(guess, guess.cuts_s, max(problem.mesh.intervals, PER_LEG * guess.legs))
-            held = attempt(case_of(patient), guess, cut, lengths, f"{word}, efforts held", history, say, pinned=guess.held)
+            for warm, how in ((False, "efforts held"), (True, "efforts held, next to it")):
+                held = attempt(
+                    case_of(patient), guess, cut, lengths, f"{word}, {how}", history, say, pinned=guess.held, warm=warm
+                )
+                if held is not None:
+                    break
             if held is not None and (found is None or held[1].objective < found[1].objective):
                 found, mesh = held, cut
         if found is None:
