@@ -131,7 +131,7 @@ def _lengthened(problem: PlanningProblem, start_pose: np.ndarray, history: list[
     if at is None:
         return None
     final = replace(problem, mesh=replace(problem.mesh, scheme=at.scheme), guess=None)
-    if at.enough:
+    if problem.motion.duration_s is None:  # where the motion ends before that, it is as good as without
         final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
     durations = np.array([at.start.duration_s])
     found = attempt(case_of(final), at.start, at.mesh, durations, "at its full length", history, say, warm=True)
