@@ -35,7 +35,7 @@ SAVED = 1e-3
 class Lengthened:
     """A motion on the way or at the end: a start, its mesh and transcription, and the longest duration it was allowed [s].
 
-    `enough` says that more time than that would save less than `SAVED` of the objective.
+    `enough` says that the last step saved less than `SAVED` of the objective.
     """
 
     start: Guess
@@ -80,7 +80,7 @@ def lengthened(
             at = replace(at, mesh=mesh)
             continue
         at, objective = found
-        if not fixed:
+        if not fixed and longest >= (problem.motion.min_duration_s or 0.0):
             if at.start.duration_s < 0.999 * longest:
                 return at
             if ratio == LENGTHENING and before - objective < SAVED * abs(objective):
@@ -93,7 +93,8 @@ def _step(
     problem: PlanningProblem, at: Lengthened, longest: float, fixed: bool, history: list[Step], say: Say
 ) -> tuple[Lengthened, float] | None:
     """Return the best motion within a duration from one of a shorter, and its objective."""
-    motion = replace(problem.motion, min_duration_s=None)
+    least = problem.motion.min_duration_s
+    motion = replace(problem.motion, min_duration_s=least if least is not None and least <= longest else None)
     motion = replace(motion, duration_s=longest) if fixed else replace(motion, max_duration_s=longest)
     mesh = replace(problem.mesh, tolerance_deg=_ON_THE_WAY_DEG, scheme=at.scheme, breaks=None)
     case = case_of(replace(problem, motion=motion, mesh=mesh, guess=None))

@@ -119,9 +119,9 @@ def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], 
     others += list(bent(problem, given, len(given) + _BENDS))[len(given) :]
     if np.all(np.isfinite(problem.effort_limit)):
         # With limits a motion of no duration's solves may be another local one; what forbids one is found by the efforts.
-        return found + _first_solutions(patient, others if is_open(problem) else [], history, say, number=len(given))
+        return found + _first_solutions(patient, others if is_open(problem) else [], history, say, first=len(given))
     found += _from_least_effort(patient, given[0], history, say)
-    return found or _first_solutions(patient, others, history, say, enough=1, number=len(given))
+    return found or _first_solutions(patient, others, history, say, enough=1, first=len(given))
 
 
 def _from_least_effort(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> list[_Found]:
@@ -136,11 +136,11 @@ def _from_least_effort(problem: OdeProblem, guess: StateGuess, history: list[Ste
 
 
 def _first_solutions(
-    problem: OdeProblem, starts: Iterable[StateGuess], history: list[Step], say: Say, *, enough: int | None = None, number=0
+    problem: OdeProblem, starts: Iterable[StateGuess], history: list[Step], say: Say, *, enough: int | None = None, first=0
 ) -> list[_Found]:
     """Return the solutions that starts lead to on the first mesh, the first `enough` of them."""
     found: list[_Found] = []
-    for number, guess in enumerate(starts, number):  # noqa: B020
+    for number, guess in enumerate(starts, first):
         case = OdeCase(problem, problem, units_of(problem, guess))
         mesh = uniform(problem.mesh.intervals) if problem.mesh.breaks is None else broken(problem.mesh.breaks)
         word = f"start {number + 1}" if number or problem.solver.starts > 1 else "first solve"

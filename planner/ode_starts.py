@@ -65,9 +65,10 @@ def of_other_durations(problem: OdeProblem, guess: StateGuess) -> list[StateGues
 
 
 def of_least_effort(problem: OdeProblem) -> OdeProblem:
-    """Return the problem with the least squared effort as its objective: its motion, well in the middle of the limits, is
-    a start for the objective that was asked for.
-    """  # noqa: D205
+    """Return the problem with the least squared effort as its objective.
+
+    Its motion, well in the middle of the limits, is a start for the objective that was asked for.
+    """
     limit = problem.effort_limit
     finite = np.all(np.isfinite(limit), axis=1)
     both = np.where(finite[:, None], limit, 0.0)

@@ -122,3 +122,15 @@ def test_a_motion_five_times_as_long_as_the_least_is_planned_by_lengthening():
     assert plan.status == "optimal", plan.message
     assert plan.certificate.passed
     assert plan.trajectory.duration_s == pytest.approx(case.duration)
+
+
+def test_a_least_duration_is_kept_by_a_motion_that_is_lengthened():
+    """A pure inertia's best motion within [4 T, 6 T] takes 6 T; on the way there none ends before 4 T is allowed."""
+    quick = quick_hinge_guess()
+    T = quick.duration_s
+    motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = "free"\n'
+    problem = body_problem(HINGE, motion + f"min_duration_s = {4 * T}\nmax_duration_s = {6 * T}\n")
+    reached = lengthened(problem, motion_of(quick), 40, [], lambda _: None)
+    assert reached is not None
+    assert reached.longest_s >= 4 * T
+    assert reached.start.duration_s >= 4 * T * (1 - 1e-9)
