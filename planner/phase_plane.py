@@ -1,9 +1,11 @@
 """Motions of one degree of freedom by the phase plane: full effort, swings that gather way, and a braking last leg.
 
 Along s the energy w = v^2 / 2 obeys dw/ds = a(s, v, u) (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985): a leg
-that pushes with full effort from rest, another that brakes to rest at the goal, and where they cross the switch. Where that
-way is not open, the quickest one by way of a grid of turns is looked for. These are starting points where a straight motion
-is not found; the optimum is left to the solver, and so is all that this leaves out.
+that pushes with full effort from rest, another that brakes to rest at the goal, and where they cross the switch. With the
+reduced inertia M(s), M w grows by the work of weight and effort alone, so that legs keep their energy however quickly M
+changes next to a singular pose. Where the way straight there is not open, the quickest one by way of a grid of turns is
+looked for. These are starting points where a straight motion is not found; the optimum is left to the solver, and so is
+all that this leaves out.
 """
 
 import heapq
@@ -21,6 +23,8 @@ from planner.problem import PlanningProblem
 
 # Cells of the grid over s; two poses a cell.
 _CELLS = 800
+# The share of a grid's progress that is even in s; the rest goes where joints or the inertia change most.
+_EVEN = 0.5
 # Legs of a motion at the most, and places on the grid where it may turn.
 _SWINGS = 24
 _PLACES = 60
@@ -38,36 +42,39 @@ _ROOM = 1e-3
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _Plane:
-    """A grid over s: positions (n,) of cell ends, and the acceleration at ends and middles (2 n - 1,) in turn.
+    """A grid over s: positions (n,) of cell ends, and there the reduced inertia and its energy's gains.
 
-    a = rest + linear v + quadratic v^2 + push[direction], exact but for dampers that are not linear.
+    d(M w)/ds = dW[direction]/ds + drag v, exact but for dampers that are not linear.
     """
 
     s: np.ndarray
-    rest: list[float]
-    linear: list[float]
-    quadratic: list[float]
-    push: dict[int, list[float]]  # under full effort in direction +1 or -1
-    top: np.ndarray  # largest w at each cell end, by speed limits
-    effort: dict[int, np.ndarray]  # (2 n - 1, n_u) that pushes so
+    inertia: list[float]  # M
+    work: dict[int, list[float]]  # W of weight, springs and full effort in direction +1 or -1, from the first position
+    force: dict[int, list[float]]  # dW/ds
+    drag: list[float]  # M da/dv
+    top: list[float]  # largest w by speed limits
+    effort: dict[int, np.ndarray]  # (2 n - 1, n_u) that pushes so, at ends and middles in turn
 
     def leg(self, start: int, w: float, step: int, effort: int, *, backwards: bool = False) -> np.ndarray:
         """Return w at cell ends from `start` on, index by index in steps of +-1, until it would fall to zero or below.
 
         `effort` is the direction of the push. Backwards, the motion runs against the steps: a braking leg from its end.
         """
-        sign, push = (-step if backwards else step), self.push[effort]
-        values, at = [w], start
+        sign, work, at = (-step if backwards else step), self.work[effort], start
+        values, energy = [w], self.inertia[start] * w
+        if not w and step * self.force[effort][start] <= 0:
+            return np.array(values)  # rest is not left that way, however soon the way would be open again
         while 0 <= at + step < len(self.s):
-            h, k = self.s[at + step] - self.s[at], 2 * at
-            v2 = 2 * values[-1]
-            first = self.rest[k] + push[k] + self.quadratic[k] * v2 + sign * self.linear[k] * v2**0.5
-            k, v2 = k + step, max(v2 + h * first, 0.0)
-            w = values[-1] + h * (self.rest[k] + push[k] + self.quadratic[k] * v2 + sign * self.linear[k] * v2**0.5)
-            if w <= 0:
+            over = at + step
+            h, free = self.s[over] - self.s[at], energy + work[over] - work[at]
+            drag = sign * self.drag[at] * (2 * values[-1]) ** 0.5
+            ahead = max(free + h * drag, 0.0) / self.inertia[over]
+            energy = free + 0.5 * h * (drag + sign * self.drag[over] * (2 * ahead) ** 0.5)
+            if energy <= 0:
                 break
-            at += step
-            values.append(min(w, float(self.top[at])))
+            at, w = over, min(energy / self.inertia[over], self.top[over])
+            energy = self.inertia[at] * w
+            values.append(w)
         return np.array(values)
 
 
@@ -113,26 +120,50 @@ def _plane(problem: PlanningProblem, start_pose: np.ndarray, share: float) -> _P
         low, high = max(low, can.lower.position), min(high, can.upper.position)
     room = _ROOM * (high - low)
     s = np.linspace(min(low + room, ends[0]), max(high - room, ends[1]), _CELLS + 1)
-    s = np.unique(np.concatenate([s, ends]))
-    s = s[np.concatenate([[True], np.diff(s) > 1e-9 * (high - low)])]
-    fine = np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s)
-    begin = int(np.argmin(np.abs(fine - motion.start[0])))
-    try:
-        after = follow(mechanism, fine[begin:, None], start_pose)
-        before = follow(mechanism, fine[begin::-1, None], start_pose)[::-1]
-    except AssemblyError:
+    gridded = _followed(problem, s, start_pose)
+    if gridded is None:
         return None
-    poses = np.vstack([before[:-1], after])
+    s, poses = gridded
     # The part around the start in which every joint keeps its range.
     inside = np.all((poses >= limits.position[:, 0]) & (poses <= limits.position[:, 1]), axis=1)
-    out = np.flatnonzero(~inside)
+    begin, out = 2 * int(np.argmin(np.abs(s - motion.start[0]))), np.flatnonzero(~inside)
     first = int(out[out < begin].max(initial=-1)) + 1
-    last = int(out[out > begin].min(initial=len(fine))) - 1
+    last = int(out[out > begin].min(initial=len(poses))) - 1
     first, last = (first + 1) // 2, last // 2
     s, poses = s[first : last + 1], poses[2 * first : 2 * last + 1]
     if len(s) < 3 or not s[0] <= ends[0] <= ends[1] <= s[-1]:
         return None
-    return _gridded(problem, s, poses, share * limits.effort)
+    gridded = _followed(problem, _graded(problem, s, poses[::2]), start_pose)
+    return None if gridded is None else _gridded(problem, *gridded, share * limits.effort)
+
+
+def _followed(problem: PlanningProblem, s: np.ndarray, start_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return positions (n,) with start and goal among them, and the poses (2 n - 1, n_q) at and between them.
+
+    None where the loops open on the way.
+    """
+    ends = [problem.motion.start[0], problem.motion.goal[0]]
+    room = 1e-9 * (s[-1] - s[0])
+    apart = np.all(np.abs(s[:, None] - ends) > room, axis=1)
+    s = np.unique(np.concatenate([s[apart], ends]))
+    fine = np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s)
+    begin = int(np.argmin(np.abs(fine - ends[0])))
+    try:
+        after = follow(problem.mechanism, fine[begin:, None], start_pose)
+        before = follow(problem.mechanism, fine[begin::-1, None], start_pose)[::-1]
+    except AssemblyError:
+        return None
+    return s, np.vstack([before[:-1], after])
+
+
+def _graded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return positions (n,) between the same ends, closer together where joints move or the inertia changes quickly."""
+    inertia = sampled(problem.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
+    steps = np.abs(np.diff(np.column_stack([poses, np.log(inertia)]), axis=0))
+    share = (steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)).mean(axis=1)
+    share = (1 - _EVEN) * share / share.sum() + _EVEN * np.diff(s) / (s[-1] - s[0])
+    progress = np.concatenate([[0.0], np.cumsum(share)])
+    return np.interp(np.linspace(0.0, progress[-1], len(s)), progress, s)
 
 
 def _gridded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> _Plane:
@@ -142,17 +173,20 @@ def _gridded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: 
     def acceleration(v: float, u: np.ndarray) -> np.ndarray:
         return sampled(dynamics.acceleration, poses, np.full((n, 1), v), u)[:, 0, 0]
 
+    inertia = sampled(dynamics.reduced_inertia, poses)[:, 0, 0]
     none = np.zeros((n, len(limit)))
-    rest, ahead, back = (acceleration(v, none) for v in (0.0, 1.0, -1.0))
+    ahead, back = (acceleration(v, none) for v in (1.0, -1.0))
     maps = sampled(dynamics.effort_map, poses)[:, 0]
     effort = {way: np.where(way * maps > 0, limit[:, 1], limit[:, 0]) for way in (+1, -1)}
+    force = {way: inertia * acceleration(0.0, u) for way, u in effort.items()}
+    gains = {way: np.diff(s) * (f[:-2:2] + 4 * f[1::2] + f[2::2]) / 6 for way, f in force.items()}
     return _Plane(
         s=s,
-        rest=rest.tolist(),
-        linear=(0.5 * (ahead - back)).tolist(),
-        quadratic=(0.5 * (ahead + back) - rest).tolist(),
-        push={way: (acceleration(0.0, effort[way]) - rest).tolist() for way in effort},
-        top=_top(problem, poses[::2]),
+        inertia=inertia[::2].tolist(),
+        work={way: [0.0, *np.cumsum(gain).tolist()] for way, gain in gains.items()},
+        force={way: f[::2].tolist() for way, f in force.items()},
+        drag=(0.5 * inertia * (ahead - back))[::2].tolist(),
+        top=_top(problem, poses[::2]).tolist(),
         effort=effort,
     )
 
