@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.clearance import nears_singular
 from planner.first_mesh import graded_mesh
 from planner.guess import Guess, motion_of
 from planner.mechanism_case import case_of
@@ -73,6 +74,8 @@ def lengthened(
         longest = min(at.longest_s * ratio, last)
         found = _step(problem, at, longest, fixed, history, say)
         if found is None:
+            if nears_singular(problem, at.start):
+                return None  # it goes on there, where no mesh is fine enough
             ratio = float(np.sqrt(ratio))
             if ratio < _LEAST:
                 return None

@@ -7,23 +7,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.durations import SURELY, known_motion, longer, longest, may_swing
+from planner.clearance import kept_clear
+from planner.durations import SURELY, known_motion, longest, may_swing
 from planner.finishing import finished
-from planner.first_mesh import PER_LEG, first_mesh, graded_mesh
+from planner.first_mesh import PER_LEG, first_mesh
 from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of, swinging_guesses
 from planner.infeasibility import LeastLimit, effort_sentence, least_limit
 from planner.lengthening import LENGTHENING, SAVED, lengthened
 from planner.mechanism_case import case_of
-from planner.mesh import Mesh
 from planner.phase_plane import least_time_guess, phase_plane_guess, stretched
 from planner.plan import Plan, Step
 from planner.prescribed_plan import plan_prescribed
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem
-from planner.refinement import Say, attempt, refine, silent
+from planner.refinement import Say, attempt, silent
 from planner.relaxation import RELAXABLE, least_of, violated_sentence, without
 from planner.solve import INVALID, OUT_OF_TIME
-from planner.touching import unavoidable
+from planner.trying import best_of, certified, first_of, unsound
 
 __all__ = ["Say", "finished", "plan_motion", "silent"]
 
@@ -61,11 +61,13 @@ def plan_motion(problem: PlanningProblem, say: Say = silent) -> Plan:
         return Plan(problem=problem, status="infeasible", message=message, details=details)
     history: list[Step] = []
     if problem.solver.starts > 1:
-        plan = _best_of(problem, start_pose, history, say)
+        bends = itertools.islice(bent_guesses(problem, start_pose), _BENDS, _LOOKED_AT * problem.solver.starts)
+        planned = itertools.islice(_in_turn(problem, start_pose), problem.solver.starts)
+        plan = best_of(problem, itertools.chain(planned, bends), history, say)
     else:
-        plan = _first_of(problem, _in_turn(problem, start_pose), history, say)
+        plan = first_of(problem, _in_turn(problem, start_pose), history, say)
         plan = _quicker(problem, plan, start_pose, history, say) or plan
-        if plan is None or _unsound(plan):
+        if plan is None or unsound(plan):
             plan = _lengthened(problem, start_pose, history, say) or plan
     return plan or _explain(problem, first_guess(problem, start_pose), history, say)
 
@@ -104,7 +106,7 @@ def _quicker(
     if quickest is None or plan.trajectory.duration_s <= _SLOW * quickest.duration_s:
         return None
     worth = _WORTH * plan.trajectory.duration_s
-    better = _first_of(problem, iter([("the phase plane", quickest)]), history, say, below=worth)
+    better = first_of(problem, iter([("the phase plane", quickest)]), history, say, below=worth)
     passes = better is not None and better.status == "optimal"
     return better if passes and better.trajectory.duration_s < plan.trajectory.duration_s else None
 
@@ -113,7 +115,7 @@ def _least_time_motion(problem: PlanningProblem, quickest: Guess) -> Guess | Non
     """Return the motion of least time as a start for another objective; None without one."""
     motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
     free = replace(problem, objective="time", motion=motion, guess=None, solver=problem.solver.hurried())
-    plan = _first_of(free, iter([("the phase plane", quickest)]), [], silent)
+    plan = first_of(free, iter([("the phase plane", quickest)]), [], silent)
     if plan is None or plan.trajectory is None:
         return None
     return motion_of(plan.trajectory)
@@ -135,135 +137,11 @@ def _lengthened(problem: PlanningProblem, start_pose: np.ndarray, history: list[
         final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
     durations = np.array([at.start.duration_s])
     found = attempt(case_of(final), at.start, at.mesh, durations, "at its full length", history, say, warm=True)
-    plan = None if found is None else _certified(final, found, at.mesh, history, say, warm=True)
+    plan = None if found is None else certified(final, found, at.mesh, history, say, warm=True)
     if plan is None or plan.status != "optimal":
         return None
     said = f"; its last {LENGTHENING - 1:.0%} of time saved less than {SAVED:.1%}, more was not tried" if at.enough else ""
     return replace(plan, problem=problem, message=plan.message + said)
-
-
-def _first_of(
-    problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], history: list[Step], say: Say, below: float = np.inf
-) -> Plan | None:
-    """Return the first plan that a start leads to and that passes; else one that was found and does not; else None.
-
-    Solutions whose objective is not `below` what is known already are not refined.
-    """
-    failed = None
-    for number, (what, guess) in enumerate(starts):
-        if number >= 1 and (problem.motion.duration_s is not None or failed is not None) and what.startswith("bend"):
-            break  # what a fixed duration forbids, other starts forbid too: the reason is looked for first
-        if not closes(problem.mechanism, guess):
-            continue
-        mesh, durations = first_mesh(problem, guess)
-        word = "first solve" if number == 0 else f"start from {what}"
-        patient = problem if number == 0 else replace(problem, solver=problem.solver.hurried())
-        found = attempt(case_of(patient), guess, mesh, durations, word, history, say)
-        if guess.cuts_s is not None and list(problem.objective.weights) == ["time"]:
-            # Its switches are known: with cuts there and efforts held between them, the instants alone are to be found.
-            cut, lengths = graded_mesh(guess, guess.cuts_s, max(problem.mesh.intervals, PER_LEG * guess.legs))
-            for warm, how in ((False, "efforts held"), (True, "efforts held, next to it")):
-                held = attempt(
-                    case_of(patient), guess, cut, lengths, f"{word}, {how}", history, say, pinned=guess.held, warm=warm
-                )
-                if held is not None:
-                    break
-            if held is not None and (found is None or held[1].objective < found[1].objective):
-                found, mesh = held, cut
-        if found is None:
-            if history and history[-1].solver_status in (OUT_OF_TIME, INVALID):
-                return None
-            continue
-        if found[1].objective >= below:
-            continue
-        found, away = longer(patient, found, mesh, history, say)
-        if away is not None:
-            return Plan(problem=problem, status="failed", message=away, history=tuple(history))
-        plan = _certified(problem, found, mesh, history, say)
-        if _unsound(plan) and (number or list(problem.objective.weights) != ["time"]):  # there the phase plane is tried next
-            again = _certified(problem, found, mesh, history, say, warm=True)
-            plan = again if again.status == "optimal" else plan
-        if plan.status == "failed":
-            plan = _plainer(problem, plan, found, mesh, history, say) or plan
-        if plan.status == "optimal":
-            return plan
-        if plan.trajectory is not None and unavoidable(problem, plan.trajectory, plan.certificate):
-            return plan  # other motions pass there too
-        if failed is not None:
-            break  # a second motion that does not pass: others will not either
-        failed = plan
-    return failed
-
-
-def _best_of(problem: PlanningProblem, start_pose: np.ndarray, history: list[Step], say: Say) -> Plan | None:
-    """Return the best plan of as many starts as the problem asks for; None where none leads to one."""
-    wanted, found = problem.solver.starts, []
-    planned = itertools.islice(_in_turn(problem, start_pose), wanted)
-    bends = itertools.islice(bent_guesses(problem, start_pose), _BENDS, _LOOKED_AT * wanted)
-    closed = (start for start in itertools.chain(planned, bends) if closes(problem.mechanism, start[1]))
-    for number, (what, guess) in enumerate(itertools.islice(closed, wanted)):
-        mesh, durations = first_mesh(problem, guess)
-        word = f"start {number + 1} of {wanted}, {what}"
-        solved = attempt(case_of(problem), guess, mesh, durations, word, history, say)
-        if solved is not None:
-            found.append((solved[1].objective, number, solved, mesh))
-    failed = None
-    for _, number, solved, mesh in sorted(found, key=lambda item: item[:2]):
-        say(f"refining start {number + 1}")
-        solved, away = longer(problem, solved, mesh, history, say)
-        if away is not None:
-            return Plan(problem=problem, status="failed", message=away, history=tuple(history))
-        plan = _certified(problem, solved, mesh, history, say)
-        if plan.status == "optimal":
-            return replace(
-                plan, details={**plan.details, "starts": wanted, "starts_solved": len(found), "best_start": number + 1}
-            )
-        failed = failed or plan
-    return failed
-
-
-def _unsound(plan: Plan) -> bool:
-    """Return whether a motion's certificate does not pass, for reasons that another way of solving may mend."""
-    return plan.certificate is not None and plan.certificate.mendable
-
-
-def _certified(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say, *, warm: bool = False) -> Plan:
-    """Return the plan of a solution, refined until its certificate passes."""
-    case = case_of(problem)
-    refined = refine(case, found, mesh, history, say, warm=warm)
-    if refined is None:
-        return Plan(
-            problem=problem,
-            status="failed",
-            message="failed: the motion that the solver returned leaves the branch on which the mechanism was assembled",
-            history=tuple(history),
-        )
-    trajectory, solution, certificate, _ = refined
-    plan = finished(problem, trajectory, certificate, solution.objective, history, None)
-    plan = replace(plan, solved=replace(solution.transcribed, start=solution.x))
-    if plan.status == "optimal" and case.tolerance_given and not case.exact(certificate):
-        missed = (
-            f"failed: the integrated model ends {certificate.integration_error_deg:.3g} deg from the plan on"
-            f" {plan.intervals} intervals, more than mesh.tolerance_deg = {problem.mesh.tolerance_deg:g}"
-        )
-        return replace(plan, status="failed", message=missed)
-    return plan
-
-
-def _plainer(problem: PlanningProblem, plan: Plan, found, mesh: Mesh, history: list[Step], say: Say) -> Plan | None:
-    """Return a plan with an effort that is constant over intervals, where polynomials overrun limits between their nodes.
-
-    Along an arc on a limit of force or power a polynomial effort swings about what keeps it, from node to node.
-    """
-    overrun = plan.certificate is not None and not all(margin.kept for margin in plan.certificate.margins)
-    if problem.mesh.effort != "polynomial" or not overrun:
-        return None
-    plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=problem.solver.hurried())
-    durations = np.bincount(mesh.segment, np.diff(found[0].breaks_s))
-    what = "efforts constant over intervals"
-    again = attempt(case_of(plain), motion_of(found[0]), mesh, durations, what, history, say)
-    held = None if again is None else _certified(plain, again, mesh, history, say)
-    return replace(held, problem=problem) if held is not None and held.status == "optimal" else None
 
 
 def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: Say) -> Plan:
@@ -281,7 +159,7 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
     if mesh.n_intervals > _COARSER * _COARSEST:
         coarse, lengths = first_mesh(problem, guess, mesh.n_intervals // _COARSER)
         found = attempt(case, guess, coarse, lengths, "a coarser mesh", history, say)
-        plan = None if found is None else _certified(problem, found, coarse, history, say)
+        plan = None if found is None else certified(problem, found, coarse, history, say)
         if plan is not None and plan.status == "optimal":
             return replace(plan, problem=asked)
     say("no motion found; looking for the limit that forbids one")
@@ -290,20 +168,24 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         if plan is not None:
             return replace(plan, problem=asked)
     least = _least_limit(problem, guess, history)
-    if least is not None and least.factor <= 1.0:
+    over = least is not None and least.factor > 1.0
+    if least is not None and not over:
         start, what = motion_of(least.trajectory), "start from the motion of least peak effort"
         found = attempt(case, start, least.mesh, least.durations, what, history, say)
         if found is not None:
-            return replace(_certified(problem, found, least.mesh, history, say), problem=asked)
-    known = None if least is None or least.factor <= 1.0 else known_motion(problem, guess)
+            return replace(certified(problem, found, least.mesh, history, say), problem=asked)
+    clear = kept_clear(problem, guesses(problem, guess.start_pose), history, say) if not over else None
+    if clear is not None:
+        return replace(clear, problem=asked)
+    known = None if not over else known_motion(problem, guess)
     if known is not None:
         reason = f"failed: a motion of {known:.5g} s keeps the effort limits by the phase plane, the solver did not find it"
         return Plan(problem=asked, status="failed", message=reason, history=tuple(history))
-    if least is not None and least.factor > 1.0 and may_swing(problem):
+    if over and may_swing(problem):
         sentence, _ = effort_sentence(problem, least)
         reason = f"failed: no motion was found; on the one of least effort that was, {sentence}, which is no proof"
         return Plan(problem=asked, status="failed", message=reason, history=tuple(history))
-    if least is not None and least.factor > 1.0:
+    if over:
         sentence, details = effort_sentence(problem, least)
         return Plan(
             problem=asked,
@@ -389,7 +271,7 @@ def _shortest(problem: PlanningProblem, details: dict[str, float], say: Say) -> 
     starts = [("a smooth path", first_guess(free, start_pose))]
     planar = least_time_guess(free, start_pose)
     starts += [("the phase plane", planar)] if planar is not None else []
-    quickest = _first_of(free, iter(starts), [], say)
+    quickest = first_of(free, iter(starts), [], say)
     if quickest is None or quickest.status != "optimal":
         return ""
     details["shortest_duration_s"] = quickest.trajectory.duration_s

@@ -6,7 +6,8 @@ import pytest
 from planner.phase_plane import least_time_guess
 from planner.planning import plan_motion
 from planner.presolve import start_pose_of
-from planner.problem_file import load_problem
+from planner.problem_file import load_problem, problem_from_tables
+from tests.fourbar_problems import random_case
 from tests.tolerances_planner import MINIMUM_TIME
 
 SPRING = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" stiffness="1"/>
@@ -14,6 +15,8 @@ SPRING = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" ty
 <actuator><motor name="u" joint="x" ctrlrange="-1 1"/></actuator></mujoco>"""
 # The grid's own error, of the least time.
 GRID = 2e-3
+# The same of a motion whose legs cross in a cell and whose turn is no place of the grid.
+FINE_GRID = 1e-3
 
 
 @pytest.fixture
@@ -50,6 +53,15 @@ def test_a_straight_least_time_is_met_to_the_grid(name):
     guess = least_time_guess(problem, start_pose_of(problem))
     assert guess is not None
     assert guess.duration_s == pytest.approx(plan_motion(problem).objective, rel=GRID)
+
+
+@pytest.mark.parametrize("number", [247, 474, 758])
+def test_a_least_time_next_to_a_singular_pose_or_a_rest_that_torque_barely_leaves_is_met_to_the_grid(number):
+    case = random_case(1, number)
+    problem = problem_from_tables("next to a singular pose", case.tables)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.duration_s == pytest.approx(case.shortest, rel=FINE_GRID)
 
 
 def test_a_motion_that_there_is_no_time_for_is_not_tried_from_other_starts(spring):
