@@ -14,9 +14,9 @@ from pathlib import Path
 from models.errors import ProblemError, one_line
 from models.library import is_file
 from models.names import nearest
+from planner.case import Say, silent
 from planner.plan import Plan
 from planner.problem_file import beside, problem_from_tables
-from planner.refinement import Say, silent
 from planner.replan import Planner
 from planner.tables import BUILT_IN as PROBLEMS
 from planner.tables import apply_override, read_tables

@@ -117,7 +117,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     (position_margin, position_overrun), (speed_margin, speed_overrun) = _margins(
-        mechanism, limits, points, q, v, time, worst
+        mechanism, limits, trajectory, points, q, v, time, worst
     )
     ratio = float(singularity_ratios(problem, q).min())
     others = margins(problem, trajectory, points, time, q, v, a, u)
@@ -201,18 +201,23 @@ def _generalised_peak(mechanism: Mechanism, q: np.ndarray, u: np.ndarray) -> flo
     return float(np.abs(np.einsum("ksu,ku->ks", sampled(mechanism.dynamics.effort_map, q), u)).max())
 
 
-def _margins(mechanism: Mechanism, limits, points, q, v, time, worst) -> list[tuple[np.ndarray, np.ndarray]]:
+def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v, time, worst):
     """Return, of positions and of speeds, the least distances (n_q,) of every joint to its limits, negative outside.
 
+    Between samples, independent joints are no further out than their polynomials' Bernstein coefficients.
     And by how much (n_q, n_intervals) they are overrun in each interval: a share of the range's span, of the speed limit.
     """
     rates = joint_rates(mechanism, q, v)
     found = []
-    for what, values, bounds in (("range", q, limits.position), ("speed limit", rates, limits.speed)):
+    position, speed = (q, limits.position, trajectory.position), (rates, limits.speed, trajectory.velocity)
+    for what, (values, bounds, coefficients) in (("range", position), ("speed limit", speed)):
         inside = np.minimum(values - bounds[:, 0], bounds[:, 1] - values)
         for joint, column in zip(mechanism.joints, inside.T, strict=True):
             worst[f"{what} of {joint.name}"] = float(time[int(np.argmin(column))])
         least = np.array([least_between(column, points) for column in inside.T])
+        of = list(mechanism.independent)
+        hull = np.minimum(coefficients - bounds[of, 0], bounds[of, 1] - coefficients).min(axis=0).T
+        least[of] = np.maximum(least[of], hull)
         if what == "range":
             size = np.where(np.isfinite(bounds).all(axis=1), bounds[:, 1] - bounds[:, 0], 0.0)
         else:

@@ -11,12 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from models.along import sampled
+from planner.case import Say, attempt
 from planner.first_mesh import first_mesh
 from planner.guess import Guess, closes, motion_of, poses_along
 from planner.mechanism_case import case_of
 from planner.plan import Plan, Step
 from planner.problem import PlanningProblem
-from planner.refinement import Say, attempt
 from planner.trying import certified
 
 # Margins tried in turn, as shares of what start and goal themselves keep.

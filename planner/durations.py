@@ -2,13 +2,13 @@
 
 import numpy as np
 
+from planner.case import Say, attempt
 from planner.guess import Guess, motion_of
 from planner.mechanism_case import case_of
 from planner.mesh import Mesh
 from planner.phase_plane import least_time_guess, stretched
 from planner.plan import Step
 from planner.problem import PlanningProblem
-from planner.refinement import Say, attempt
 from planner.solve import Solution
 
 # A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth.

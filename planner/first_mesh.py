@@ -28,12 +28,13 @@ def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None =
 
 
 def graded_mesh(guess: Guess, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
-    """Return a mesh with movable cuts (n_cuts,) [s], finer where a guess is quick, and its segments' durations [s].
+    """Return a mesh with movable cuts (n_cuts,) [s] between a guess's knots, and its segments' durations [s].
 
-    Next to a singular pose a motion does in a hundredth of its time what elsewhere takes a half. Every interval has an
-    equal share of time, way and change of speed together.
+    It is finer where the guess is quick: next to a singular pose a motion does in a hundredth of its time what elsewhere
+    takes a half. Every interval has an equal share of time, way and change of speed together.
     """
-    ends = np.concatenate([[0.0], cuts_s, [guess.duration_s]])
+    knots = np.array([0.0, guess.duration_s]) if guess.knots_s is None else guess.knots_s
+    ends = np.sort(np.concatenate([knots, cuts_s]))
     times = np.linspace(0.0, guess.duration_s, _SAMPLES)
     position, velocity = guess.position(times), guess.velocity(times)
     pace = np.diff(times)[:, None] / guess.duration_s
@@ -49,4 +50,5 @@ def graded_mesh(guess: Guess, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mes
         breaks[[0, -1]] = ends[k], ends[k + 1]
         fraction.append(np.diff(breaks) / (ends[k + 1] - ends[k]))
         segment += [k] * count
-    return Mesh(fraction=np.concatenate(fraction), segment=np.array(segment)), np.diff(ends)
+    leg = np.searchsorted(knots, ends[:-1], side="right") - 1
+    return Mesh(fraction=np.concatenate(fraction), segment=np.array(segment), leg=leg), np.diff(ends)

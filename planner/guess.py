@@ -39,8 +39,8 @@ class Guess:
     start_pose: np.ndarray
     knots_s: np.ndarray | None = None
     legs: int = 1  # swings that it is made of: each wants intervals of its own
-    cuts_s: np.ndarray | None = None  # (n_cuts,) instants at which its efforts switch
-    held: np.ndarray | None = None  # (n_cuts + 1, n_u) efforts between them
+    cuts_s: np.ndarray | None = None  # (n_cuts,) instants between its knots at which its efforts switch
+    held: np.ndarray | None = None  # (n_segments, n_u) efforts between those and the knots
 
 
 def motion_of(trajectory: Trajectory) -> Guess:

@@ -5,12 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.along import joint_rates
+from planner.case import step_of
 from planner.certificate import Certificate
 from planner.guess import Guess, motion_of
 from planner.mesh import Mesh
 from planner.plan import Step
 from planner.problem import PlanningProblem
-from planner.refinement import NO_WORSE, cut_mesh, step_of
+from planner.settling import NO_WORSE, cut_mesh
 from planner.solve import solve
 from planner.switches import find_cuts, pinned_efforts
 from planner.trajectory import Trajectory

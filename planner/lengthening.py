@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from planner.case import Say, attempt
 from planner.clearance import nears_singular
 from planner.first_mesh import graded_mesh
 from planner.guess import Guess, motion_of
@@ -18,7 +19,7 @@ from planner.mesh import Mesh, uniform
 from planner.phase_plane import stretched
 from planner.plan import Step
 from planner.problem import PlanningProblem
-from planner.refinement import Say, attempt, refine
+from planner.refinement import refine
 
 # By how much a motion is lengthened at a time, and the least that is tried where that is too much.
 LENGTHENING, _LEAST = 1.15, 1.03

@@ -26,7 +26,7 @@ _LOCAL = 1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MechanismCase:
-    """A `planner.refinement.Case` of a planning problem; certificates are against `asked`, solves within `problem`."""
+    """A `planner.case.Case` of a planning problem; certificates are against `asked`, solves within `problem`."""
 
     problem: PlanningProblem
     asked: PlanningProblem

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from models.errors import InfeasibleError
+from planner.case import Say, attempt, silent, step_of
 from planner.mesh import Mesh, broken, uniform
 from planner.ode_case import OdeCase
 from planner.ode_certificate import OdeCertificate
@@ -21,7 +22,7 @@ from planner.ode_starts import bent, held, is_open, of_least_effort, of_other_du
 from planner.ode_switches import cut_by_costates, has_arcs
 from planner.ode_trajectory import OdeTrajectory
 from planner.plan import Step
-from planner.refinement import Say, attempt, refine, silent, step_of
+from planner.refinement import refine
 from planner.solve import INVALID, OUT_OF_TIME, Solution, solve
 
 # An integrated state that ends this share of its size from a first solution: its efforts are looked at between the nodes.

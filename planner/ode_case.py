@@ -23,7 +23,7 @@ _MORE = 1.1
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OdeCase:
-    """A `planner.refinement.Case` of a user's problem; solves are within `problem`, certificates against `asked`."""
+    """A `planner.case.Case` of a user's problem; solves are within `problem`, certificates against `asked`."""
 
     problem: OdeProblem
     asked: OdeProblem

@@ -9,12 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from planner.case import Say, attempt
 from planner.mesh import Mesh
 from planner.ode_case import OdeCase
 from planner.ode_costates import Switching, is_affine, last_costates, switching_of
 from planner.ode_trajectory import OdeTrajectory
 from planner.plan import Step
-from planner.refinement import NO_WORSE, Say, attempt, cut_mesh
+from planner.settling import NO_WORSE, cut_mesh
 from planner.solve import Solution
 from planner.solver import SUCCEEDED
 

@@ -15,73 +15,27 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from models.along import sampled
-from models.assembly import follow, reach
-from models.errors import AssemblyError
 from planner.guess import Guess
+from planner.motion import Motion
+from planner.phase_grid import Plane, plane_of
 from planner.problem import PlanningProblem
 
-# Cells of the grid over s; two poses a cell.
-_CELLS = 800
-# The share of a grid's progress that is even in s; the rest goes where joints or the inertia change most.
-_EVEN = 0.5
 # Legs of a motion at the most, and places on the grid where it may turn.
 _SWINGS = 24
 _PLACES = 60
 # A speed below this counts as this where times are added up [rad/s or m/s].
 _STILL = 1e-9
-# A crank that turns fully may go so far beyond start and goal [rad].
-_TURNS = 2.0 * np.pi
-# And anything without an end, so many times the way between start and goal.
-_SPANS = 1.5
 # Shares of the effort limits tried for a motion that may take longer than the least.
 _SHARES = (0.7, 0.4)
-# Room kept to the ends of the reach, as a share of it.
-_ROOM = 1e-3
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Plane:
-    """A grid over s: positions (n,) of cell ends, and there the reduced inertia and its energy's gains.
-
-    d(M w)/ds = dW[direction]/ds + drag v, exact but for dampers that are not linear.
-    """
-
-    s: np.ndarray
-    inertia: list[float]  # M
-    work: dict[int, list[float]]  # W of weight, springs and full effort in direction +1 or -1, from the first position
-    force: dict[int, list[float]]  # dW/ds
-    drag: list[float]  # M da/dv
-    top: list[float]  # largest w by speed limits
-    effort: dict[int, np.ndarray]  # (2 n - 1, n_u) that pushes so, at ends and middles in turn
-
-    def leg(self, start: int, w: float, step: int, effort: int, *, backwards: bool = False) -> np.ndarray:
-        """Return w at cell ends from `start` on, index by index in steps of +-1, until it would fall to zero or below.
-
-        `effort` is the direction of the push. Backwards, the motion runs against the steps: a braking leg from its end.
-        """
-        sign, work, at = (-step if backwards else step), self.work[effort], start
-        values, energy = [w], self.inertia[start] * w
-        if not w and step * self.force[effort][start] <= 0:
-            return np.array(values)  # rest is not left that way, however soon the way would be open again
-        while 0 <= at + step < len(self.s):
-            over = at + step
-            h, free = self.s[over] - self.s[at], energy + work[over] - work[at]
-            drag = sign * self.drag[at] * (2 * values[-1]) ** 0.5
-            ahead = max(free + h * drag, 0.0) / self.inertia[over]
-            energy = free + 0.5 * h * (drag + sign * self.drag[over] * (2 * ahead) ** 0.5)
-            if energy <= 0:
-                break
-            at, w = over, min(energy / self.inertia[over], self.top[over])
-            energy = self.inertia[at] * w
-            values.append(w)
-        return np.array(values)
+# Energies that differ by less than this share are the same.
+_SAME = 1e-6
 
 
 def least_time_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
     """Return a reach in the least time that the phase plane knows, whatever duration is asked; None where there is none."""
-    motion = problem.motion
-    if problem.mechanism.dof != 1 or motion.kind != "reach" or motion.waypoints:
+    if problem.mechanism.dof != 1 or problem.motion.kind != "reach":
+        return None
+    if any(w.time_s is not None or not np.all(np.isfinite(w.position)) for w in problem.motion.waypoints):
         return None
     return _guess_with(problem, start_pose, 1.0) if np.all(np.isfinite(problem.limits.effort)) else None
 
@@ -103,111 +57,42 @@ def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest
 
 
 def _guess_with(problem: PlanningProblem, start_pose: np.ndarray, share: float) -> Guess | None:
-    plane = _plane(problem, start_pose, share)
-    legs = None if plane is None else _legs(plane, problem)
-    return None if legs is None else _guess(plane, legs, start_pose)
-
-
-def _plane(problem: PlanningProblem, start_pose: np.ndarray, share: float) -> _Plane | None:
-    mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
-    ends = np.sort([motion.start[0], motion.goal[0]])
-    can = reach(mechanism)
-    low, high = limits.position[mechanism.independent[0]]
-    if can.turns_fully:
-        beyond = max(_TURNS, _SPANS * float(ends[1] - ends[0]))
-        low, high = max(low, ends[0] - beyond), min(high, ends[1] + beyond)
-    else:
-        low, high = max(low, can.lower.position), min(high, can.upper.position)
-    room = _ROOM * (high - low)
-    s = np.linspace(min(low + room, ends[0]), max(high - room, ends[1]), _CELLS + 1)
-    gridded = _followed(problem, s, start_pose)
-    if gridded is None:
+    parts = _parts(problem.motion)
+    plane = plane_of(problem, np.concatenate([part.places for part in parts]), start_pose, share)
+    if plane is None:
         return None
-    s, poses = gridded
-    # The part around the start in which every joint keeps its range.
-    inside = np.all((poses >= limits.position[:, 0]) & (poses <= limits.position[:, 1]), axis=1)
-    begin, out = 2 * int(np.argmin(np.abs(s - motion.start[0]))), np.flatnonzero(~inside)
-    first = int(out[out < begin].max(initial=-1)) + 1
-    last = int(out[out > begin].min(initial=len(poses))) - 1
-    first, last = (first + 1) // 2, last // 2
-    s, poses = s[first : last + 1], poses[2 * first : 2 * last + 1]
-    if len(s) < 3 or not s[0] <= ends[0] <= ends[1] <= s[-1]:
-        return None
-    gridded = _followed(problem, _graded(problem, s, poses[::2]), start_pose)
-    return None if gridded is None else _gridded(problem, *gridded, share * limits.effort)
+    ways = [_legs(plane, part) for part in parts]
+    return None if any(legs is None for legs in ways) else _guess(plane, parts, ways, start_pose)
 
 
-def _followed(problem: PlanningProblem, s: np.ndarray, start_pose: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return positions (n,) with start and goal among them, and the poses (2 n - 1, n_q) at and between them.
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Part:
+    """A part of a motion between known speeds: places (n,) from first to last, which are passed in turn."""
 
-    None where the loops open on the way.
-    """
-    ends = [problem.motion.start[0], problem.motion.goal[0]]
-    room = 1e-9 * (s[-1] - s[0])
-    apart = np.all(np.abs(s[:, None] - ends) > room, axis=1)
-    s = np.unique(np.concatenate([s[apart], ends]))
-    fine = np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s)
-    begin = int(np.argmin(np.abs(fine - ends[0])))
-    try:
-        after = follow(problem.mechanism, fine[begin:, None], start_pose)
-        before = follow(problem.mechanism, fine[begin::-1, None], start_pose)[::-1]
-    except AssemblyError:
-        return None
-    return s, np.vstack([before[:-1], after])
+    places: np.ndarray
+    speeds: tuple[float, float]
 
 
-def _graded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return positions (n,) between the same ends, closer together where joints move or the inertia changes quickly."""
-    inertia = sampled(problem.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
-    steps = np.abs(np.diff(np.column_stack([poses, np.log(inertia)]), axis=0))
-    share = (steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)).mean(axis=1)
-    share = (1 - _EVEN) * share / share.sum() + _EVEN * np.diff(s) / (s[-1] - s[0])
-    progress = np.concatenate([[0.0], np.cumsum(share)])
-    return np.interp(np.linspace(0.0, progress[-1], len(s)), progress, s)
+def _parts(motion: Motion) -> list[_Part]:
+    """Return a reach's parts. Waypoints on the way are passed as quickly as may be, those at which it turns back at rest."""
+    places = np.array([motion.start[0], *(w.position[0] for w in motion.waypoints), motion.goal[0]])
+    ends = [0.0 if v is None else float(v[0]) for v in (motion.start_speed, motion.goal_speed)]
+    speeds = np.array([ends[0], *(w.speed[0] for w in motion.waypoints), ends[1]])
+    turns = np.concatenate([[False], np.diff(places)[1:] * np.diff(places)[:-1] <= 0, [False]])
+    speeds[turns & np.isnan(speeds)] = 0.0
+    known = np.flatnonzero(~np.isnan(speeds))
+    return [
+        _Part(places=places[a : b + 1], speeds=(float(speeds[a]), float(speeds[b]))) for a, b in itertools.pairwise(known)
+    ]
 
 
-def _gridded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> _Plane:
-    """Return the plane over positions (n,) with poses (2 n - 1, n_q) and effort limits (n_u, 2)."""
-    dynamics, n = problem.mechanism.dynamics, len(poses)
-
-    def acceleration(v: float, u: np.ndarray) -> np.ndarray:
-        return sampled(dynamics.acceleration, poses, np.full((n, 1), v), u)[:, 0, 0]
-
-    inertia = sampled(dynamics.reduced_inertia, poses)[:, 0, 0]
-    none = np.zeros((n, len(limit)))
-    ahead, back = (acceleration(v, none) for v in (1.0, -1.0))
-    maps = sampled(dynamics.effort_map, poses)[:, 0]
-    effort = {way: np.where(way * maps > 0, limit[:, 1], limit[:, 0]) for way in (+1, -1)}
-    force = {way: inertia * acceleration(0.0, u) for way, u in effort.items()}
-    gains = {way: np.diff(s) * (f[:-2:2] + 4 * f[1::2] + f[2::2]) / 6 for way, f in force.items()}
-    return _Plane(
-        s=s,
-        inertia=inertia[::2].tolist(),
-        work={way: [0.0, *np.cumsum(gain).tolist()] for way, gain in gains.items()},
-        force={way: f[::2].tolist() for way, f in force.items()},
-        drag=(0.5 * inertia * (ahead - back))[::2].tolist(),
-        top=_top(problem, poses[::2]).tolist(),
-        effort=effort,
-    )
-
-
-def _top(problem: PlanningProblem, poses: np.ndarray) -> np.ndarray:
-    """Return the largest w = v^2 / 2 at poses (n, n_q) that every joint's speed limit admits."""
-    mechanism, speed = problem.mechanism, np.abs(problem.limits.speed).min(axis=1)
-    ratio = np.array([np.abs(np.array(mechanism.dynamics.velocity_map(q))[:, 0]) for q in poses])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        fastest = np.where(ratio > 0, speed / ratio, np.inf).min(axis=1)
-    return 0.5 * fastest**2
-
-
-def _legs(plane: _Plane, problem: PlanningProblem):
-    """Return legs (indices, w, directions of the push at each) from start to goal, the quickest by way of a grid of turns.
+def _legs(plane: Plane, part: _Part):
+    """Return a part's legs (indices, w, directions of the push at each), the quickest by way of a grid of turns.
 
     None where there is no way. Dijkstra over the places where a motion may rest.
     """
-    motion, n = problem.motion, len(plane.s)
-    start, goal = (int(np.argmin(np.abs(plane.s - x[0]))) for x in (motion.start, motion.goal))
-    speeds = [0.0 if v is None else float(v[0]) for v in (motion.start_speed, motion.goal_speed)]
+    n, speeds = len(plane.s), part.speeds
+    start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
     rests = sorted({*np.linspace(0, n - 1, _PLACES).round().astype(int).tolist()} - {goal})
     ends = [(goal, speeds[1]), *((place, 0.0) for place in rests)]
     arriving = {}  # braking legs by where and in which direction they arrive
@@ -241,13 +126,13 @@ def _legs(plane: _Plane, problem: PlanningProblem):
     return None
 
 
-def _duration(plane: _Plane, leg) -> float:
+def _duration(plane: Plane, leg) -> float:
     index, w, _ = leg
     v = np.sqrt(2 * w)
     return float(np.sum(2 * np.abs(np.diff(plane.s[index])) / np.maximum(v[1:] + v[:-1], _STILL)))
 
 
-def _joined(plane: _Plane, index: np.ndarray, push: np.ndarray, goal: int, way: int, brake: np.ndarray | None):
+def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: int, brake: np.ndarray | None):
     """Return a pushing leg up to where it crosses the braking leg into the goal, then that one; None without a crossing."""
     if brake is None or not (goal - index[0]) * way > 0:
         return None
@@ -260,6 +145,8 @@ def _joined(plane: _Plane, index: np.ndarray, push: np.ndarray, goal: int, way: 
     if not len(over):
         return None
     k = int(over[0])
+    if not k and pushing[index[0]] > (1 + _SAME) * braking[index[0]]:
+        return None  # too fast already to stop there
     # Below the braking leg just before, or the way there is not open: it would be met too fast.
     if np.any(np.isnan(pushing[ahead[:k]])) or (k and np.isnan(braking[ahead[k - 1]])):
         return None
@@ -268,28 +155,30 @@ def _joined(plane: _Plane, index: np.ndarray, push: np.ndarray, goal: int, way: 
     return ahead, w, effort
 
 
-def _guess(plane: _Plane, legs, start_pose: np.ndarray) -> Guess:
-    """Return legs as a guess: position and velocity by Hermite cubics over time, efforts as they push."""
-    times, s, v, pushes = [0.0], [plane.s[legs[0][0][0]]], [], []
-    for leg_number, (index, w, effort) in enumerate(legs):
-        way = int(np.sign(index[-1] - index[0]))
-        speed = way * np.sqrt(2 * w)
-        step = np.abs(np.diff(plane.s[index]))
-        times += list(times[-1] + np.cumsum(2 * step / np.maximum(np.abs(speed[1:] + speed[:-1]), _STILL)))
-        s += list(plane.s[index[1:]])
-        v += list(speed if leg_number == 0 else speed[1:])
-        pushes += list(effort[:-1] * 1.0)
-    t, pushed = np.array(times), np.array(pushes)
-    path = CubicHermiteSpline(t, np.array(s)[:, None], np.array(v)[:, None])
-    place = np.array(s)
+def _guess(plane: Plane, parts: list[_Part], ways: list, start_pose: np.ndarray) -> Guess:
+    """Return parts' legs as a guess: position and velocity by Hermite cubics over time, efforts as they push."""
+    visited, times, v, pushes, knots = [plane.at(parts[0].places[0])], [0.0], [parts[0].speeds[0]], [], [0]
+    for part, legs in zip(parts, ways, strict=True):
+        for index, w, effort in legs:
+            speed = int(np.sign(index[-1] - index[0])) * np.sqrt(2 * w)
+            step = np.abs(np.diff(plane.s[index]))
+            times += list(times[-1] + np.cumsum(2 * step / np.maximum(np.abs(speed[1:] + speed[:-1]), _STILL)))
+            visited += list(index[1:])
+            v += list(speed[1:])
+            pushes += list(effort[:-1] * 1.0)
+        for place in part.places[1:-1]:
+            knots.append(knots[-1] + 1 + visited[knots[-1] + 1 :].index(plane.at(place)))
+        knots.append(len(visited) - 1)
+    t, pushed, place = np.array(times), np.array(pushes), plane.s[visited]
+    path = CubicHermiteSpline(t, place[:, None], np.array(v)[:, None])
 
     def effort_at(at: np.ndarray) -> np.ndarray:
         k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(pushed) - 1)
-        half = 2 * np.clip(np.searchsorted(plane.s, place[k]), 0, len(plane.s) - 1)
+        half = 2 * np.array(visited)[k]
         return np.where(pushed[k, None] > 0, plane.effort[+1][half], plane.effort[-1][half])
 
-    switched = np.flatnonzero(np.diff(pushed)) + 1
-    ends = np.concatenate([[0.0], t[switched], t[-1:]])
+    switched = np.setdiff1d(np.flatnonzero(np.diff(pushed)) + 1, knots)
+    ends = np.sort(np.concatenate([t[switched], t[knots]]))
     return Guess(
         position=path,
         velocity=path.derivative(1),
@@ -297,7 +186,8 @@ def _guess(plane: _Plane, legs, start_pose: np.ndarray) -> Guess:
         effort=effort_at,
         duration_s=float(t[-1]),
         start_pose=start_pose,
-        legs=len(legs),
+        knots_s=t[knots] if len(knots) > 2 else None,
+        legs=sum(len(legs) for legs in ways),
         cuts_s=t[switched],
         held=effort_at(0.5 * (ends[1:] + ends[:-1])),
     )
@@ -313,5 +203,6 @@ def stretched(guess: Guess, duration: float) -> Guess:
         effort=None,
         duration_s=duration,
         start_pose=guess.start_pose,
+        knots_s=None if guess.knots_s is None else guess.knots_s / factor,
         legs=guess.legs,
     )

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from planner.case import Say, attempt, silent
 from planner.clearance import kept_clear
 from planner.durations import SURELY, known_motion, longest, may_swing
 from planner.finishing import finished
@@ -20,7 +21,6 @@ from planner.plan import Plan, Step
 from planner.prescribed_plan import plan_prescribed
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem
-from planner.refinement import Say, attempt, silent
 from planner.relaxation import RELAXABLE, least_of, violated_sentence, without
 from planner.solve import INVALID, OUT_OF_TIME
 from planner.trying import best_of, certified, first_of, unsound
@@ -80,9 +80,9 @@ def _in_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple
     yield from guesses(problem, start_pose)
     quickest = least_time_guess(problem, start_pose)
     if quickest is not None:
-        if longest(problem) * SURELY < quickest.duration_s:
+        if quickest.knots_s is None and longest(problem) * SURELY < quickest.duration_s:
             return  # no start leads to a motion that there is no time for: the reason is looked for
-        if quickest.legs > 1 and list(problem.objective.weights) != ["time"]:
+        if quickest.legs > 1 and quickest.knots_s is None and list(problem.objective.weights) != ["time"]:
             swung = _least_time_motion(problem, quickest)
             if swung is not None:
                 duration = problem.motion.duration_s or max(swung.duration_s, problem.motion.min_duration_s or 0.0)
@@ -125,7 +125,7 @@ def _lengthened(problem: PlanningProblem, start_pose: np.ndarray, history: list[
     """Return a plan reached from the motion of least time step by step; None where the phase plane knows of none."""
     quickest = least_time_guess(problem, start_pose)
     ended = list(problem.objective.weights) == ["time"] or (history and history[-1].solver_status in (OUT_OF_TIME, INVALID))
-    if quickest is None or ended or longest(problem) < SURELY * quickest.duration_s:
+    if quickest is None or quickest.knots_s is not None or ended or longest(problem) < SURELY * quickest.duration_s:
         return None
     swung = _least_time_motion(problem, quickest)
     n_intervals = max(2 * problem.mesh.intervals, PER_LEG * quickest.legs)

@@ -2,12 +2,12 @@
 
 import numpy as np
 
+from planner.case import Say
 from planner.certificate import certify
 from planner.finishing import finished
 from planner.plan import Plan
 from planner.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
 from planner.problem import PlanningProblem
-from planner.refinement import Say
 
 
 def plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray, say: Say) -> Plan:

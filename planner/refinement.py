@@ -1,24 +1,16 @@
-"""From a first solution to a certified one: cuts at its switches, finer meshes and higher degrees until it passes.
-
-What is planned for stands behind `Case`: a mechanism's problem and a user's differential equation are refined by the
-same code.
-"""
+"""From a first solution to a certified one: cuts at its switches, finer meshes and higher degrees until it passes."""
 
 import re
-from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from models.errors import AssemblyError
-from planner.arcs import arc_ends, free_ends, held_paths, path_arcs
-from planner.collocation import Transcribed
-from planner.mesh import Mesh, halved, segmented
+from planner.case import Case, Say, attempt
+from planner.mesh import Mesh, halved
 from planner.plan import Step
-from planner.problem import MeshSettings, SolverSettings
 from planner.schemes import MAX_DEGREE
-from planner.solve import Solution, solve
-from planner.switches import find_cuts, pinned_efforts
+from planner.settling import all_held, settle_switches
+from planner.solve import Solution
 
 # Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
 _ROUNDS = 12
@@ -44,115 +36,8 @@ _STANDS_OUT = 30.0
 _AN_ARC = 3
 # Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
 _ROUGH = 0.01
-# A solve with cuts at its switches replaces the one before when it is no slower than the error of a mesh without cuts.
-NO_WORSE = 1e-4
-# Cuts next to arcs within the limits settle in a few solves: until the objective gains less than this share, relative.
-_SETTLINGS = 4
-_SETTLED = 1e-9
-
-Say = Callable[[str], None]
-
-
-def silent(text: str) -> None:
-    """Say nothing: the default for progress."""
-    del text
-
-
-class Case(Protocol):
-    """A problem as refinement sees it. Motions, starts and certificates are its own."""
-
-    mesh: MeshSettings
-    solver: SolverSettings
-    effort_limit: np.ndarray  # (n_u, 2)
-    switches: bool  # whether efforts may jump between their limits: cuts are then looked for
-    tolerance_given: bool  # whether the user asked for a tolerance
-    objective_tolerance: float | None  # on the objective's change from mesh to mesh, relative
-
-    def transcribe(self, start: Any, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
-        """Return the program from a start; options are position_rows, pinned, held and least_limit."""
-        ...
-
-    def motion(self, solution: Solution, limit: np.ndarray) -> Any | None:
-        """Return the motion of a solution, efforts cut at `limit`; None where it is none."""
-        ...
-
-    def start_from(self, motion: Any) -> Any:
-        """Return a motion as a start."""
-        ...
-
-    def certify(self, motion: Any) -> Any | None:
-        """Return a motion's certificate: passed, growth, residual_share; None where it has none."""
-        ...
-
-    def strictness(self) -> float:
-        """Return how many times more exact than a certificate demands the integrated state is to be."""
-        ...
-
-    def exact(self, certificate: Any) -> bool:
-        """Return whether a certificate's integration error is within the tolerance."""
-        ...
-
-    def noted(self, step: Step, certificate: Any) -> Step:
-        """Return a step with the certificate's error in it."""
-        ...
-
-    def leaves_positions(self, certificate: Any) -> bool:
-        """Return whether states leave their bounds between the nodes."""
-        ...
-
-    def overruns(self, certificate: Any) -> bool:
-        """Return whether a limit is left between the nodes that tightening mends."""
-        ...
-
-    def mendable(self, certificate: Any) -> bool:
-        """Return whether another mesh may mend why a certificate does not pass."""
-        ...
-
-    def overrun(self, certificate: Any) -> np.ndarray:
-        """Return by what share of themselves limits are overrun between the nodes, at most, on each interval (n,)."""
-        ...
-
-    def tightened(self, certificate: Any, motion: Any) -> "Case":
-        """Return the case with limits drawn in by what a motion overran them."""
-        ...
-
-    def with_scheme(self, name: str) -> "Case":
-        """Return the case with another transcription."""
-        ...
-
-
-def attempt(
-    case: Case, start: Any, mesh: Mesh, durations, what: str, history: list[Step], say: Say, *, warm=False, **options: Any
-) -> tuple[Any, Solution] | None:
-    """Return the motion and solution of one solve, noted in the history; None where it found none."""
-    say(f"{what}: {case.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
-    try:
-        transcribed = case.transcribe(start, mesh, durations, **options)
-    except AssemblyError:  # a start whose loops open between the instants at which it was looked at
-        return None
-    solution = solve(transcribed, case.solver, warm=warm)
-    history.append(step_of(what, transcribed, solution))
-    if not solution.converged:
-        return None
-    motion = case.motion(solution, case.effort_limit)
-    return None if motion is None else (motion, solution)
-
-
-def step_of(what: str, transcribed: Transcribed, solution: Solution) -> Step:
-    """Return the record of one solve."""
-    mesh = transcribed.program.mesh
-    return Step(
-        what=what,
-        scheme=transcribed.scheme.name,
-        intervals=mesh.n_intervals,
-        segments=mesh.n_segments,
-        converged=solution.converged,
-        solver_status=solution.status,
-        objective=solution.objective,
-        integration_error_deg=None,
-        build_s=transcribed.build_s + solution.build_s,
-        solve_s=solution.solve_s,
-    )
+# A finer mesh whose answer is so much slower is solved again from next to the coarser one's, relative.
+_SLOWER = 1e-7
 
 
 def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[Step], say: Say, *, warm: bool = False):
@@ -184,7 +69,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         position_rows = position_rows or certificate is None or case.leaves_positions(certificate)
         marked = _marked(mesh, certificate, case.strictness())
         over = _overrunning(case, certificate, mesh)
-        if over.any() and case.switches and turn and turn % 2 == 0 and again < _AGAIN and not _all_held(arcs):
+        if over.any() and case.switches and turn and turn % 2 == 0 and again < _AGAIN and not all_held(arcs):
             again += 1
             settled_again = settle_switches(
                 kept, motion, solution, mesh, history, say, position_rows=position_rows, arcs=arcs
@@ -196,7 +81,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         if not settled and not (marked | over).any():
             marked = _rough(motion)
         higher = _higher_on_arcs(kept, certificate, mesh, over, arcs)
-        if over.any() and case.switches and not _all_held(arcs):
+        if over.any() and case.switches and not all_held(arcs):
             marked = over  # an arc that is shorter than an interval must be seen before it can be cut out
         else:
             higher = higher or _higher(kept, certificate, marked)
@@ -219,8 +104,10 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
             break
         mesh = halved(mesh, marked)
         durations = np.bincount(mesh.segment, weights=_widths(motion, marked))
-        start = kept.start_from(motion)
-        finer = attempt(kept, start, mesh, durations, what, history, say, warm=warm, position_rows=position_rows, **arcs)
+        finer, arcs = _finer(
+            kept, motion, solution, mesh, durations, what, history, say,
+            warm=warm, again=passed is not None, position_rows=position_rows, arcs=arcs,
+        )  # fmt: skip
         if finer is None:
             break
         motion, solution = finer
@@ -230,6 +117,27 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     if passed is not None and (certificate is None or not certificate.passed):
         motion, solution, certificate = passed
     return None if certificate is None else (motion, solution, certificate, settled)
+
+
+def _finer(
+    case: Case, motion: Any, solution: Solution, mesh: Mesh, durations: np.ndarray, what: str, history: list[Step], say: Say,
+    *, warm: bool, again: bool, position_rows: bool, arcs: dict[str, Any],
+) -> tuple[tuple[Any, Solution] | None, dict[str, Any]]:  # fmt: skip
+    """Return the motion and solution on a finer mesh, or None, and what is held there.
+
+    One that has switches and is slower than it was before is looked for from next to that too. So is one that is lost
+    `again`, after another that passed; then with nothing held.
+    """
+    start, rows = case.start_from(motion), {"position_rows": position_rows}
+    finer = attempt(case, start, mesh, durations, what, history, say, warm=warm, **rows, **arcs)
+    slower = finer is not None and finer[1].objective > solution.objective + _SLOWER * abs(solution.objective)
+    if not ((slower and case.switches and not warm) or (finer is None and again)):
+        return finer, arcs
+    what = f"{what}, from next to it"
+    near = attempt(case, start, mesh, durations, what, history, say, warm=True, **rows, **arcs)
+    if near is None and finer is None and arcs:
+        return attempt(case, start, mesh, durations, what, history, say, warm=True, **rows), {}
+    return (near if finer is None or (near is not None and near[1].objective < finer[1].objective) else finer), arcs
 
 
 def _certify(case: Case, motion: Any, history: list[Step]) -> Any | None:
@@ -306,79 +214,3 @@ def _widths(motion: Any, marked: np.ndarray) -> np.ndarray:
     widths = np.diff(motion.breaks_s)
     pieces = np.where(marked, 2, 1)
     return np.repeat(widths / pieces, pieces)
-
-
-def settle_switches(
-    case: Case,
-    motion: Any,
-    solution: Solution,
-    mesh: Mesh,
-    history: list[Step],
-    say: Say,
-    *,
-    position_rows: bool = False,
-    arcs: dict[str, Any] | None = None,
-):
-    """Return a solution with mesh cuts at its switches: motion, solution, mesh, and what is held between the cuts.
-
-    First with efforts and path quantities held at the limits that the arcs showed, which leaves the cuts alone to be found;
-    where that is slower than the solution without cuts, the arcs were read wrongly and all is set free again.
-    """
-    chosen, no_worse = arcs or {}, _SETTLED if position_rows else NO_WORSE
-    for _ in range(_SETTLINGS):
-        knots = motion.breaks_s[mesh.knots()]
-        on_path = path_arcs(solution.transcribed, solution.x)
-        cuts = find_cuts(motion, case.effort_limit, knots, on_path.any(axis=1))
-        cuts = np.sort(np.append(cuts, arc_ends(on_path, motion.breaks_s, cuts, knots)))
-        if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6:
-            break
-        ends = np.sort(np.concatenate([knots, cuts]))
-        pinned, start = pinned_efforts(motion, case.effort_limit, ends[1:-1]), case.start_from(motion)
-        held = {"pinned": pinned, "held": held_paths(on_path, motion.breaks_s, ends, pinned)}
-        if _known(solution.transcribed, held):
-            return motion, solution, mesh, held
-        readings = [("cuts at the switches", cuts, held)]
-        if held["held"].any():
-            inner, loose = free_ends(ends, **held)
-            readings.append(("cuts at the switches, ends of arcs free", np.sort(np.append(cuts, inner)), loose))
-        better = None
-        for what, cut, options in [*readings, ("cuts at the switches, efforts free", cuts, {})]:
-            finer, durations = cut_mesh(knots, cut, case.mesh.intervals)
-            found = attempt(
-                case, start, finer, durations, what, history, say, warm=True, position_rows=position_rows, **options
-            )
-            if found is not None and found[1].objective <= solution.objective + no_worse * abs(solution.objective):
-                better = found
-                break
-        if better is None:
-            break
-        settled = better[1].objective > solution.objective - _SETTLED * abs(solution.objective)
-        (motion, solution), mesh, chosen = better, finer, options
-        no_worse = _SETTLED  # from now on both have cuts, and only a better one replaces the other
-        if settled or _all_held(held):
-            break
-    return motion, solution, mesh, chosen
-
-
-def _known(transcribed: Transcribed, held: dict[str, np.ndarray]) -> bool:
-    """Return whether a program has held all of this already, and nothing was left free: there is nothing new to cut."""
-    before, paths = transcribed.pinned, held["held"]
-    if before is None or before.shape != held["pinned"].shape or not _all_held(held):
-        return False
-    same_paths = not paths.any() if transcribed.held is None else np.array_equal(transcribed.held, paths)
-    return bool(same_paths and np.array_equal(before, held["pinned"], equal_nan=True))
-
-
-def _all_held(held: dict[str, np.ndarray]) -> bool:
-    """Return whether every segment holds as much as it has efforts: then the cuts alone were to be found."""
-    if not held:
-        return False
-    return bool(np.all(np.isnan(held["pinned"]).sum(axis=1) == np.count_nonzero(held["held"], axis=1)))
-
-
-def cut_mesh(knots_s: np.ndarray, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
-    """Return a mesh with movable cuts (n_cuts,) [s] between knots (n_knots,) [s], and its segments' durations [s]."""
-    ends = np.sort(np.concatenate([knots_s, cuts_s]))
-    leg = np.searchsorted(knots_s, ends[:-1], side="right") - 1
-    durations = np.diff(ends)
-    return segmented(durations, n_intervals, leg=leg), durations

@@ -7,6 +7,7 @@ import numpy as np
 from models.along import joint_rates
 from models.assembly import follow
 from models.errors import AssemblyError
+from planner.case import step_of
 from planner.certificate import certify
 from planner.guess import motion_of
 from planner.infeasibility import overrun_sentence
@@ -14,7 +15,6 @@ from planner.limits import free
 from planner.mesh import Mesh
 from planner.plan import Step
 from planner.problem import PlanningProblem
-from planner.refinement import step_of
 from planner.solve import build_solver, run_solver, solve
 from planner.trajectory import Trajectory
 from planner.transcription import renumbered, trajectory_of, transcribe

@@ -15,6 +15,7 @@ import casadi as ca
 import numpy as np
 
 from models.errors import AssemblyError
+from planner.case import Say, silent
 from planner.certificate import certify
 from planner.collocation import Transcribed
 from planner.plan import Plan, Step
@@ -22,7 +23,6 @@ from planner.planning import finished, plan_motion
 from planner.presolve import plain_contradiction, start_pose_of
 from planner.problem import PlanningProblem
 from planner.program import Program
-from planner.refinement import Say, silent
 from planner.solve import Solution, build_solver, run_solver
 from planner.transcription import renumbered, trajectory_of
 

@@ -34,9 +34,12 @@ def find_cuts(
         on_path: intervals (n,) that follow a path limit: never a smeared switch, however few.
 
     A switch inside an interval shows as one smeared interval; its time follows from the impulse, which the smeared
-    interval keeps: u_before (t - t_0) + u_after (t_1 - t) = int u dt.
+    interval keeps: u_before (t - t_0) + u_after (t_1 - t) = int u dt. So do the two of an arc that is shorter than that.
     """
     breaks = trajectory.breaks_s
+    knots = breaks[[0, -1]] if knots_s is None else knots_s
+    at_knots = {0, len(breaks) - 1, *np.searchsorted(breaks, knots[1:-1] - 1e-12 * breaks[-1]).tolist()}
+    cut_already = np.array(sorted(at_knots - {0, len(breaks) - 1}), dtype=int)
     cuts: list[float] = []
     for j, (low, high) in enumerate(limit):
         if not (np.isfinite(low) and np.isfinite(high) and high > low):
@@ -44,11 +47,11 @@ def find_cuts(
         coefficients = trajectory.effort[:, :, j]
         slack = _AT_LIMIT * (high - low)
         arc = np.where(coefficients.min(axis=0) > high - slack, 1, np.where(coefficients.max(axis=0) < low + slack, -1, 0))
-        edges = np.flatnonzero(np.diff(arc)) + 1
+        edges = np.union1d(np.flatnonzero(np.diff(arc)) + 1, cut_already)
         starts, ends = np.concatenate([[0], edges]), np.concatenate([edges, [len(arc)]])
-        for run, (a, b) in enumerate(zip(starts, ends, strict=True)):
-            before = arc[starts[run - 1]] if run else 0
-            after = arc[starts[run + 1]] if run + 1 < len(starts) else 0
+        for a, b in zip(starts, ends, strict=True):
+            before = 0 if a in at_knots else arc[a - 1]
+            after = 0 if b in at_knots else arc[b]
             if arc[a] != 0:
                 if before != 0:
                     cuts.append(float(breaks[a]))
@@ -61,10 +64,13 @@ def find_cuts(
                         at_limit, within = (high if neighbour > 0 else low), coefficients[:, inner].mean()
                         u_before, u_after = (at_limit, within) if k == a else (within, at_limit)
                         cuts.append(_cut_in(breaks[k : k + 2], coefficients[:, k : k + 1], u_before, u_after))
-            elif before * after < 0:
-                u_before, u_after = (high, low) if before > 0 else (low, high)
+            elif before * after > 0:
+                cuts += _pulse_in(breaks[a : b + 1], coefficients[:, a:b], (low, high) if before < 0 else (high, low))
+            elif before or after:
+                # Next to a knot or an end the arc on the other side is shorter than an interval: at the other limit.
+                u_before, u_after = (high, low) if before > 0 or after < 0 else (low, high)
                 cuts.append(_cut_in(breaks[a : b + 1], coefficients[:, a:b], u_before, u_after))
-    return _spread(cuts, breaks, breaks[[0, -1]] if knots_s is None else knots_s)
+    return _spread(cuts, breaks, knots)
 
 
 def _cut_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:
@@ -74,6 +80,16 @@ def _cut_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_aft
     if jump == 0:
         return float(breaks[0])
     return float(np.clip((impulse + u_before * breaks[0] - u_after * breaks[-1]) / jump, breaks[0], breaks[-1]))
+
+
+def _pulse_in(breaks: np.ndarray, coefficients: np.ndarray, limits: tuple[float, float]) -> list[float]:
+    """Return when smeared intervals leave the first limit for the other and come back, by their impulse and its middle."""
+    widths, missing = np.diff(breaks), limits[0] - coefficients.mean(axis=0)
+    lengths = missing * widths / (limits[0] - limits[1])
+    length = float(lengths.sum())
+    middle = float(lengths @ (breaks[1:] + breaks[:-1]) / (2 * length))
+    middle = float(np.clip(middle, breaks[0] + length / 2, breaks[-1] - length / 2))
+    return [middle - length / 2, middle + length / 2]
 
 
 def pinned_efforts(trajectory: Efforts, limit: np.ndarray, cuts: np.ndarray) -> np.ndarray:

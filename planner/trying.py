@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from planner.case import Say, attempt
 from planner.durations import longer
 from planner.finishing import finished
 from planner.first_mesh import PER_LEG, first_mesh, graded_mesh
@@ -14,7 +15,7 @@ from planner.mechanism_case import case_of
 from planner.mesh import Mesh
 from planner.plan import Plan, Step
 from planner.problem import PlanningProblem
-from planner.refinement import Say, attempt, refine
+from planner.refinement import refine
 from planner.solve import INVALID, OUT_OF_TIME
 from planner.touching import unavoidable
 

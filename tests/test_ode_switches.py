@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from planner.case import attempt, silent
 from planner.mesh import uniform
 from planner.ode import OdePlan, plan_ode
 from planner.ode_case import OdeCase
 from planner.ode_costates import is_affine, switching_of
 from planner.ode_formulation import start_of, straight_guess, units_of
 from planner.ode_problem import OdeProblem, StateGuess
-from planner.refinement import attempt, silent
 from tests.test_ode_closed_forms import oscillator
 from tests.test_ode_textbook import FREE_EFFORT, double_integrator, duration, solved, squared_effort
 from tests.tolerances_planner import (

@@ -1,8 +1,11 @@
 """Starts from the phase plane: near the exact least time, over swings where no straight motion is open; no false refusal."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from planner.motion import Waypoint
 from planner.phase_plane import least_time_guess
 from planner.planning import plan_motion
 from planner.presolve import start_pose_of
@@ -17,6 +20,8 @@ SPRING = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" ty
 GRID = 2e-3
 # The same of a motion whose legs cross in a cell and whose turn is no place of the grid.
 FINE_GRID = 1e-3
+# The same of one whose turn is at the nearest of sixty places.
+TURNS = 3e-2
 
 
 @pytest.fixture
@@ -62,6 +67,50 @@ def test_a_least_time_next_to_a_singular_pose_or_a_rest_that_torque_barely_leave
     guess = least_time_guess(problem, start_pose_of(problem))
     assert guess is not None
     assert guess.duration_s == pytest.approx(case.shortest, rel=FINE_GRID)
+
+
+@pytest.mark.parametrize("number", [13, 672])
+def test_a_motion_that_turns_back_at_a_waypoint_takes_the_least_time_of_its_two_parts(number):
+    """Left to a smooth path through the waypoint, a solver answers with one that is 5 % (13) or 46 % (672) slower."""
+    case = random_case(1, number)
+    problem = problem_from_tables("by way of a turn", case.tables)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.duration_s == pytest.approx(case.duration, rel=GRID)
+    assert guess.position(guess.knots_s)[:, 0] == pytest.approx(
+        [problem.motion.start[0], problem.motion.waypoints[0].position[0], problem.motion.goal[0]]
+    )
+    plan = plan_motion(problem)
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(case.duration, rel=MINIMUM_TIME)
+
+
+def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
+    problem = spring(2.0)
+    way = replace(problem.motion, waypoints=tuple(Waypoint(position=[x]) for x in (1.5, 0.3)))
+    guess = least_time_guess(problem, start_pose_of(problem))
+    passed = least_time_guess(replace(problem, motion=way), start_pose_of(problem))
+    assert guess is not None
+    assert passed is not None
+    assert passed.duration_s == pytest.approx(guess.duration_s, rel=GRID)
+    assert passed.position(passed.knots_s)[:, 0] == pytest.approx([2.0, 1.5, 0.3, 0.0])
+
+
+def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
+    problem = spring(2.0)
+    asked = replace(problem.motion, waypoints=(Waypoint(position=[1.0], speed=[-0.5]),))
+    guess = least_time_guess(replace(problem, motion=asked), start_pose_of(problem))
+    assert guess is not None
+    assert guess.velocity(guess.knots_s)[:, 0] == pytest.approx([0.0, -0.5, 0.0], abs=1e-9)
+
+
+def test_a_start_too_fast_to_stop_at_the_goal_turns_back_beyond_it():
+    case = random_case(1, 598)
+    problem = problem_from_tables("too fast to stop", case.tables)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.legs == 2
+    assert guess.duration_s == pytest.approx(case.duration, rel=TURNS)
 
 
 def test_a_motion_that_there_is_no_time_for_is_not_tried_from_other_starts(spring):
