@@ -1,6 +1,6 @@
 """Arcs of a motion along path limits: where they begin and end, and which segments between cuts are held on them.
 
-An effort that follows a limit on power or on a joint's speed is no more at its own limit, and a program with rows
+An effort that follows a limit on power or on a dependent joint's speed is no more at its own limit, and a program with rows
 at nodes alone gains from leaving the limit between them, most of all next to a switch. Held on the limit at every node of a
 segment, as efforts at their limits are, the motion has nothing to gain there, and its cuts settle where they belong.
 """
@@ -19,34 +19,21 @@ _NEAR = 2.5
 
 
 def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
-    """Return on which intervals what is limited along the path is at its upper limit (1) or lower one (-1) throughout.
-
-    (n, n_path + n_speeds): path quantities at all nodes, then speeds of independent joints by all their coefficients.
-    """
+    """Return on which intervals (n, n_path) path quantities are at their upper limit (1) or lower one (-1) at all nodes."""
     program, interval = transcribed.program, transcribed.program.interval
     n, m, n_path = program.mesh.n_intervals, interval.n_nodes, interval.n_path
+    limit = transcribed.formulation.path.reshape(-1, 2)
     if n_path == 0:
         return np.zeros((n, 0), dtype=int)
     rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()[: n * interval.n_rows].reshape(n, -1)
     n_f = interval.n_equations + n_path
-    limit = transcribed.formulation.path.reshape(-1, 2)
-    may = np.array([kind != "work" for kind in interval.node_kinds[interval.n_equations :]], dtype=bool)
     values = rows[:, interval.n_own : interval.n_own + m * n_f].reshape(n, m, n_f)[:, :, interval.n_equations :]
-    at_limits = [_at_limit(values[:, :, i], limit[i]) if may[i] else np.zeros(n, dtype=int) for i in range(n_path)]
-    speeds = transcribed.formulation.own.get("speed")
-    for item in range(0):
-        at_limits.append(_at_limit(rows[:, interval.speed_rows(item)], speeds[item]))
-    return np.stack(at_limits, axis=1)
-
-
-def _at_limit(values: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return whether values (n, n_values) are all at their upper limit (1) or lower one (-1) of (2,)."""
     # Of each of its two ends by itself: 900 W may stand beside a million.
     size = np.where(np.isfinite(limit), np.abs(limit), 0.0)
-    slack = _AT_LIMIT * np.where(size > 0, size, np.abs(values).max())
-    may = limit[0] < limit[1]
-    upper = np.all(values > limit[1] - slack[1], axis=1) & may
-    lower = np.all(values < limit[0] + slack[0], axis=1) & may
+    slack = _AT_LIMIT * np.where(size > 0, size, np.abs(values).max(axis=(0, 1))[:, None])
+    may = (limit[:, 0] < limit[:, 1]) & np.array([kind != "work" for kind in interval.node_kinds[interval.n_equations :]])
+    upper = np.all(values > limit[:, 1] - slack[:, 1], axis=1) & may
+    lower = np.all(values < limit[:, 0] + slack[:, 0], axis=1) & may
     return upper.astype(int) - lower.astype(int)
 
 

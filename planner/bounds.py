@@ -144,17 +144,6 @@ def bounds(
     return lower, upper
 
 
-def _inner(held: np.ndarray) -> np.ndarray:
-    """Return what intervals (n, n_speeds) hold together with both neighbours.
-
-    Held from end to end, an arc that efforts at their limits just reach leaves a solver no room at all.
-    """
-    inner = np.array(held)
-    inner[1:][held[:-1] != held[1:]] = 0
-    inner[:-1][held[1:] != held[:-1]] = 0
-    return inner
-
-
 def row_bounds(
     formulation: Formulation,
     interval: IntervalFunctions,
@@ -169,8 +158,7 @@ def row_bounds(
         formulation: whose limits.
         interval: the rows.
         breaks_s: (n + 1,) of the mesh [s].
-        held: which path quantities, then which independent joints' speeds (n, n_path + n_speeds), intervals hold at their
-            upper limit (1) or lower one (-1).
+        held: which path quantities (n, n_path) nodes hold at their upper limit (1) or lower one (-1).
         node_at_end: whether a node stands at an interval's end.
     """
     n, m = len(breaks_s) - 1, interval.n_nodes
@@ -182,12 +170,8 @@ def row_bounds(
     if formulation.inset is not None:
         path = path + formulation.inset(breaks_s)[:, :, None] * np.array([1.0, -1.0])
     looked, at_nodes = np.array(path), np.repeat(path[:, None], m, axis=1)
-    own = np.repeat(own[None], n, axis=0)
     if held is not None:
-        for k, item in zip(*np.nonzero(_inner(held[:, interval.n_path :])), strict=True):
-            rows = interval.speed_rows(item)[1:]
-            own[k, rows] = own[k, rows, 1 if held[k, interval.n_path + item] > 0 else 0][:, None]
-        for k, i in zip(*np.nonzero(held[:, : interval.n_path]), strict=True):
+        for k, i in zip(*np.nonzero(held), strict=True):
             # Drawn in evenly, and as far as anywhere: an arc is smooth, and what follows it begins where it ends.
             limit = path[:, i, 1].min() if held[k, i] > 0 else path[:, i, 0].max()
             at_nodes[k, :, i] = limit
@@ -197,5 +181,6 @@ def row_bounds(
     equations = np.zeros((n, m, interval.n_equations, 2))
     at_nodes = np.concatenate([equations, at_nodes], axis=2).reshape(n, -1, 2)
     looked = np.concatenate([equations[:, 0], looked], axis=1)[:, list(interval.look_rows)]
+    own = np.broadcast_to(own, (n, *own.shape))
     both = np.concatenate([own, at_nodes, np.tile(looked, (1, interval.n_looks, 1))], axis=1)
     return both[:, :, 0].ravel(), both[:, :, 1].ravel()

@@ -31,6 +31,7 @@ class Case(Protocol):
     solver: SolverSettings
     effort_limit: np.ndarray  # (n_u, 2)
     switches: bool  # whether efforts may jump between their limits: cuts are then looked for
+    bangs: bool  # whether they are at their limits wherever no other limit binds: such arcs may be as short as may be
     tolerance_given: bool  # whether the user asked for a tolerance
     objective_tolerance: float | None  # on the objective's change from mesh to mesh, relative
 

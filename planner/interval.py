@@ -90,16 +90,6 @@ class IntervalFunctions:
         return self.n_own + self.n_nodes * (self.n_equations + self.n_path) + self.n_looks * len(self.look_rows)
 
     @property
-    def n_speeds(self) -> int:
-        """The number of independent joints whose speeds are limited."""
-        return len({item for kind, item in zip(self.own_kinds, self.own_items, strict=True) if kind == "speed"})
-
-    def speed_rows(self, item: int) -> list[int]:
-        """Return which own rows are the Bernstein coefficients of a limited speed, in turn."""
-        own = enumerate(zip(self.own_kinds, self.own_items, strict=True))
-        return [row for row, what in own if what == ("speed", item)]
-
-    @property
     def row_kinds(self) -> tuple[str, ...]:
         """What each of an interval's rows is."""
         looked = tuple(self.node_kinds[i] for i in self.look_rows)

@@ -55,6 +55,11 @@ class MechanismCase:
         return (objective.has("time") or objective.has("work")) and not objective.has("effort_rate")
 
     @property
+    def bangs(self) -> bool:
+        """Whether efforts are at their limits wherever no other limit binds: where time alone counts."""
+        return list(self.asked.objective.weights) == ["time"]
+
+    @property
     def tolerance_given(self) -> bool:
         """Whether the problem asks for a tolerance."""
         return self.asked.mesh.tolerance_deg is not None

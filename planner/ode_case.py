@@ -53,6 +53,11 @@ class OdeCase:
         return not self.cut and bool(np.any(np.all(np.isfinite(self.asked.effort_limit), axis=1)))
 
     @property
+    def bangs(self) -> bool:
+        """False: a differential equation's efforts may take a singular arc anywhere."""
+        return False
+
+    @property
     def tolerance_given(self) -> bool:
         """Whether the mesh may grow beyond what is comfortable."""
         return True

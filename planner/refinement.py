@@ -125,13 +125,13 @@ def _finer(
 ) -> tuple[tuple[Any, Solution] | None, dict[str, Any]]:  # fmt: skip
     """Return the motion and solution on a finer mesh, or None, and what is held there.
 
-    One that has switches and is slower than it was before is looked for from next to that too. So is one that is lost
-    `again`, after another that passed; then with nothing held.
+    Where one passed before, it is looked for `again` from next to that: one that is lost, then with nothing held, and one
+    of bangs that is slower.
     """
     start, rows = case.start_from(motion), {"position_rows": position_rows}
     finer = attempt(case, start, mesh, durations, what, history, say, warm=warm, **rows, **arcs)
     slower = finer is not None and finer[1].objective > solution.objective + _SLOWER * abs(solution.objective)
-    if not ((slower and case.switches and not warm) or (finer is None and again)):
+    if not again or not (finer is None or (slower and case.bangs and not warm)):
         return finer, arcs
     what = f"{what}, from next to it"
     near = attempt(case, start, mesh, durations, what, history, say, warm=True, **rows, **arcs)

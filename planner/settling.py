@@ -41,7 +41,9 @@ def settle_switches(
     for _ in range(_SETTLINGS):
         knots = motion.breaks_s[mesh.knots()]
         on_path = path_arcs(solution.transcribed, solution.x)
-        cuts = find_cuts(motion, case.effort_limit, knots, on_path.any(axis=1))
+        others = {*solution.transcribed.program.interval.own_kinds} - {"continuity", "position"}
+        short = case.bangs and not others and on_path.shape[1] == 0
+        cuts = find_cuts(motion, case.effort_limit, knots, on_path.any(axis=1), short=short)
         cuts = np.sort(np.append(cuts, arc_ends(on_path, motion.breaks_s, cuts, knots)))
         if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6:
             break

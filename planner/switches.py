@@ -23,7 +23,12 @@ class Efforts(Protocol):
 
 
 def find_cuts(
-    trajectory: Efforts, limit: np.ndarray, knots_s: np.ndarray | None = None, on_path: np.ndarray | None = None
+    trajectory: Efforts,
+    limit: np.ndarray,
+    knots_s: np.ndarray | None = None,
+    on_path: np.ndarray | None = None,
+    *,
+    short: bool = False,
 ) -> np.ndarray:
     """Return the times (n,) [s] at which efforts jump between their limits or leave them, increasing.
 
@@ -32,14 +37,16 @@ def find_cuts(
         limit: (n_u, 2) of the efforts.
         knots_s: instants [s] at which the mesh is cut already; its ends by default.
         on_path: intervals (n,) that follow a path limit: never a smeared switch, however few.
+        short: whether arcs at limits may be shorter than an interval. Where there are limits other than those of effort,
+            what leaves its limit so shortly follows one of them.
 
     A switch inside an interval shows as one smeared interval; its time follows from the impulse, which the smeared
     interval keeps: u_before (t - t_0) + u_after (t_1 - t) = int u dt. So do the two of an arc that is shorter than that.
     """
     breaks = trajectory.breaks_s
     knots = breaks[[0, -1]] if knots_s is None else knots_s
-    at_knots = {0, len(breaks) - 1, *np.searchsorted(breaks, knots[1:-1] - 1e-12 * breaks[-1]).tolist()}
-    cut_already = np.array(sorted(at_knots - {0, len(breaks) - 1}), dtype=int)
+    cut_already = np.searchsorted(breaks, knots[1:-1] - 1e-12 * breaks[-1]) if short else np.empty(0, dtype=int)
+    at_knots = {0, len(breaks) - 1, *cut_already.tolist()}
     cuts: list[float] = []
     for j, (low, high) in enumerate(limit):
         if not (np.isfinite(low) and np.isfinite(high) and high > low):
@@ -64,9 +71,9 @@ def find_cuts(
                         at_limit, within = (high if neighbour > 0 else low), coefficients[:, inner].mean()
                         u_before, u_after = (at_limit, within) if k == a else (within, at_limit)
                         cuts.append(_cut_in(breaks[k : k + 2], coefficients[:, k : k + 1], u_before, u_after))
-            elif before * after > 0:
+            elif before * after > 0 and short:
                 cuts += _pulse_in(breaks[a : b + 1], coefficients[:, a:b], (low, high) if before < 0 else (high, low))
-            elif before or after:
+            elif before * after < 0 or (short and before + after):
                 # Next to a knot or an end the arc on the other side is shorter than an interval: at the other limit.
                 u_before, u_after = (high, low) if before > 0 or after < 0 else (low, high)
                 cuts.append(_cut_in(breaks[a : b + 1], coefficients[:, a:b], u_before, u_after))
