@@ -10,12 +10,15 @@ import itertools
 import numpy as np
 
 from planner.collocation import Transcribed
+from planner.schemes import bernstein_matrix
 
 # A path quantity within this share of its limit is at it; next to cuts (this share of a segment) nothing is looked at.
 _AT_LIMIT = 1e-3
 _BESIDE_CUTS = 0.15
 # Ends of an arc within so many intervals of a cut are that cut.
 _NEAR = 2.5
+# A curve further from a limit than this share of it, whose coefficients are at it, is kept away; looked at so many instants.
+_STANDS_OFF, _SAMPLES = 1e-7, 33
 
 
 def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
@@ -35,6 +38,30 @@ def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     upper = np.all(values > limit[:, 1] - slack[:, 1], axis=1) & may
     lower = np.all(values < limit[:, 0] + slack[:, 0], axis=1) & may
     return upper.astype(int) - lower.astype(int)
+
+
+def standing_off(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
+    """Return on which intervals (n,) a limit on Bernstein coefficients keeps a curve away from itself.
+
+    Coefficients enclose their polynomial: one that touches its limit in an instant may not, by an eighth of its bend. On
+    half the interval it is a quarter of that.
+    """
+    program, interval = transcribed.program, transcribed.program.interval
+    n = program.mesh.n_intervals
+    rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()[: n * interval.n_rows].reshape(n, -1)
+    off = np.zeros(n, dtype=bool)
+    what = list(zip(interval.own_kinds, interval.own_items, strict=True))
+    for kind, item in sorted(set(what)):
+        if kind == "continuity":
+            continue
+        coefficients = rows[:, [row for row, of in enumerate(what) if of == (kind, item)]]
+        curve = coefficients @ bernstein_matrix(coefficients.shape[1] - 1, np.linspace(0.0, 1.0, _SAMPLES)).T
+        for bound, sign in zip(transcribed.formulation.own[kind][item], (-1.0, 1.0), strict=True):
+            if np.isfinite(bound) and bound != 0:
+                room = _STANDS_OFF * abs(bound)
+                touching, away = ((sign * (bound - values)).min(axis=1) for values in (coefficients, curve))
+                off |= (touching < 0.5 * room) & (away > room)
+    return off
 
 
 def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, cuts_s: np.ndarray, knots_s: np.ndarray) -> np.ndarray:

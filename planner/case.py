@@ -89,15 +89,28 @@ class Case(Protocol):
 
 
 def attempt(
-    case: Case, start: Any, mesh: Mesh, durations, what: str, history: list[Step], say: Say, *, warm=False, **options: Any
+    case: Case,
+    start: Any,
+    mesh: Mesh,
+    durations: np.ndarray,
+    what: str,
+    history: list[Step],
+    say: Say,
+    *,
+    warm: bool = False,
+    close: bool = False,
+    **options: Any,
 ) -> tuple[Any, Solution] | None:
-    """Return the motion and solution of one solve, noted in the history; None where it found none."""
+    """Return the motion and solution of one solve, noted in the history; None where it found none.
+
+    The solver begins as in `planner.solve.build_solver`; options are those of `Case.transcribe`.
+    """
     say(f"{what}: {case.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
     try:
         transcribed = case.transcribe(start, mesh, durations, **options)
     except AssemblyError:  # a start whose loops open between the instants at which it was looked at
         return None
-    solution = solve(transcribed, case.solver, warm=warm)
+    solution = solve(transcribed, case.solver, warm=warm, close=close)
     history.append(step_of(what, transcribed, solution))
     if not solution.converged:
         return None

@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from planner.arcs import standing_off
 from planner.case import Case, Say, attempt
 from planner.mesh import Mesh, halved
 from planner.plan import Step
 from planner.schemes import MAX_DEGREE
 from planner.settling import all_held, settle_switches
 from planner.solve import Solution
+from planner.solver import SUCCEEDED
 
 # Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
 _ROUNDS = 12
@@ -36,8 +38,8 @@ _STANDS_OUT = 30.0
 _AN_ARC = 3
 # Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
 _ROUGH = 0.01
-# A finer mesh whose answer is so much slower is solved again from next to the coarser one's, relative.
-_SLOWER = 1e-7
+# Answers on two meshes that are no further apart are the same motion, relative.
+_SAME = 1e-6
 
 
 def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[Step], say: Say, *, warm: bool = False):
@@ -58,16 +60,17 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     for turn in range(_ROUNDS):
         if certificate is not None and not certificate.passed and not case.mendable(certificate):
             break
+        off = standing_off(solution.transcribed, solution.x) if case.bangs else np.zeros(mesh.n_intervals, dtype=bool)
         if certificate is not None and certificate.passed:
             passed = motion, solution, certificate
             wanted = case.objective_tolerance
             settled = wanted is None or abs(solution.objective - before) <= wanted * abs(solution.objective)
-            if case.exact(certificate) and settled:
+            if case.exact(certificate) and settled and not off.any():
                 break
             before = solution.objective
         begun = position_rows
         position_rows = position_rows or certificate is None or case.leaves_positions(certificate)
-        marked = _marked(mesh, certificate, case.strictness())
+        marked = _marked(mesh, certificate, case.strictness()) | off
         over = _overrunning(case, certificate, mesh)
         if over.any() and case.switches and turn and turn % 2 == 0 and again < _AGAIN and not all_held(arcs):
             again += 1
@@ -125,19 +128,28 @@ def _finer(
 ) -> tuple[tuple[Any, Solution] | None, dict[str, Any]]:  # fmt: skip
     """Return the motion and solution on a finer mesh, or None, and what is held there.
 
-    Where one passed before, it is looked for `again` from next to that: one that is lost, then with nothing held, and one
-    of bangs that is slower.
+    Where one passed before, it is looked for `again` where it is lost, in the end with nothing held; one of bangs is looked
+    for right at the coarser one's, and from afar too where that gives another.
     """
     start, rows = case.start_from(motion), {"position_rows": position_rows}
-    finer = attempt(case, start, mesh, durations, what, history, say, warm=warm, **rows, **arcs)
-    slower = finer is not None and finer[1].objective > solution.objective + _SLOWER * abs(solution.objective)
-    if not again or not (finer is None or (slower and case.bangs and not warm)):
-        return finer, arcs
-    what = f"{what}, from next to it"
-    near = attempt(case, start, mesh, durations, what, history, say, warm=True, **rows, **arcs)
-    if near is None and finer is None and arcs:
-        return attempt(case, start, mesh, durations, what, history, say, warm=True, **rows), {}
-    return (near if finer is None or (near is not None and near[1].objective < finer[1].objective) else finer), arcs
+
+    def tried(word: str, **options: Any) -> tuple[Any, Solution] | None:
+        return attempt(case, start, mesh, durations, what + word, history, say, **rows, **options)
+
+    ways = [("", {"warm": warm}), (", from next to it", {"close": True})][: 2 if again else 1]
+    found = []
+    for word, how in reversed(ways) if case.bangs else ways:
+        finer = tried(word, **how, **arcs)
+        if finer is not None:
+            found.append(finer)
+            changed = abs(finer[1].objective - solution.objective) > _SAME * abs(solution.objective)
+            if finer[1].status == SUCCEEDED and not (case.bangs and changed):
+                break
+    if again and arcs and all(finer[1].status != SUCCEEDED for finer in found):
+        loose = tried(", nothing held", close=True)
+        if loose is not None:
+            return loose, {}
+    return min(found, key=lambda finer: (finer[1].status != SUCCEEDED, finer[1].objective), default=None), arcs
 
 
 def _certify(case: Case, motion: Any, history: list[Step]) -> Any | None:

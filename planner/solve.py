@@ -28,6 +28,8 @@ _LARGE = 200
 # How near its end a warm solve begins, and how far its point is pushed off bounds that hold it: next to an answer with its
 # multipliers, four iterations do where a barrier of 1e-4 took five; nearer yet, limits that come to bind take twice as long.
 _WARM_BARRIER, _WARM_PUSH = 1e-6, 1e-9
+# The same without multipliers: near an answer, and at one but for its mesh, from which a larger barrier leads away.
+_NEAR_BARRIER, _AT_BARRIER = 1e-4, 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -49,7 +51,12 @@ class Solution:
 
 
 def build_solver(
-    program: Program, settings: SolverSettings | None = None, *, warm: bool = False, endpoint: Endpoint | None = None
+    program: Program,
+    settings: SolverSettings | None = None,
+    *,
+    warm: bool = False,
+    close: bool = False,
+    endpoint: Endpoint | None = None,
 ) -> Solver:
     """Return the solver that settings ask for; a warm one begins next to the point that it is given.
 
@@ -57,6 +64,7 @@ def build_solver(
         program: what to solve.
         settings: by which solver, and how long.
         warm: whether it begins next to an answer.
+        close: whether that is the answer itself but for another mesh; IPOPT alone makes a difference.
         endpoint: the program's, where it has one.
 
     Raises:
@@ -69,12 +77,12 @@ def build_solver(
     try:
         if settings.name == "fatrop":
             return FatropSolver(program, endpoint, max_iterations=iterations, max_time_s=settings.max_time_s, warm=warm)
-        return _ipopt(program, iterations, settings.max_time_s, warm=warm)
+        return _ipopt(program, iterations, settings.max_time_s, warm=warm, close=close)
     except RuntimeError as error:
         raise ProblemError(f"solver '{settings.name}' cannot be set up: {one_line(error)}") from error
 
 
-def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool) -> Solver:
+def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool, close: bool) -> Solver:
     functions = program.functions
     options = {
         "print_time": False,
@@ -104,7 +112,9 @@ def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool) 
         options["ipopt.mumps_permuting_scaling"] = 0
     if not warm:
         return ca.nlpsol("solver", "ipopt", functions["nlp"], options)
-    near = options | {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
+    barrier = _AT_BARRIER if close else _NEAR_BARRIER
+    near = options | {"ipopt.mu_init": barrier}
+    near |= {f"ipopt.{push}": 0.01 * barrier for push in ("bound_push", "bound_frac")}
     pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
     again = options | {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": _WARM_BARRIER}
     again |= {f"ipopt.warm_start_{push}": _WARM_PUSH for push in pushes}
@@ -135,10 +145,12 @@ class _WarmIpopt:
         return self._solver.stats()
 
 
-def solve(transcribed: Transcribed, settings: SolverSettings | None = None, *, warm: bool = False) -> Solution:
-    """Return the solver's answer; never raises for a problem that has none."""
-    begin = time.perf_counter()
-    solver = build_solver(transcribed.program, settings, warm=warm, endpoint=transcribed.formulation.endpoint)
+def solve(
+    transcribed: Transcribed, settings: SolverSettings | None = None, *, warm: bool = False, close: bool = False
+) -> Solution:
+    """Return the solver's answer, begun as in `build_solver`; never raises for a problem that has none."""
+    begin, endpoint = time.perf_counter(), transcribed.formulation.endpoint
+    solver = build_solver(transcribed.program, settings, warm=warm or close, close=close, endpoint=endpoint)
     return run_solver(solver, transcribed, build_s=time.perf_counter() - begin)
 
 

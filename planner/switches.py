@@ -9,6 +9,8 @@ import numpy as np
 _AT_LIMIT = 1e-3
 # Up to this many intervals between two arcs at limits are one smeared switch; more are an arc of their own.
 _SMEARED = 3
+# Cuts within this share of half an interval of a knot are that knot.
+_BESIDE = 0.1
 
 
 class Efforts(Protocol):
@@ -48,6 +50,7 @@ def find_cuts(
     cut_already = np.searchsorted(breaks, knots[1:-1] - 1e-12 * breaks[-1]) if short else np.empty(0, dtype=int)
     at_knots = {0, len(breaks) - 1, *cut_already.tolist()}
     cuts: list[float] = []
+    pulses: list[list[float]] = []
     for j, (low, high) in enumerate(limit):
         if not (np.isfinite(low) and np.isfinite(high) and high > low):
             continue
@@ -72,12 +75,12 @@ def find_cuts(
                         u_before, u_after = (at_limit, within) if k == a else (within, at_limit)
                         cuts.append(_cut_in(breaks[k : k + 2], coefficients[:, k : k + 1], u_before, u_after))
             elif before * after > 0 and short:
-                cuts += _pulse_in(breaks[a : b + 1], coefficients[:, a:b], (low, high) if before < 0 else (high, low))
+                pulses.append(_pulse_in(breaks[a : b + 1], coefficients[:, a:b], (low, high) if before < 0 else (high, low)))
             elif before * after < 0 or (short and before + after):
                 # Next to a knot or an end the arc on the other side is shorter than an interval: at the other limit.
                 u_before, u_after = (high, low) if before > 0 or after < 0 else (low, high)
                 cuts.append(_cut_in(breaks[a : b + 1], coefficients[:, a:b], u_before, u_after))
-    return _spread(cuts, breaks, knots)
+    return _spread([[cut] for cut in cuts] + pulses, breaks, knots)
 
 
 def _cut_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:
@@ -116,11 +119,12 @@ def pinned_efforts(trajectory: Efforts, limit: np.ndarray, cuts: np.ndarray) -> 
     return pinned
 
 
-def _spread(cuts: list[float], breaks: np.ndarray, knots: np.ndarray) -> np.ndarray:
-    """Return the cuts in order, but for those within half an interval of another, or a twentieth of a knot."""
+def _spread(cuts: list[list[float]], breaks: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Return cuts in order, a pulse's together, but for those within half an interval of others or next to a knot."""
     apart = 0.5 * float(np.diff(breaks).min())
     kept: list[float] = []
-    for cut in sorted(cuts):
-        if np.abs(cut - knots).min() > 0.1 * apart and (not kept or cut - kept[-1] > apart):
-            kept.append(cut)
+    for together in sorted(cuts):
+        beside = min(float(np.abs(cut - knots).min()) for cut in together)
+        if beside > _BESIDE * apart and (not kept or together[0] - kept[-1] > apart):
+            kept += together
     return np.array(kept)

@@ -73,21 +73,39 @@ def test_the_ends_of_a_held_arc_are_split_off_and_free():
     np.testing.assert_array_equal(np.isnan(loose["pinned"]).ravel(), [False, True, True, True])
 
 
-def test_a_short_arc_along_a_path_limit_is_no_smeared_switch():
-    efforts = np.array([1.0, 1.0, 1.0, 1.0, 0.4, 0.2, -1.0, -1.0, -1.0, -1.0])
-    breaks = np.linspace(0.0, 1.0, 11)
-    flat = np.zeros((3, 10, 1))
-    motion = Trajectory(
-        breaks_s=breaks,
+def with_efforts(efforts: list[float]) -> Trajectory:
+    """Return a motion of one second at rest whose effort is constant over each interval."""
+    flat = np.zeros((3, len(efforts), 1))
+    return Trajectory(
+        breaks_s=np.linspace(0.0, 1.0, len(efforts) + 1),
         position=flat,
         velocity=flat[:2],
-        effort=efforts.reshape(1, 10, 1),
+        effort=np.array(efforts).reshape(1, -1, 1),
         start_pose=np.zeros(1),
         periodic=False,
     )
-    limit, on_path = np.array([[-1.0, 1.0]]), np.isin(np.arange(10), [4, 5])
-    assert len(find_cuts(motion, limit)) == 1
-    np.testing.assert_allclose(find_cuts(motion, limit, on_path=on_path), [0.4, 0.6])
+
+
+UNIT_LIMIT = np.array([[-1.0, 1.0]])
+
+
+def test_a_short_arc_along_a_path_limit_is_no_smeared_switch():
+    motion = with_efforts([1.0, 1.0, 1.0, 1.0, 0.4, 0.2, -1.0, -1.0, -1.0, -1.0])
+    on_path = np.isin(np.arange(10), [4, 5])
+    assert len(find_cuts(motion, UNIT_LIMIT)) == 1
+    np.testing.assert_allclose(find_cuts(motion, UNIT_LIMIT, on_path=on_path), [0.4, 0.6])
+
+
+def test_a_pulse_shorter_than_an_interval_is_cut_out_by_its_impulse():
+    motion = with_efforts([1.0, 1.0, 1.0, 0.4, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(find_cuts(motion, UNIT_LIMIT, short=True), [0.335, 0.365])
+    assert len(find_cuts(motion, UNIT_LIMIT)) == 0
+
+
+def test_a_bang_shorter_than_an_interval_next_to_a_waypoint_or_an_end_is_cut_off_by_its_impulse():
+    motion = with_efforts([-0.6, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0])
+    cuts = find_cuts(motion, UNIT_LIMIT, np.array([0.0, 0.5, 1.0]), short=True)
+    np.testing.assert_allclose(cuts, [0.08, 0.475])
 
 
 @pytest.mark.parametrize("name", NAMES)

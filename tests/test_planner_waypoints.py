@@ -114,6 +114,16 @@ def test_the_quickest_way_by_a_stop_takes_the_sum_of_both_ways():
     assert plan.objective == pytest.approx(exact, rel=MINIMUM_TIME)
 
 
+def test_a_speed_just_below_the_quickest_is_braked_for_at_the_last_moment():
+    """Braking takes less than an interval of the mesh: a hundredth of the way there."""
+    a, half = EFFORT / HINGE_INERTIA, TURN / 2
+    speed = 0.98 * np.sqrt(2 * a * half)
+    waypoint = f"waypoints = [{{ at_deg = {{ J = 55.0 }}, speed_deg_s = {{ J = {np.degrees(speed)} }} }}]\n"
+    plan = hinge(QUARTER_TURN + FREE + waypoint, "objective.minimize=time")
+    top = np.sqrt(a * half + speed**2 / 2)
+    assert plan.objective == pytest.approx(2 * (2 * top - speed) / a, rel=MINIMUM_TIME)
+
+
 def test_the_quickest_way_there_and_back_turns_at_full_effort():
     """By 160 deg to 100 with no stop asked for: it turns there, so both ways are from rest to rest."""
     plan = hinge(QUARTER_TURN + FREE + "waypoints = [{ at_deg = { J = 160.0 } }]\n", "objective.minimize=time")
