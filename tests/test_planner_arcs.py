@@ -3,10 +3,16 @@
 import numpy as np
 import pytest
 
-from planner.arcs import arc_ends, free_ends, held_paths, path_arcs
+from planner.arcs import arc_ends, free_ends, held_paths, path_arcs, standing_off
+from planner.case import attempt, silent
+from planner.first_mesh import first_mesh
+from planner.guess import first_guess
+from planner.mechanism_case import case_of
 from planner.planning import plan_motion
+from planner.presolve import start_pose_of
 from planner.problem_file import problem_from_tables
 from planner.schemes import NAMES, scheme
+from planner.settling import settle_switches
 from planner.switches import find_cuts
 from planner.trajectory import Trajectory
 from tests.fourbar_problems import random_case
@@ -25,6 +31,33 @@ def test_a_speed_limit_on_a_dependent_joint_is_followed_in_the_least_time(number
     plan = plan_motion(problem_from_tables("limited", case.tables))
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(case.duration, rel=LEAST_TIME_ON_ARCS)
+
+
+@pytest.mark.parametrize("number", [94, 236, 365])
+def test_a_speed_limit_on_the_driven_joint_is_entered_and_left_in_the_least_time(number):
+    """Two of them touch the limit where effort and its own limit let them: in an instant, not at a corner."""
+    case = random_case(1, number)
+    assert case.notes["limited"] == "O"
+    plan = plan_motion(problem_from_tables("limited", case.tables))
+    assert plan.status == "optimal", plan.message
+    assert plan.trajectory.duration_s == pytest.approx(case.duration, rel=LEAST_TIME_ON_ARCS)
+
+
+def test_a_curve_that_its_coefficients_keep_off_its_limit_is_found():
+    problem = problem_from_tables("limited", random_case(1, 365).tables)
+    guess = first_guess(problem, start_pose_of(problem))
+    mesh, durations = first_mesh(problem, guess)
+    case, history = case_of(problem), []
+    first = attempt(case, guess, mesh, durations, "first solve", history, silent)
+    motion, solution, *_ = settle_switches(case, *first, mesh, history, silent)
+    off = standing_off(solution.transcribed, solution.x)
+    fastest = np.abs(motion.velocity[:, :, 0])
+    limit = problem.limits.speed[0, 1]
+    assert off.any()
+    assert np.all(fastest[:, off].max(axis=0) > limit * (1 - 1e-7))  # their coefficients are at the limit
+    inside = np.abs(motion.velocity_at(np.linspace(0.0, motion.duration_s, 4000))[:, 0])
+    k = np.searchsorted(motion.breaks_s, np.linspace(0.0, motion.duration_s, 4000), side="right") - 1
+    assert max(inside[k == interval].max() for interval in np.flatnonzero(off)) < limit * (1 - 1e-7)  # they are not
 
 
 def test_a_plan_along_a_power_limit_is_at_it_at_all_nodes_of_an_arc_and_nowhere_else():

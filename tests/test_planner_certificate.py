@@ -10,7 +10,9 @@ from models.errors import AssemblyError
 from planner.certificate import Certificate, certify
 from planner.trajectory import Trajectory
 from tests.fourbar import KNEE_PROBLEMS, SHANK, knee
+from tests.test_planner_objectives import body_problem
 from tests.test_planner_plans import planned, problem_of
+from tests.test_planner_schemes import HINGE
 from tests.tolerances_planner import CLOSURE_M, EXCESS, EXTREME, PEAK_ON_A_GRID, SAME_FIGURE, SINGULARITY
 
 
@@ -52,6 +54,25 @@ def test_an_effort_below_its_lower_limit_is_found():
     certificate = found(motion(), "limits.effort.act_O=[-50, 100]")
     assert certificate.effort_excess == pytest.approx(-motion().effort.min() - 50, rel=EXCESS)
     assert sentence(certificate, "the effort exceeds its limit")
+
+
+def test_a_speed_that_only_touches_its_limit_is_not_said_to_overrun_it():
+    """v = L (1 - (1 - tau)^3) ends at L and is below it everywhere; the parabola through three samples of it is not."""
+    problem = body_problem(HINGE, 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 45.0 }\nduration_s = 1.0\n')
+    limit = np.radians(60.0)
+    problem = replace(problem, limits=replace(problem.limits, speed=np.array([[-limit, limit]])))
+    velocity = limit * np.array([0.0, 1.0, 1.0, 1.0])
+    touching = Trajectory(
+        breaks_s=np.array([0.0, 1.0]),
+        position=np.concatenate([[0.0], np.cumsum(velocity) / 4]).reshape(-1, 1, 1),
+        velocity=velocity.reshape(-1, 1, 1),
+        effort=np.zeros((1, 1, 1)),
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+    assert certify(problem, touching).speed_margin[0] == 0.0
+    beyond = replace(touching, velocity=(1 + 1e-9) * touching.velocity)
+    assert certify(problem, beyond).speed_margin[0] == pytest.approx(-1e-9 * limit, rel=EXCESS)
 
 
 def test_an_effort_that_is_another_motion_s_is_found_by_inverse_dynamics():
