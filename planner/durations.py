@@ -11,8 +11,9 @@ from planner.plan import Step
 from planner.problem import PlanningProblem
 from planner.solve import Solution
 
-# A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth.
-SURELY = 1.001
+# A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth; along
+# speed limits, where joints fly, to half a hundredth.
+SURELY, SURELY_LIMITED = 1.001, 1.01
 # A duration within this share of where it may end is there.
 _AT_END = 0.01
 # A motion whose duration ended where its guess held it is begun so many times again, so many times longer; it has no end

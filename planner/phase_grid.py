@@ -36,19 +36,23 @@ class Plane:
     work: dict[int, list[float]]  # W of weight, springs and full effort in direction +1 or -1, from the first position
     force: dict[int, list[float]]  # dW/ds
     drag: list[float]  # M da/dv
-    top: list[float]  # largest w by speed limits
+    top: dict[int, list[float]]  # largest w in either direction from which full effort keeps the speed limits further on
     effort: dict[int, np.ndarray]  # (2 n - 1, n_u) that pushes so, at ends and middles in turn
 
     def at(self, place: float) -> int:
         """Return the cell end at a place."""
         return int(np.argmin(np.abs(self.s - place)))
 
-    def leg(self, start: int, w: float, step: int, effort: int, *, backwards: bool = False) -> np.ndarray:
+    def leg(
+        self, start: int, w: float, step: int, effort: int, *, backwards: bool = False, below: np.ndarray | None = None
+    ) -> np.ndarray:
         """Return w at cell ends from `start` on, index by index in steps of +-1, until it would fall to zero or below.
 
-        `effort` is the direction of the push. Backwards, the motion runs against the steps: a braking leg from its end.
+        `effort` is the direction of the push. Backwards, the motion runs against the steps: a braking leg from its end. It
+        stays `below` w at cell ends (n,).
         """
         sign, work, at = (-step if backwards else step), self.work[effort], start
+        top = self.top[sign]
         values, energy = [w], self.inertia[start] * w
         if not w and step * self.force[effort][start] <= 0:
             return np.array(values)  # rest is not left that way, however soon the way would be open again
@@ -58,11 +62,11 @@ class Plane:
             drag = sign * self.drag[at] * (2 * values[-1]) ** 0.5
             ahead = max(free + h * drag, 0.0) / self.inertia[over]
             energy = free + 0.5 * h * (drag + sign * self.drag[over] * (2 * ahead) ** 0.5)
-            if energy <= 0:
+            if energy <= 0 or top[over] <= 0:
                 break
-            at, w = over, min(energy / self.inertia[over], self.top[over])
+            at, w = over, min(energy / self.inertia[over], top[over], np.inf if below is None else below[over])
             energy = self.inertia[at] * w
-            values.append(w)
+            values.append(float(w))
         return np.array(values)
 
 
@@ -147,13 +151,15 @@ def _gridded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: 
     effort = {way: np.where(way * maps > 0, limit[:, 1], limit[:, 0]) for way in (+1, -1)}
     force = {way: inertia * acceleration(0.0, u) for way, u in effort.items()}
     gains = {way: np.diff(s) * (f[:-2:2] + 4 * f[1::2] + f[2::2]) / 6 for way, f in force.items()}
+    works = {way: np.concatenate([[0.0], np.cumsum(gain)]) for way, gain in gains.items()}
+    fastest = _top(problem, poses[::2])
     return Plane(
         s=s,
         inertia=inertia[::2].tolist(),
-        work={way: [0.0, *np.cumsum(gain).tolist()] for way, gain in gains.items()},
+        work={way: work.tolist() for way, work in works.items()},
         force={way: f[::2].tolist() for way, f in force.items()},
         drag=(0.5 * inertia * (ahead - back))[::2].tolist(),
-        top=_top(problem, poses[::2]).tolist(),
+        top={way: _kept(fastest, inertia[::2], works[-way], way) for way in effort},
         effort=effort,
     )
 
@@ -165,3 +171,21 @@ def _top(problem: PlanningProblem, poses: np.ndarray) -> np.ndarray:
     with np.errstate(divide="ignore", invalid="ignore"):
         fastest = np.where(ratio > 0, speed / ratio, np.inf).min(axis=1)
     return 0.5 * fastest**2
+
+
+def _kept(fastest: np.ndarray, inertia: np.ndarray, braking: np.ndarray, way: int) -> list[float]:
+    """Return the largest w (n,) from which a motion can keep what is fastest (n,) further on, by braking in time.
+
+    Args:
+        fastest: largest w at every place.
+        inertia: (n,) there.
+        braking: (n,) the work up to there of weight and full effort against the way.
+        way: +1 or -1.
+    """
+    energy = inertia * fastest
+    if np.all(np.isinf(energy)):
+        return energy.tolist()
+    order = range(len(energy) - 2, -1, -1) if way > 0 else range(1, len(energy))
+    for k in order:
+        energy[k] = max(min(energy[k], energy[k + way] - (braking[k + way] - braking[k])), 0.0)
+    return (energy / inertia).tolist()

@@ -10,7 +10,7 @@ all that this leaves out.
 
 import heapq
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -151,6 +151,10 @@ def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: i
     if np.any(np.isnan(pushing[ahead[:k]])) or (k and np.isnan(braking[ahead[k - 1]])):
         return None
     w = np.concatenate([pushing[ahead[:k]], braking[ahead[k:]]])
+    if np.any(np.isfinite(plane.top[way])):
+        # Below a speed limit a braking leg may rise faster than full effort does.
+        rest = plane.leg(index[0], push[0], way, way, below=np.where(np.isnan(braking), np.inf, braking))
+        w[: len(rest)] = rest[: len(w)]
     effort = np.where(np.arange(len(ahead)) < k, way, -way)
     return ahead, w, effort
 
@@ -177,20 +181,23 @@ def _guess(plane: Plane, parts: list[_Part], ways: list, start_pose: np.ndarray)
         half = 2 * np.array(visited)[k]
         return np.where(pushed[k, None] > 0, plane.effort[+1][half], plane.effort[-1][half])
 
-    switched = np.setdiff1d(np.flatnonzero(np.diff(pushed)) + 1, knots)
-    ends = np.sort(np.concatenate([t[switched], t[knots]]))
-    return Guess(
+    guess = Guess(
         position=path,
         velocity=path.derivative(1),
         acceleration=path.derivative(2),
-        effort=effort_at,
+        effort=None,
         duration_s=float(t[-1]),
         start_pose=start_pose,
         knots_s=t[knots] if len(knots) > 2 else None,
         legs=sum(len(legs) for legs in ways),
-        cuts_s=t[switched],
-        held=effort_at(0.5 * (ends[1:] + ends[:-1])),
     )
+    top = np.where(np.array(v) > 0, np.array(plane.top[+1])[visited], np.array(plane.top[-1])[visited])
+    if np.any((0.5 * np.square(v) >= (1 - _SAME) * top) & (top > 0)):
+        return guess  # along speed limits efforts are what these ask for
+    switched = np.setdiff1d(np.flatnonzero(np.diff(pushed)) + 1, knots)
+    ends = np.sort(np.concatenate([t[switched], t[knots]]))
+    held = effort_at(0.5 * (ends[1:] + ends[:-1]))
+    return replace(guess, effort=effort_at, cuts_s=t[switched], held=held)
 
 
 def stretched(guess: Guess, duration: float) -> Guess:

@@ -9,7 +9,7 @@ import numpy as np
 
 from planner.case import Say, attempt, silent
 from planner.clearance import kept_clear
-from planner.durations import SURELY, known_motion, longest, may_swing
+from planner.durations import SURELY, SURELY_LIMITED, known_motion, longest, may_swing
 from planner.finishing import finished
 from planner.first_mesh import PER_LEG, first_mesh
 from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of, swinging_guesses
@@ -80,7 +80,8 @@ def _in_turn(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple
     yield from guesses(problem, start_pose)
     quickest = least_time_guess(problem, start_pose)
     if quickest is not None:
-        if quickest.knots_s is None and longest(problem) * SURELY < quickest.duration_s:
+        surely = SURELY if quickest.cuts_s is not None else SURELY_LIMITED
+        if quickest.knots_s is None and longest(problem) * surely < quickest.duration_s:
             return  # no start leads to a motion that there is no time for: the reason is looked for
         if quickest.legs > 1 and quickest.knots_s is None and list(problem.objective.weights) != ["time"]:
             swung = _least_time_motion(problem, quickest)

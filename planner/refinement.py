@@ -10,7 +10,7 @@ from planner.case import Case, Say, attempt
 from planner.mesh import Mesh, halved
 from planner.plan import Step
 from planner.schemes import MAX_DEGREE
-from planner.settling import all_held, settle_switches
+from planner.settling import all_held, bangs_alone, settle_switches
 from planner.solve import Solution
 from planner.solver import SUCCEEDED
 
@@ -38,6 +38,8 @@ _STANDS_OUT = 30.0
 _AN_ARC = 3
 # Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
 _ROUGH = 0.01
+# Touched limits are refined until the objective changes by no more than this, relative.
+_TOUCHED = 1e-7
 # Answers on two meshes that are no further apart are the same motion, relative.
 _SAME = 1e-6
 
@@ -56,7 +58,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     certificate = _certify(case, motion, history)
     position_rows, kept, finest = False, case, _MOST * case.mesh.intervals
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
-    settled, again = True, 0
+    settled, again, polished = True, 0, None
     for turn in range(_ROUNDS):
         if certificate is not None and not certificate.passed and not case.mendable(certificate):
             break
@@ -64,9 +66,20 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         if certificate is not None and certificate.passed:
             passed = motion, solution, certificate
             wanted = case.objective_tolerance
-            settled = wanted is None or abs(solution.objective - before) <= wanted * abs(solution.objective)
-            if case.exact(certificate) and settled and not off.any():
-                break
+            change = abs(solution.objective - before)
+            settled = wanted is None or change <= wanted * abs(solution.objective)
+            if case.exact(certificate) and settled and (not off.any() or change <= _TOUCHED * abs(solution.objective)):
+                if polished or all_held(arcs) or not bangs_alone(case, solution.transcribed):
+                    break
+                # Where efforts were left free the switches are read once more, from a motion that is right.
+                polished = settle_switches(
+                    kept, motion, solution, mesh, history, say, position_rows=position_rows, arcs=arcs
+                )
+                if polished[1] is solution:
+                    break
+                motion, solution, mesh, arcs = polished
+                certificate = _certify(case, motion, history)
+                continue
             before = solution.objective
         begun = position_rows
         position_rows = position_rows or certificate is None or case.leaves_positions(certificate)

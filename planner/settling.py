@@ -40,24 +40,14 @@ def settle_switches(
     chosen, no_worse = arcs or {}, _SETTLED if position_rows else NO_WORSE
     for _ in range(_SETTLINGS):
         knots = motion.breaks_s[mesh.knots()]
-        on_path = path_arcs(solution.transcribed, solution.x)
-        others = {*solution.transcribed.program.interval.own_kinds} - {"continuity", "position"}
-        short = case.bangs and not others and on_path.shape[1] == 0
-        cuts = find_cuts(motion, case.effort_limit, knots, on_path.any(axis=1), short=short)
-        cuts = np.sort(np.append(cuts, arc_ends(on_path, motion.breaks_s, cuts, knots)))
-        if len(cuts) == 0 or len(cuts) > mesh.n_intervals // 6:
+        readings = _readings(case, motion, solution, knots)
+        if not readings or len(readings[0][1]) > mesh.n_intervals // 6:
             break
-        ends = np.sort(np.concatenate([knots, cuts]))
-        pinned, start = pinned_efforts(motion, case.effort_limit, ends[1:-1]), case.start_from(motion)
-        held = {"pinned": pinned, "held": held_paths(on_path, motion.breaks_s, ends, pinned)}
+        held = readings[0][2]
         if _known(solution.transcribed, held) and not _at_bounds(solution):
             return motion, solution, mesh, held
-        readings = [("cuts at the switches", cuts, held)]
-        if held["held"].any():
-            inner, loose = free_ends(ends, **held)
-            readings.append(("cuts at the switches, ends of arcs free", np.sort(np.append(cuts, inner)), loose))
-        better = None
-        for what, cut, options in [*readings, ("cuts at the switches, efforts free", cuts, {})]:
+        better, start = None, case.start_from(motion)
+        for what, cut, options in [*readings, ("cuts at the switches, efforts free", readings[0][1], {})]:
             finer, durations = cut_mesh(knots, cut, case.mesh.intervals)
             found = attempt(
                 case, start, finer, durations, what, history, say, warm=True, position_rows=position_rows, **options
@@ -73,6 +63,36 @@ def settle_switches(
         if settled or all_held(held):
             break
     return motion, solution, mesh, chosen
+
+
+def _readings(
+    case: Case, motion: Any, solution: Solution, knots: np.ndarray
+) -> list[tuple[str, np.ndarray, dict[str, Any]]]:
+    """Return what a solution's arcs may be: in words, their ends (n_cuts,) [s] and what is held between them.
+
+    Arcs shorter than an interval are bangs where nothing else binds; elsewhere they may be ends of arcs along a limit.
+    """
+    on_path = path_arcs(solution.transcribed, solution.x)
+    alone, readings = bangs_alone(case, solution.transcribed), []
+    for short in (True,) if alone else (False, True) if case.bangs else (False,):
+        cuts = find_cuts(motion, case.effort_limit, knots, on_path.any(axis=1), short=short)
+        cuts = np.sort(np.append(cuts, arc_ends(on_path, motion.breaks_s, cuts, knots)))
+        if len(cuts) == 0 or (readings and np.array_equal(cuts, readings[0][1])):
+            continue
+        ends = np.sort(np.concatenate([knots, cuts]))
+        pinned = pinned_efforts(motion, case.effort_limit, ends[1:-1])
+        held = {"pinned": pinned, "held": held_paths(on_path, motion.breaks_s, ends, pinned)}
+        readings.append((f"cuts at the switches{', short arcs too' if readings else ''}", cuts, held))
+        if held["held"].any():
+            inner, loose = free_ends(ends, **held)
+            readings.append(("cuts at the switches, ends of arcs free", np.sort(np.append(cuts, inner)), loose))
+    return readings
+
+
+def bangs_alone(case: Case, transcribed: Transcribed) -> bool:
+    """Return whether efforts are at their limits throughout: time alone counts, and no limits but theirs and ranges bind."""
+    interval = transcribed.program.interval
+    return case.bangs and interval.n_path == 0 and {*interval.own_kinds} <= {"continuity", "position"}
 
 
 def _known(transcribed: Transcribed, held: dict[str, np.ndarray]) -> bool:

@@ -9,8 +9,8 @@ import numpy as np
 _AT_LIMIT = 1e-3
 # Up to this many intervals between two arcs at limits are one smeared switch; more are an arc of their own.
 _SMEARED = 3
-# Cuts within this share of half an interval of a knot are that knot.
-_BESIDE = 0.1
+# Cuts within this share of half an interval of a knot are that knot, where arcs may be short and where not.
+_BESIDE = {True: 1e-3, False: 0.1}
 
 
 class Efforts(Protocol):
@@ -80,7 +80,7 @@ def find_cuts(
                 # Next to a knot or an end the arc on the other side is shorter than an interval: at the other limit.
                 u_before, u_after = (high, low) if before > 0 or after < 0 else (low, high)
                 cuts.append(_cut_in(breaks[a : b + 1], coefficients[:, a:b], u_before, u_after))
-    return _spread([[cut] for cut in cuts] + pulses, breaks, knots)
+    return _spread([[cut] for cut in cuts] + pulses, breaks, knots, _BESIDE[short])
 
 
 def _cut_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:
@@ -119,12 +119,12 @@ def pinned_efforts(trajectory: Efforts, limit: np.ndarray, cuts: np.ndarray) -> 
     return pinned
 
 
-def _spread(cuts: list[list[float]], breaks: np.ndarray, knots: np.ndarray) -> np.ndarray:
+def _spread(cuts: list[list[float]], breaks: np.ndarray, knots: np.ndarray, share: float) -> np.ndarray:
     """Return cuts in order, a pulse's together, but for those within half an interval of others or next to a knot."""
     apart = 0.5 * float(np.diff(breaks).min())
     kept: list[float] = []
     for together in sorted(cuts):
         beside = min(float(np.abs(cut - knots).min()) for cut in together)
-        if beside > _BESIDE * apart and (not kept or together[0] - kept[-1] > apart):
+        if beside > share * apart and (not kept or together[0] - kept[-1] > apart):
             kept += together
     return np.array(kept)
