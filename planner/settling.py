@@ -16,6 +16,8 @@ from planner.switches import find_cuts, pinned_efforts
 NO_WORSE = 1e-4
 # A segment's duration within this share of its room to a bound is at it.
 _AT_BOUND = 1e-3
+# The words on a reading that takes short arcs for bangs though other limits bind.
+_SHORT = "cuts at the switches, short arcs too"
 # Cuts next to arcs within the limits settle in a few solves: until the objective gains less than this share, relative.
 _SETTLINGS = 4
 _SETTLED = 1e-9
@@ -46,8 +48,10 @@ def settle_switches(
         held = readings[0][2]
         if _known(solution.transcribed, held) and not _at_bounds(solution):
             return motion, solution, mesh, held
-        better, start = None, case.start_from(motion)
+        better, solved, start = None, False, case.start_from(motion)
         for what, cut, options in [*readings, ("cuts at the switches, efforts free", readings[0][1], {})]:
+            if solved and what == _SHORT:
+                continue
             finer, durations = cut_mesh(knots, cut, case.mesh.intervals)
             found = attempt(
                 case, start, finer, durations, what, history, say, warm=True, position_rows=position_rows, **options
@@ -55,6 +59,7 @@ def settle_switches(
             if found is not None and found[1].objective <= solution.objective + no_worse * abs(solution.objective):
                 better = found
                 break
+            solved = solved or found is not None
         if better is None:
             break
         settled = better[1].objective > solution.objective - _SETTLED * abs(solution.objective)
@@ -70,7 +75,8 @@ def _readings(
 ) -> list[tuple[str, np.ndarray, dict[str, Any]]]:
     """Return what a solution's arcs may be: in words, their ends (n_cuts,) [s] and what is held between them.
 
-    Arcs shorter than an interval are bangs where nothing else binds; elsewhere they may be ends of arcs along a limit.
+    Arcs shorter than an interval are bangs where nothing else binds; elsewhere they are rather ends of arcs along a limit,
+    and only meant where nothing comes of those.
     """
     on_path = path_arcs(solution.transcribed, solution.x)
     alone, readings = bangs_alone(case, solution.transcribed), []
@@ -82,7 +88,7 @@ def _readings(
         ends = np.sort(np.concatenate([knots, cuts]))
         pinned = pinned_efforts(motion, case.effort_limit, ends[1:-1])
         held = {"pinned": pinned, "held": held_paths(on_path, motion.breaks_s, ends, pinned)}
-        readings.append((f"cuts at the switches{', short arcs too' if readings else ''}", cuts, held))
+        readings.append((_SHORT if readings else "cuts at the switches", cuts, held))
         if held["held"].any():
             inner, loose = free_ends(ends, **held)
             readings.append(("cuts at the switches, ends of arcs free", np.sort(np.append(cuts, inner)), loose))

@@ -113,6 +113,16 @@ def test_a_start_too_fast_to_stop_at_the_goal_turns_back_beyond_it():
     assert guess.duration_s == pytest.approx(case.duration, rel=TURNS)
 
 
+@pytest.mark.parametrize("number", [65, 94, 136, 217])
+def test_a_speed_limit_is_kept_by_braking_in_time_and_left_no_faster_than_full_effort_does(number):
+    case = random_case(1, number)
+    problem = problem_from_tables("limited", case.tables)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.cuts_s is None  # its efforts along the limit are none of the two
+    assert guess.duration_s == pytest.approx(case.duration, rel=GRID)
+
+
 def test_a_motion_that_there_is_no_time_for_is_not_tried_from_other_starts(spring):
     plan = plan_motion(spring(10.0, "motion.max_duration_s=10"))
     assert plan.status == "infeasible"
