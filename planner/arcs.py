@@ -40,6 +40,28 @@ def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     return upper.astype(int) - lower.astype(int)
 
 
+def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
+    """Return on which intervals (n, n_limits) coefficients are all at their upper limit (1) or lower one (-1).
+
+    Args:
+        transcribed: a program.
+        x: its unknowns.
+        kinds: of an interval's own rows: "speed" of independent joints, "motor" for lines of torque and speed.
+    """
+    program, interval = transcribed.program, transcribed.program.interval
+    n, what = program.mesh.n_intervals, list(zip(interval.own_kinds, interval.own_items, strict=True))
+    rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()[: n * interval.n_rows].reshape(n, -1)
+    arcs = [np.zeros((n, 0), dtype=int)]
+    for kind, item in sorted(set(what)):
+        if kind in kinds:
+            low, high = transcribed.formulation.own[kind][item]
+            values = rows[:, [row for row, of in enumerate(what) if of == (kind, item)]]
+            above = np.all(values > high - _AT_LIMIT * abs(high), axis=1).astype(int)
+            below = np.all(values < low + _AT_LIMIT * abs(low), axis=1).astype(int)
+            arcs.append((above - below)[:, None])
+    return np.hstack(arcs)
+
+
 def standing_off(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     """Return on which intervals (n,) a limit on Bernstein coefficients keeps a curve away from itself.
 
@@ -66,12 +88,16 @@ def standing_off(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
 
 def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, cuts_s: np.ndarray, knots_s: np.ndarray) -> np.ndarray:
     """Return the instants (n,) [s] at which arcs (n_intervals, n_path) begin or end and no cut or knot is near."""
-    known = np.concatenate([cuts_s, knots_s])
+    known = cuts_s
     widths = np.diff(breaks_s)
     found = []
     for k in range(1, len(arcs)):
         near = _NEAR * max(widths[k - 1], widths[k])
-        if np.any(arcs[k] != arcs[k - 1]) and np.abs(known - breaks_s[k]).min(initial=np.inf) > near:
+        if (
+            np.any(arcs[k] != arcs[k - 1])
+            and np.abs(known - breaks_s[k]).min(initial=np.inf) > near
+            and np.all(np.abs(knots_s - breaks_s[k]) > 0.5 * min(widths[k - 1], widths[k]))
+        ):
             found.append(float(breaks_s[k]))
             known = np.append(known, breaks_s[k])
     return np.array(found)

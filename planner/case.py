@@ -32,6 +32,7 @@ class Case(Protocol):
     effort_limit: np.ndarray  # (n_u, 2)
     switches: bool  # whether efforts may jump between their limits: cuts are then looked for
     bangs: bool  # whether they are at their limits wherever no other limit binds: such arcs may be as short as may be
+    ramps: bool  # whether efforts pass from one limit to the other without a jump, be it in less than an interval
     tolerance_given: bool  # whether the user asked for a tolerance
     objective_tolerance: float | None  # on the objective's change from mesh to mesh, relative
 

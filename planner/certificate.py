@@ -34,6 +34,8 @@ from planner.trajectory import Trajectory
 CLOSURE_M = 1e-9
 INTEGRATION_DEG = 0.01
 INTEGRATION_M = 1e-5
+# A motion over less than this [rad or m] stands still: its errors are shares of that.
+_STILL = 1e-9
 DYNAMICS_SHARE = 0.02
 # The planned velocity against the planned position's slope and the integrated model's: first-order schemes differ by
 # their own order, a plan that is put together wrongly by more. Boundary states are bounds of the program: rounding.
@@ -122,7 +124,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     ratio = float(singularity_ratios(problem, q).min())
     others = margins(problem, trajectory, points, time, q, v, a, u)
     forces = closure_forces(problem, q, v, a, u)
-    speed = max(float(np.abs(v).max()), np.finfo(float).tiny)
+    speed = max(float(np.abs(v).max()), _STILL / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = _boundary_error(problem, trajectory, speed)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
@@ -231,7 +233,7 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
     motion = problem.motion
     ends = np.stack([trajectory.position[0, 0], trajectory.position[-1, -1]])
     speeds = np.stack([trajectory.velocity[0, 0], trajectory.velocity[-1, -1]])
-    span = max(float(np.ptp(trajectory.position)), np.finfo(float).tiny)
+    span = max(float(np.ptp(trajectory.position)), _STILL)
     if motion.kind == "reach":
         rest = np.zeros(trajectory.n_s)
         asked = np.stack([motion.start, motion.goal])

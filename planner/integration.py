@@ -7,6 +7,7 @@ wherever an error would have grown by `GROWTH`. What is judged is then whether t
 somebody could follow it blindly; how often it was begun anew is told.
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -25,6 +26,9 @@ _RTOL, _ATOL = 1e-12, 1e-13
 GROWTH = 1e4
 # Size of the steps by which transition matrices are found, of the motion's spans and speeds.
 _STEP = 1e-6
+# The most evaluations of the dynamics on one interval: a thousand steps; where a motion is one, some ten do. Next to a fold
+# at which the reduced dynamics end, steps become ever smaller.
+_EVALUATIONS = 20_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -127,6 +131,22 @@ def _anew(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: n
     return Integrated(position=position, velocity=velocity, growth=growth, restarts=restarts)
 
 
+class _CrawlsError(Exception):
+    """Integration of an interval needs more evaluations than any motion that is one."""
+
+
+def _counted(rate: Callable[[float, np.ndarray], np.ndarray]) -> Callable[[float, np.ndarray], np.ndarray]:
+    """Return a right-hand side that may be called so often and no more."""
+    calls = itertools.count()
+
+    def counted(t: float, y: np.ndarray) -> np.ndarray:
+        if next(calls) > _EVALUATIONS:
+            raise _CrawlsError
+        return rate(t, y)
+
+    return counted
+
+
 class _Flow:
     """The model on an interval of a plan: from a state (n_q + n_s,) at its beginning to those at shares of it."""
 
@@ -138,12 +158,15 @@ class _Flow:
         breaks = self._trajectory.breaks_s
         width = breaks[k + 1] - breaks[k]
         atol = _ATOL * np.maximum(1.0, np.abs(state))
-        on_interval = self._rate(self._trajectory.effort[:, k], width)
+        on_interval = _counted(self._rate(self._trajectory.effort[:, k], width))
         # A motion that is none may run away: that shows in the outcome, and needs no warnings.
         with np.errstate(all="ignore"):
-            result = solve_ivp(
-                on_interval, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=looks * width
-            )
+            try:
+                result = solve_ivp(
+                    on_interval, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=looks * width
+                )
+            except _CrawlsError:
+                return None
         return result.y.T if result.success and result.y.shape[1] == len(looks) else None
 
 

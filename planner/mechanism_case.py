@@ -20,6 +20,8 @@ from planner.transcription import trajectory_of, transcribe
 
 # What the integrated state is refined towards where no tolerance is asked for [deg].
 _TARGET_DEG = 1e-6
+# What the objective is to change by from mesh to mesh at the most where that is looked at, relative.
+_OBJECTIVE = 1e-7
 # Speed limits are drawn in where they were overrun so many times, then everywhere: what is left moves about, and is little.
 _LOCAL = 1
 
@@ -50,14 +52,20 @@ class MechanismCase:
 
     @property
     def switches(self) -> bool:
-        """Whether switches are looked for: time and work are least with efforts that jump between limits, none, and arcs."""
+        """Whether switches are looked for: efforts jump between limits, none and arcs, or bend where they reach a limit."""
         objective = self.problem.objective
-        return (objective.has("time") or objective.has("work")) and not objective.has("effort_rate")
+        bends = objective.has("effort", "copper_loss") and not objective.has("tracking")
+        return (objective.has("time", "work") or bends) and not objective.has("effort_rate")
 
     @property
     def bangs(self) -> bool:
         """Whether efforts are at their limits wherever no other limit binds: where time alone counts."""
         return list(self.asked.objective.weights) == ["time"]
+
+    @property
+    def ramps(self) -> bool:
+        """Whether efforts have no jumps: where their squares count."""
+        return self.problem.objective.has("effort", "copper_loss")
 
     @property
     def tolerance_given(self) -> bool:
@@ -66,8 +74,11 @@ class MechanismCase:
 
     @property
     def objective_tolerance(self) -> float | None:
-        """None: a mechanism's mesh is judged by its motion."""
-        return None
+        """The tolerance on the objective's change where limits on coefficients cost what a motion does not show."""
+        problem = self.asked
+        lines = any(motor is not None and motor.has_line for motor in problem.motors)
+        bends = self.ramps and np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent]))
+        return _OBJECTIVE if self.switches and (lines or bends) else None
 
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""

@@ -72,6 +72,14 @@ class Motion:
             )
         self._check_waypoints()
 
+    @property
+    def stays(self) -> bool:
+        """Whether a reach ends in the state in which it begins, without having been anywhere."""
+        if self.kind != "reach" or self.start is None or self.goal is None or self.waypoints:
+            return False
+        speeds = [np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed)]
+        return np.array_equal(self.start, self.goal) and np.array_equal(*speeds)
+
     def _check_waypoints(self) -> None:
         if self.waypoints and self.kind == "track":
             raise ProblemError(

@@ -58,6 +58,11 @@ class OdeCase:
         return False
 
     @property
+    def ramps(self) -> bool:
+        """False: nothing is known of a differential equation's costs."""
+        return False
+
+    @property
     def tolerance_given(self) -> bool:
         """Whether the mesh may grow beyond what is comfortable."""
         return True

@@ -33,7 +33,7 @@ _SAME = 1e-6
 
 def least_time_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
     """Return a reach in the least time that the phase plane knows, whatever duration is asked; None where there is none."""
-    if problem.mechanism.dof != 1 or problem.motion.kind != "reach":
+    if problem.mechanism.dof != 1 or problem.motion.kind != "reach" or problem.motion.stays:
         return None
     if any(w.time_s is not None or not np.all(np.isfinite(w.position)) for w in problem.motion.waypoints):
         return None

@@ -264,6 +264,8 @@ def _shortest(problem: PlanningProblem, details: dict[str, float], say: Say) -> 
     motion = problem.motion
     if motion.kind != "reach" or motion.duration_s is None or any(w.time_s is not None for w in motion.waypoints):
         return ""
+    if motion.stays:
+        return ""
     if not np.all(np.isfinite(problem.limits.effort)):
         return ""
     say("looking for the shortest feasible duration")

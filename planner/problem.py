@@ -200,8 +200,7 @@ class PlanningProblem:
             raise ProblemError("objective.minimize 'time' needs finite limits.effort: without them no time is the least")
         if objective.has("tracking") and self.reference is None:
             raise ProblemError("objective.minimize 'tracking' needs a [reference]")
-        same = motion.start is not None and motion.goal is not None and np.array_equal(motion.start, motion.goal)
-        if list(objective.weights) == ["time"] and motion.kind == "reach" and same and not motion.waypoints:
+        if list(objective.weights) == ["time"] and motion.stays:
             raise ProblemError("motion.start_deg is motion.goal_deg: a motion of least time between them takes no time")
         if objective.has("time") and motion.duration_s is not None:
             raise ProblemError(f"objective.minimize 'time' needs motion.duration_s = \"free\", got {motion.duration_s:g}")

@@ -256,7 +256,9 @@ def _guess(section: dict, mechanism: Mechanism, folder: Path | None) -> Sketch |
 
 def _mesh(section: dict, objective: Objective) -> MeshSettings:
     # Least work pushes in full, coasts and brakes in full: a polynomial smears that, and is charged at its nodes alone.
-    default = MeshSettings(effort="constant" if list(objective.weights) == ["work"] else MeshSettings().effort)
+    default = MeshSettings(
+        effort="constant" if objective.has("work") and {*objective.weights} <= {"work", "time"} else MeshSettings().effort
+    )
     name = section.get("scheme", default.scheme)
     intervals = whole(section.get("intervals", default.intervals), "mesh.intervals", 2, MAX_INTERVALS)
     effort = section.get("effort", default.effort)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from planner.arcs import arc_ends, free_ends, held_paths, path_arcs
+from planner.arcs import arc_ends, free_ends, held_paths, own_arcs, path_arcs
 from planner.case import Case, Say, attempt
 from planner.collocation import Transcribed
 from planner.mesh import Mesh, segmented
@@ -79,10 +79,13 @@ def _readings(
     and only meant where nothing comes of those.
     """
     on_path = path_arcs(solution.transcribed, solution.x)
+    # Bangs end where arcs along a speed limit begin; other efforts bend there, and along a motor's line all do.
+    arcs = own_arcs(solution.transcribed, solution.x, ("motor",) if case.bangs else ("motor", "speed"))
+    arcs = np.hstack([on_path, arcs])
     alone, readings = bangs_alone(case, solution.transcribed), []
     for short in (True,) if alone else (False, True) if case.bangs else (False,):
-        cuts = find_cuts(motion, case.effort_limit, knots, on_path.any(axis=1), short=short)
-        cuts = np.sort(np.append(cuts, arc_ends(on_path, motion.breaks_s, cuts, knots)))
+        cuts = find_cuts(motion, case.effort_limit, knots, on_path.any(axis=1), short=short, ramps=case.ramps)
+        cuts = np.sort(np.append(cuts, arc_ends(arcs, motion.breaks_s, cuts, knots)))
         if len(cuts) == 0 or (readings and np.array_equal(cuts, readings[0][1])):
             continue
         ends = np.sort(np.concatenate([knots, cuts]))

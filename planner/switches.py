@@ -31,6 +31,7 @@ def find_cuts(
     on_path: np.ndarray | None = None,
     *,
     short: bool = False,
+    ramps: bool = False,
 ) -> np.ndarray:
     """Return the times (n,) [s] at which efforts jump between their limits or leave them, increasing.
 
@@ -41,6 +42,7 @@ def find_cuts(
         on_path: intervals (n,) that follow a path limit: never a smeared switch, however few.
         short: whether arcs at limits may be shorter than an interval. Where there are limits other than those of effort,
             what leaves its limit so shortly follows one of them.
+        ramps: whether efforts have no jumps: what lies between two limits is then an arc, however short.
 
     A switch inside an interval shows as one smeared interval; its time follows from the impulse, which the smeared
     interval keeps: u_before (t - t_0) + u_after (t_1 - t) = int u dt. So do the two of an arc that is shorter than that.
@@ -76,6 +78,8 @@ def find_cuts(
                         cuts.append(_cut_in(breaks[k : k + 2], coefficients[:, k : k + 1], u_before, u_after))
             elif before * after > 0 and short:
                 pulses.append(_pulse_in(breaks[a : b + 1], coefficients[:, a:b], (low, high) if before < 0 else (high, low)))
+            elif before * after < 0 and ramps:
+                pulses.append([float(breaks[a]), float(breaks[b])])
             elif before * after < 0 or (short and before + after):
                 # Next to a knot or an end the arc on the other side is shorter than an interval: at the other limit.
                 u_before, u_after = (high, low) if before > 0 or after < 0 else (low, high)

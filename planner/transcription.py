@@ -21,6 +21,8 @@ __all__ = ["Transcribed", "choose_scales", "renumbered", "trajectory_of", "trans
 
 # Samples of a guess at which its needs are looked at for units.
 _SAMPLES = 61
+# The least effort that is a unit, of what gives the reduced inertia the span in the duration.
+_LEAST_NEED = 1e-6
 
 
 def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
@@ -30,21 +32,25 @@ def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
     s = guess.position(times)
     poses = poses_along(mechanism, guess, times)
     need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times))
-    need = np.abs(need).max(axis=0)
+    extent = mechanism.extent_m
+    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in mechanism.independent_joints])
+    span = np.ptp(s, axis=0)
+    position = np.where(span > 1e-3 * unit, span, unit)
+    # A motion that needs next to nothing, at rest where weight balances: rounding is no unit.
+    inertia = sampled(mechanism.dynamics.reduced_inertia, poses[:1])[0]
+    maps = np.array([np.array(mechanism.dynamics.effort_map(q)) for q in poses[::10]])
+    least = _LEAST_NEED * np.abs(inertia @ position).max() / guess.duration_s**2 / np.maximum(np.abs(maps).max(), 1e-300)
+    need = np.maximum(np.abs(need).max(axis=0), least)
     largest = np.where(np.isfinite(limit), np.abs(limit), 0.0).max(axis=1)
     if problem.objective.has("time"):
         effort = np.where(largest > 0, largest, need)
     else:
         effort = np.where(largest > 0, np.minimum(largest, need), need)
     effort = np.where(effort > 0, effort, 1.0)
-    extent = mechanism.extent_m
-    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in mechanism.independent_joints])
-    span = np.ptp(s, axis=0)
-    maps = np.array([np.array(mechanism.dynamics.effort_map(q)) for q in poses[::10]])
     residual = np.abs(maps).max(axis=0) @ effort
     return Scales(
         time_s=guess.duration_s,
-        position=np.where(span > 1e-3 * unit, span, unit),
+        position=position,
         effort=effort,
         residual=np.where(residual > 0, residual, effort.max()),
         length_m=extent,

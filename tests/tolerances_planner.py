@@ -154,3 +154,6 @@ ODE_SHORT = 1e-8
 ODE_COLLAPSED_ARC = 1e-6
 # Least time with arcs on states' limits that meet arcs on others, no cut at their junctions, relative. Measured 9e-5.
 ODE_STATE_ARCS = 2e-4
+# Least effort, work and time against closed forms whose effort bends at a limit, relative. Measured 1e-12 to 6e-8; a bend
+# inside an interval leaves 1e-6 to 1e-3.
+SATURATED = 2e-7
