@@ -34,6 +34,7 @@ class MechanismCase:
     asked: PlanningProblem
     insets: tuple[Inset, ...] = ()
     tightenings: int = 0
+    bends: bool = True  # whether to look for bends of efforts that do not jump
 
     @property
     def mesh(self) -> MeshSettings:
@@ -54,7 +55,7 @@ class MechanismCase:
     def switches(self) -> bool:
         """Whether switches are looked for: efforts jump between limits, none and arcs, or bend where they reach a limit."""
         objective = self.problem.objective
-        bends = objective.has("effort", "copper_loss") and not objective.has("tracking")
+        bends = self.bends and objective.has("effort", "copper_loss") and not objective.has("tracking")
         return (objective.has("time", "work") or bends) and not objective.has("effort_rate")
 
     @property
@@ -148,6 +149,6 @@ class MechanismCase:
         return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
 
 
-def case_of(problem: PlanningProblem) -> MechanismCase:
-    """Return the case of a problem."""
-    return MechanismCase(problem, problem)
+def case_of(problem: PlanningProblem, *, bends: bool = True) -> MechanismCase:
+    """Return the case of a problem; `bends` says whether bends of efforts that do not jump are looked for."""
+    return MechanismCase(problem, problem, bends=bends)

@@ -79,9 +79,12 @@ def _solved(patient: PlanningProblem, guess: Guess, word: str, history: list[Ste
 
 def _refined(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say, *, again: bool) -> Plan:
     """Return the plan of a first solution; where its certificate does not pass, refined in other ways too."""
-    plan = certified(problem, found, mesh, history, say)
+    plan, bends = certified(problem, found, mesh, history, say), True
+    if unsound(plan) and case_of(problem).switches and not case_of(problem, bends=False).switches:
+        # Cuts at bends are worth a thousandth at the most: a motion that is lost with them is planned without.
+        plan, bends = certified(problem, found, mesh, history, say, bends=False), False
     if unsound(plan) and again:
-        warm = certified(problem, found, mesh, history, say, warm=True)
+        warm = certified(problem, found, mesh, history, say, warm=True, bends=bends)
         plan = warm if warm.status == "optimal" else plan
     if plan.status == "failed":
         plan = _plainer(problem, plan, found, mesh, history, say) or plan
@@ -118,9 +121,18 @@ def unsound(plan: Plan) -> bool:
     return plan.certificate is not None and plan.certificate.mendable
 
 
-def certified(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say, *, warm: bool = False) -> Plan:
-    """Return the plan of a solution, refined until its certificate passes."""
-    case = case_of(problem)
+def certified(
+    problem: PlanningProblem,
+    found,
+    mesh: Mesh,
+    history: list[Step],
+    say: Say,
+    *,
+    warm: bool = False,
+    bends: bool = True,
+) -> Plan:
+    """Return the plan of a solution, refined until its certificate passes; `bends` as of `case_of`."""
+    case = case_of(problem, bends=bends)
     refined = refine(case, found, mesh, history, say, warm=warm)
     if refined is None:
         return Plan(
