@@ -1,5 +1,7 @@
 """The [motion] table of a problem file."""
 
+import json
+
 import numpy as np
 
 from models.errors import ProblemError
@@ -66,7 +68,12 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
     for index in mechanism.independent:
         joint = mechanism.joints[index]
         if index not in values and default is None and int(index) not in mechanism.idle:
-            raise ProblemError(f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which moves on its own")
+            named = sorted(mechanism.joints[i].name for i in values)
+            others = len(values) == mechanism.dof and not {int(i) for i in values} <= {int(i) for i in mechanism.independent}
+            hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if others else ""
+            raise ProblemError(
+                f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which moves on its own{hint}"
+            )
         value = values.get(int(index), default)
         if value is None and int(index) in mechanism.idle:  # what spins idly stands where it is, unless it is named
             value = joint.shown(mechanism.home[index])

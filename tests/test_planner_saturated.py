@@ -5,6 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from models.errors import ProblemError
 from planner import integration
 from planner.certificate import certify
 from planner.plan import Plan
@@ -88,3 +89,17 @@ def test_an_integration_that_crawls_is_given_up_and_said(monkeypatch):
     certificate = certify(plan.problem, plan.trajectory)
     assert not certificate.passed
     assert any("integrated model" in failure for failure in certificate.failures)
+
+
+GEARED = """<mujoco><option gravity="0 0 0"/><worldbody>
+<body><joint name="a" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body>
+<body pos="1 0 0"><joint name="b" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body></worldbody>
+<equality><joint joint1="a" joint2="b" polycoef="0 2 0 0 0"/></equality>
+<actuator><motor name="motor" joint="b" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def test_a_motion_stated_in_another_joint_than_is_planned_in_is_told_how_to_be():
+    motion = 'kind = "reach"\nstart_deg = { a = 0.0 }\ngoal_deg = { a = 45.0 }\nduration_s = 1.0\n'
+    with pytest.raises(ProblemError, match=r'moves on its own; mechanism\.independent = \["a"\] plans in what is named'):
+        body_plan(GEARED, motion)
+    assert body_plan(GEARED, motion, 'mechanism.independent=["a"]').status == "optimal"
