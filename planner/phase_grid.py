@@ -13,7 +13,7 @@ from models.errors import AssemblyError
 from planner.problem import PlanningProblem
 
 # Cells of the grid over s; two poses a cell.
-_CELLS = 800
+_CELLS = 1600
 # The share of a grid's progress that is even in s; the rest goes where joints or the inertia change most.
 _EVEN = 0.5
 # A crank that turns fully may go so far beyond start and goal [rad].

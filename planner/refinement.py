@@ -10,7 +10,7 @@ from planner.case import Case, Say, attempt
 from planner.mesh import Mesh, halved
 from planner.plan import Step
 from planner.schemes import MAX_DEGREE
-from planner.settling import all_held, bangs_alone, settle_switches
+from planner.settling import all_held, at_bounds, bangs_alone, settle_switches
 from planner.solve import Solution
 from planner.solver import SUCCEEDED
 
@@ -38,6 +38,8 @@ _STANDS_OUT = 30.0
 _AN_ARC = 3
 # Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
 _ROUGH = 0.01
+# So often switches are read again from a motion that passes.
+_POLISHED = 3
 # Touched limits are refined until the objective changes by no more than this, relative.
 _TOUCHED = 1e-7
 # Answers on two meshes that are no further apart are the same motion, relative.
@@ -58,7 +60,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     certificate = _certify(case, motion, history)
     position_rows, kept, finest = False, case, _MOST * case.mesh.intervals
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
-    settled, again, polished = True, 0, None
+    settled, again, polished = True, 0, 0
     for turn in range(_ROUNDS):
         if certificate is not None and not certificate.passed and not case.mendable(certificate):
             break
@@ -69,15 +71,15 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
             change = abs(solution.objective - before)
             settled = wanted is None or change <= wanted * abs(solution.objective)
             if case.exact(certificate) and settled and (not off.any() or change <= _TOUCHED * abs(solution.objective)):
-                if polished or all_held(arcs) or not bangs_alone(case, solution.transcribed):
+                known = all_held(arcs) and not at_bounds(solution)
+                if polished == _POLISHED or known or not bangs_alone(case, solution.transcribed):
                     break
-                # Where efforts were left free the switches are read once more, from a motion that is right.
-                polished = settle_switches(
-                    kept, motion, solution, mesh, history, say, position_rows=position_rows, arcs=arcs
-                )
-                if polished[1] is solution:
+                # Efforts were left free, or cuts have further to go: switches are read again, from a motion that is right.
+                polished += 1
+                better = settle_switches(kept, motion, solution, mesh, history, say, position_rows=position_rows, arcs=arcs)
+                if better[1] is solution:
                     break
-                motion, solution, mesh, arcs = polished
+                motion, solution, mesh, arcs = better
                 certificate = _certify(case, motion, history)
                 continue
             before = solution.objective

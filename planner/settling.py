@@ -46,7 +46,7 @@ def settle_switches(
         if not readings or len(readings[0][1]) > mesh.n_intervals // 6:
             break
         held = readings[0][2]
-        if _known(solution.transcribed, held) and not _at_bounds(solution):
+        if _known(solution.transcribed, held) and not at_bounds(solution):
             return motion, solution, mesh, held
         better, solved, start = None, False, case.start_from(motion)
         for what, cut, options in [*readings, ("cuts at the switches, efforts free", readings[0][1], {})]:
@@ -113,7 +113,7 @@ def _known(transcribed: Transcribed, held: dict[str, np.ndarray]) -> bool:
     return bool(same_paths and np.array_equal(before, held["pinned"], equal_nan=True))
 
 
-def _at_bounds(solution: Solution) -> bool:
+def at_bounds(solution: Solution) -> bool:
     """Return whether a segment is as long as it was allowed to become, or as short: its cuts have further to go."""
     transcribed, place = solution.transcribed, solution.transcribed.program.layout.durations()
     lower, upper, at = transcribed.lower[place], transcribed.upper[place], solution.x[place]
