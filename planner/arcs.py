@@ -6,6 +6,7 @@ segment, as efforts at their limits are, the motion has nothing to gain there, a
 """
 
 import itertools
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -28,7 +29,7 @@ def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     limit = transcribed.formulation.path.reshape(-1, 2)
     if n_path == 0:
         return np.zeros((n, 0), dtype=int)
-    rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()[: n * interval.n_rows].reshape(n, -1)
+    rows = _rows(transcribed, x)
     n_f = interval.n_equations + n_path
     values = rows[:, interval.n_own : interval.n_own + m * n_f].reshape(n, m, n_f)[:, :, interval.n_equations :]
     # Of each of its two ends by itself: 900 W may stand beside a million.
@@ -48,14 +49,9 @@ def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) ->
         x: its unknowns.
         kinds: of an interval's own rows: "speed" of independent joints, "motor" for lines of torque and speed.
     """
-    program, interval = transcribed.program, transcribed.program.interval
-    n, what = program.mesh.n_intervals, list(zip(interval.own_kinds, interval.own_items, strict=True))
-    rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()[: n * interval.n_rows].reshape(n, -1)
-    arcs = [np.zeros((n, 0), dtype=int)]
-    for kind, item in sorted(set(what)):
+    arcs = [np.zeros((transcribed.program.mesh.n_intervals, 0), dtype=int)]
+    for kind, values, (low, high) in _coefficients(transcribed, x):
         if kind in kinds:
-            low, high = transcribed.formulation.own[kind][item]
-            values = rows[:, [row for row, of in enumerate(what) if of == (kind, item)]]
             above = np.all(values > high - _AT_LIMIT * abs(high), axis=1).astype(int)
             below = np.all(values < low + _AT_LIMIT * abs(low), axis=1).astype(int)
             arcs.append((above - below)[:, None])
@@ -68,22 +64,33 @@ def standing_off(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     Coefficients enclose their polynomial: one that touches its limit in an instant may not, by an eighth of its bend. On
     half the interval it is a quarter of that.
     """
-    program, interval = transcribed.program, transcribed.program.interval
-    n = program.mesh.n_intervals
-    rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()[: n * interval.n_rows].reshape(n, -1)
-    off = np.zeros(n, dtype=bool)
-    what = list(zip(interval.own_kinds, interval.own_items, strict=True))
-    for kind, item in sorted(set(what)):
-        if kind == "continuity":
-            continue
-        coefficients = rows[:, [row for row, of in enumerate(what) if of == (kind, item)]]
+    off = np.zeros(transcribed.program.mesh.n_intervals, dtype=bool)
+    for _, coefficients, limit in _coefficients(transcribed, x):
         curve = coefficients @ bernstein_matrix(coefficients.shape[1] - 1, np.linspace(0.0, 1.0, _SAMPLES)).T
-        for bound, sign in zip(transcribed.formulation.own[kind][item], (-1.0, 1.0), strict=True):
+        for bound, sign in zip(limit, (-1.0, 1.0), strict=True):
             if np.isfinite(bound) and bound != 0:
                 room = _STANDS_OFF * abs(bound)
                 touching, away = ((sign * (bound - values)).min(axis=1) for values in (coefficients, curve))
                 off |= (touching < 0.5 * room) & (away > room)
     return off
+
+
+def _rows(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
+    """Return the intervals' rows (n, n_rows) at unknowns x."""
+    program = transcribed.program
+    n, n_rows = program.mesh.n_intervals, program.interval.n_rows
+    return np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()[: n * n_rows].reshape(n, -1)
+
+
+def _coefficients(transcribed: Transcribed, x: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yield what intervals limit by Bernstein coefficients: the kind, the coefficients (n, degree + 1), the limit (2,)."""
+    interval = transcribed.program.interval
+    what = list(zip(interval.own_kinds, interval.own_items, strict=True))
+    limited = sorted({(kind, item) for kind, item in what if kind != "continuity"})
+    rows = _rows(transcribed, x) if limited else np.empty((0, 0))
+    for kind, item in limited:
+        columns = [row for row, of in enumerate(what) if of == (kind, item)]
+        yield kind, rows[:, columns], transcribed.formulation.own[kind][item]
 
 
 def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, cuts_s: np.ndarray, knots_s: np.ndarray) -> np.ndarray:

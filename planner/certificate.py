@@ -206,8 +206,8 @@ def _generalised_peak(mechanism: Mechanism, q: np.ndarray, u: np.ndarray) -> flo
 def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v, time, worst):
     """Return, of positions and of speeds, the least distances (n_q,) of every joint to its limits, negative outside.
 
-    Between samples, independent joints are no further out than their polynomials' Bernstein coefficients.
     And by how much (n_q, n_intervals) they are overrun in each interval: a share of the range's span, of the speed limit.
+    Between samples, independent joints are no further out than their polynomials' Bernstein coefficients.
     """
     rates = joint_rates(mechanism, q, v)
     found = []

@@ -26,8 +26,8 @@ _RTOL, _ATOL = 1e-12, 1e-13
 GROWTH = 1e4
 # Size of the steps by which transition matrices are found, of the motion's spans and speeds.
 _STEP = 1e-6
-# The most evaluations of the dynamics on one interval: a thousand steps; where a motion is one, some ten do. Next to a fold
-# at which the reduced dynamics end, steps become ever smaller.
+# The most evaluations of the dynamics on one interval, sixteen hundred steps; where a motion is one, some ten do. At a fold
+# where the reduced dynamics end, steps become ever smaller.
 _EVALUATIONS = 20_000
 
 
