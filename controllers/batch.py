@@ -15,11 +15,11 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from controllers.rollout import admit
-from controllers.sampling import Sampling
-from models.along import joint_rates
-from models.errors import ModelError
-from models.mechanism import Mechanism
+from linkplan.controllers.rollout import admit
+from linkplan.controllers.sampling import Sampling
+from linkplan.models.errors import ModelError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import joint_rates
 
 
 class BatchLoop:

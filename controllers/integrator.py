@@ -18,10 +18,10 @@ The loop constraint is taken as hard. MuJoCo's is soft: with an impedance d it g
 import mujoco
 import numpy as np
 
-from controllers.lqr import linearise
-from models.along import joint_rates, sampled
-from models.errors import LinkplanError
-from models.mechanism import Mechanism
+from linkplan.controllers.trackers.lqr import linearise
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import joint_rates, sampled
 
 _JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 

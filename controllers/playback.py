@@ -6,9 +6,9 @@ import time
 
 import numpy as np
 
-from controllers.rollout import Rollout
-from models.errors import LinkplanError
-from models.mechanism import Mechanism
+from linkplan.controllers.rollout import Rollout
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
 
 _FRAMES_PER_S = 60.0
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from models.along import needed_effort
-from models.assembly import follow
-from models.mechanism import Mechanism
-from planner.trajectory import Trajectory
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.trajectory import Trajectory
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

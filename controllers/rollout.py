@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from controllers.reference import SampledReference
-from controllers.tracker import Tracker
-from models.actuators import Actuator, constant_arms
-from models.errors import LinkplanError
-from models.mechanism import Mechanism
-from models.payload import BODY_NAME
+from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.trackers.tracker import Tracker
+from linkplan.models.actuation.actuators import Actuator, constant_arms
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.payload import BODY_NAME
 
 # An effort that goes from one limit to the other within this many control periods, again and again, is a limit cycle of
 # the sampled loop and not a motion; this share of all instants makes the verdict. A bang-bang plan swings once or twice.

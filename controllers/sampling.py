@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from controllers.integrator import repeat, simulator_step
-from controllers.lqr import discretise, linearise
-from models.errors import LinkplanError
-from models.mechanism import Mechanism
+from linkplan.controllers.integrator import repeat, simulator_step
+from linkplan.controllers.trackers.lqr import discretise, linearise
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
 
 # Longer delays than this many periods belong to no loop that anybody would close.
 MOST_DELAY_PERIODS = 1000

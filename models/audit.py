@@ -6,13 +6,21 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from models.actuators import brings_passive, carries_passive, is_idle_at_zero, label, read_actuators, shared_clamps, why_not
-from models.closure import equality_name
-from models.coordinates import BALL, FREE, joint_label
-from models.passive import disabled, spans_branches, tendon_armatures
-from models.tendons import tendon_label, wraps
-from models.transmission import attachment
-from models.tree import build_tree
+from linkplan.models.actuation.actuators import (
+    brings_passive,
+    carries_passive,
+    is_idle_at_zero,
+    label,
+    read_actuators,
+    shared_clamps,
+    why_not,
+)
+from linkplan.models.actuation.transmission import attachment
+from linkplan.models.closure.equations import equality_name
+from linkplan.models.tree.coordinates import BALL, FREE, joint_label
+from linkplan.models.tree.dynamics import build_tree
+from linkplan.models.tree.passive import disabled, spans_branches, tendon_armatures
+from linkplan.models.tree.tendons import tendon_label, wraps
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -7,9 +7,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from models.errors import ModelError, one_line
-from models.names import nearest
-from models.payload import Payload, attach
+from linkplan.models.errors import ModelError, one_line
+from linkplan.models.names import nearest
+from linkplan.models.payload import Payload, attach
 
 BUILT_IN = {
     "optimus-knee": "the humanoid's knee: a four-bar driven at O within +-100 N.m",
@@ -25,7 +25,7 @@ BUILT_IN = {
 
 def built_in_text(name: str) -> str:
     """Return the MJCF text of a built-in model."""
-    return resources.files("models").joinpath("mjcf").joinpath(f"{name}.xml").read_text(encoding="utf-8")
+    return resources.files("linkplan.models").joinpath("mjcf").joinpath(f"{name}.xml").read_text(encoding="utf-8")
 
 
 def is_file(path: Path) -> bool:

@@ -11,22 +11,22 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from models.actuators import Actuator, effort_matrix, read_actuators
-from models.closure import Closure, read_closures
-from models.coordinates import Coordinates
-from models.errors import AssemblyError, ModelError
-from models.home import asked_home, assemble_home, poses_about, refuse_singular_home
-from models.idle import idle_freedoms
-from models.joints import Joint, index_of, read_joints
-from models.library import compile_model
-from models.newton import Loop
-from models.payload import BODY_NAME, Payload, payload_from
-from models.rank import dependent_columns, independent_rows, numerical_rank, weak_rank
-from models.reduction import ReducedDynamics, reduce_tree
-from models.size import extent_m
-from models.tendons import is_fixed, tendon_joints
-from models.transmission import TRN_TENDON
-from models.tree import Inertial, build_tree
+from linkplan.models.actuation.actuators import Actuator, effort_matrix, read_actuators
+from linkplan.models.actuation.transmission import TRN_TENDON
+from linkplan.models.closure.equations import Closure, read_closures
+from linkplan.models.closure.initial_assembly import asked_home, assemble_home, poses_about, refuse_singular_home
+from linkplan.models.closure.newton import Loop
+from linkplan.models.closure.passive_freedom import idle_freedoms
+from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank, weak_rank
+from linkplan.models.errors import AssemblyError, ModelError
+from linkplan.models.library import compile_model
+from linkplan.models.payload import BODY_NAME, Payload, payload_from
+from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree
+from linkplan.models.tree.coordinates import Coordinates
+from linkplan.models.tree.dynamics import Inertial, build_tree
+from linkplan.models.tree.joints import Joint, index_of, read_joints
+from linkplan.models.tree.size import extent_m
+from linkplan.models.tree.tendons import is_fixed, tendon_joints
 
 # A named choice of coordinates is refused where a column of J_z is left with less than this share of itself: the pose
 # is then within some microradians of a dead centre of the choice.
@@ -39,7 +39,7 @@ _CLOSED_REFERENCE_M = 1e-6
 class Mechanism:
     """A mechanism assembled at its home pose.
 
-    Its coordinates q (n_q,) are internal ones, see `models.coordinates`; `independent` and `dependent` are indices into
+    Its coordinates q (n_q,) are internal ones, see `models.tree.coordinates`; `independent` and `dependent` are indices into
     them. `home` (n_q,) closes the loops; `home_gap_m` is how far they stood open at the model's own reference pose, before
     assembly. `idle` are coordinates that can move alone while all other bodies rest and that no actuator drives, as a rod
     between two ball joints spins; `notes` are sentences on what is worth knowing of the assembly.

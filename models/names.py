@@ -3,7 +3,7 @@
 import difflib
 from collections.abc import Iterable
 
-from models.errors import ModelError
+from linkplan.models.errors import ModelError
 
 
 def nearest(asked: str, legal: Iterable[str]) -> str:

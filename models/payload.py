@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from models.errors import ModelError
-from models.names import choose, nearest
+from linkplan.models.errors import ModelError
+from linkplan.models.names import choose, nearest
 
 BODY_NAME = "linkplan_payload"
 

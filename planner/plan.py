@@ -4,29 +4,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from models.errors import InfeasibleError
-from planner.certificate import Certificate
-from planner.collocation import Transcribed
-from planner.problem import PlanningProblem
-from planner.touching import noted
-from planner.trajectory import Trajectory
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Step:
-    """One solve on the way to a plan: what was tried, on how many intervals, and what came of it."""
-
-    what: str
-    scheme: str
-    intervals: int
-    segments: int
-    converged: bool
-    solver_status: str
-    objective: float
-    integration_error_deg: float | None
-    build_s: float
-    solve_s: float
-    integration_error: float | None = None  # of a user's differential equation, as a share of its states' sizes
+from linkplan.models.errors import InfeasibleError
+from linkplan.planner.certificate.certificate import Certificate
+from linkplan.planner.certificate.collisions import noted
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.history import Step
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.collocation import Transcribed
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

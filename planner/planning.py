@@ -7,23 +7,32 @@ from dataclasses import replace
 
 import numpy as np
 
-from planner.case import Say, attempt, silent
-from planner.clearance import kept_clear
-from planner.durations import SURELY, SURELY_LIMITED, known_motion, longest, may_swing
-from planner.finishing import finished
-from planner.first_mesh import PER_LEG, first_mesh
-from planner.guess import Guess, bent_guesses, closes, first_guess, guesses, motion_of, swinging_guesses
-from planner.infeasibility import LeastLimit, effort_sentence, least_limit
-from planner.lengthening import LENGTHENING, SAVED, lengthened
-from planner.mechanism_case import case_of
-from planner.phase_plane import least_time_guess, phase_plane_guess, stretched
-from planner.plan import Plan, Step
-from planner.prescribed_plan import plan_prescribed
-from planner.presolve import plain_contradiction, start_pose_of
-from planner.problem import PlanningProblem
-from planner.relaxation import RELAXABLE, least_of, violated_sentence, without
-from planner.solve import INVALID, OUT_OF_TIME
-from planner.trying import best_of, certified, first_of, unsound
+from linkplan.planner.closed_chain.answer import finished
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.guess import (
+    Guess,
+    bent_guesses,
+    closes,
+    first_guess,
+    guesses,
+    motion_of,
+    swinging_guesses,
+)
+from linkplan.planner.closed_chain.prescribed_plan import plan_prescribed
+from linkplan.planner.diagnosis.infeasibility import LeastLimit, effort_sentence, least_limit
+from linkplan.planner.diagnosis.relaxation import RELAXABLE, least_of, violated_sentence, without
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import Say, Step, silent
+from linkplan.planner.search.attempts import best_of, certified, first_of, unsound
+from linkplan.planner.search.clearance import kept_clear
+from linkplan.planner.search.continuation import LENGTHENING, SAVED, lengthened
+from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, known_motion, longest, may_swing
+from linkplan.planner.search.first_mesh import PER_LEG, first_mesh
+from linkplan.planner.search.phase_plane import least_time_guess, phase_plane_guess, stretched
+from linkplan.planner.search.presolve import plain_contradiction, start_pose_of
+from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME
 
 __all__ = ["Say", "finished", "plan_motion", "silent"]
 

@@ -14,17 +14,17 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from models.errors import AssemblyError
-from planner.case import Say, silent
-from planner.certificate import certify
-from planner.collocation import Transcribed
-from planner.plan import Plan, Step
-from planner.planning import finished, plan_motion
-from planner.presolve import plain_contradiction, start_pose_of
-from planner.problem import PlanningProblem
-from planner.program import Program
-from planner.solve import Solution, build_solver, run_solver
-from planner.transcription import renumbered, trajectory_of
+from linkplan.models.errors import AssemblyError
+from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import finished, plan_motion
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.history import Say, Step, silent
+from linkplan.planner.search.presolve import plain_contradiction, start_pose_of
+from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
+from linkplan.planner.transcription.collocation import Transcribed
+from linkplan.planner.transcription.program import Program
 
 # A segment within this share of its bounds counts as stopped by them.
 _ROOM = 1e-6

@@ -1,0 +1,36 @@
+"""PD in the independent joints."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.reference import SampledReference
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class PD:
+    """u = (Gamma^T B)^+ [kp (s_ref - s) + kd (v_ref - v)].
+
+    kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints; `map` (n, n_u, n_s) takes their efforts
+    to the actuators along the reference.
+    """
+
+    reference: SampledReference
+    kp: float
+    kd: float
+    map: np.ndarray
+    name: str = "pd"
+
+    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Return efforts (n_u,) [N.m or N]."""
+        reference = self.reference
+        error = self.kp * (reference.position[k] - position) + self.kd * (reference.velocity[k] - velocity)
+        return self.map[k] @ error
+
+
+def pd(mechanism: Mechanism, reference: SampledReference, kp: float, kd: float) -> PD:
+    """Return the PD tracker of a reference."""
+    maps = np.linalg.pinv(sampled(mechanism.dynamics.effort_map, reference.pose))
+    return PD(reference=reference, kp=kp, kd=kd, map=maps)

@@ -1,0 +1,244 @@
+"""Actuators that a plan can use: efforts bounded on both sides, acting through a transmission.
+
+    tau = B(q) u,   u = gain ctrl + bias,   u in [lower, upper]
+
+The effort u is MuJoCo's actuator force. A motor's gain is a number and its bias none, so that its `ctrlrange` limits the
+effort as `forcerange` does, and as the joint's or tendon's `actuatorfrcrange` does over the moment. A servo (position,
+velocity, any affine gain and bias) has a bias that moves with its length l and speed l':
+
+    gain = g0 + g1 l + g2 l',   bias = b0 + b1 l + b2 l'
+
+A plan commands its effort all the same; who runs the plan inverts gain and bias to find the ctrl that gives it.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from linkplan.models.actuation.transmission import KINDS, TRN_TENDON, attachment, gear_of, has_length, moment
+from linkplan.models.tree.coordinates import HINGE, SLIDE, joint_label
+from linkplan.models.tree.dynamics import Tree
+from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label, wraps
+
+FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
+NO_BIAS, AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
+# A fraction of its nominal gain below which a servo's gain counts as none: no ctrl then gives an effort.
+_LEAST_GAIN = 1e-9
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Actuator:
+    """An actuator: its effort limits [unit], what it acts on, and where MuJoCo keeps it.
+
+    `joint` is the coordinate of the hinge or slide that it drives, None where it acts otherwise; `target` says on what in
+    words ("joint O", "tendon cable", "site tool"). `gains` and `biases` hold (g0, g1, g2) and (b0, b1, b2).
+    """
+
+    name: str
+    index: int  # of MuJoCo's actuator
+    channel: int  # of its ctrl
+    output: int  # of its force, length and velocity
+    joint: int | None
+    target: str
+    gear: float  # the first of the gear vector
+    gains: tuple[float, float, float]
+    biases: tuple[float, float, float]
+    control_lower: float
+    control_upper: float
+    lower: float
+    upper: float
+    unit: str  # "N.m" or "N"
+
+    @property
+    def gain(self) -> float:
+        """The effort per unit of MuJoCo's ctrl at zero length and speed."""
+        return self.gains[0]
+
+    @property
+    def is_servo(self) -> bool:
+        """Whether its effort for a given ctrl depends on where it stands or how fast it moves."""
+        return any(self.gains[1:]) or any(self.biases[1:])
+
+    def effort(self, control: float, length: float, velocity: float) -> float:
+        """Return the effort that a ctrl gives at a length and speed, the ctrl cut at its range (forcerange not)."""
+        state = np.array([1.0, length, velocity])
+        cut = min(max(control, self.control_lower), self.control_upper)
+        return float(state @ self.gains * cut + state @ self.biases)
+
+    def control(self, effort: float, length: float, velocity: float) -> float:
+        """Return the ctrl that gives an effort at a length and speed, cut at its range.
+
+        Where the gain vanishes no ctrl does, and zero is returned.
+        """
+        state = np.array([1.0, length, velocity])
+        gain = float(state @ self.gains)
+        if abs(gain) <= _LEAST_GAIN * abs(self.gain):
+            return 0.0
+        return min(max((effort - float(state @ self.biases)) / gain, self.control_lower), self.control_upper)
+
+
+def label(model: mujoco.MjModel, index: int) -> str:
+    """Return an actuator's name, or one made of its index."""
+    return model.actuator(index).name or f"actuator {index}"
+
+
+def why_not(model: mujoco.MjModel, index: int) -> str | None:
+    """Return why a plan cannot use actuator `index`, in a few words, or None where it can."""
+    switched_off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION) or (
+        0 <= int(model.actuator_group[index]) < 31 and model.opt.disableactuator >> int(model.actuator_group[index]) & 1
+    )
+    kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
+    gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
+    if switched_off:
+        return "it is switched off"
+    if float(model.actuator_delay[index]) != 0.0:
+        return "its control is delayed"
+    if int(model.actuator_plugin[index]) >= 0:
+        return "it is a plugin"
+    if int(model.actuator_dyntype[index]) != int(mujoco.mjtDyn.mjDYN_NONE) or int(model.actuator_actnum[index]) > 0:
+        dynamics = mujoco.mjtDyn(int(model.actuator_dyntype[index])).name.removeprefix("mjDYN_").lower()
+        return f"it has a state of its own ({dynamics} dynamics)"
+    if kind not in KINDS or int(model.actuator_outnum[index]) != 1 or int(model.actuator_ctrlnum[index]) != 1:
+        return "a plan knows joint, tendon, slider-crank and site transmissions of one force"
+    if gain not in (FIXED, AFFINE) or bias not in (NO_BIAS, AFFINE_BIAS):
+        return "its gain or bias is not affine"
+    if float(model.actuator_gainprm[index, 0]) == 0.0:
+        return "its gain vanishes at rest"
+    if not np.any(gear_of(model, index)):
+        return "its gear is zero"
+    if kind == TRN_TENDON and wraps(model, int(model.actuator_trnid[index, 0])):
+        return "its tendon wraps around a geom"
+    if _moves(model, index) and not has_length(model, index):
+        return "it is a servo on a rotation, which MuJoCo takes on a circle"
+    return None
+
+
+def _moves(model: mujoco.MjModel, index: int) -> bool:
+    """Return whether the actuator's force depends on its length or velocity at a given ctrl."""
+    gains, biases = _coefficients(model, index)
+    return any(gains[1:]) or any(biases[1:])
+
+
+def _coefficients(model: mujoco.MjModel, index: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    gain, bias = model.actuator_gainprm[index, :3], model.actuator_biasprm[index, :3]
+    fixed = int(model.actuator_gaintype[index]) == FIXED
+    gains = tuple(float(g) if k == 0 or not fixed else 0.0 for k, g in enumerate(gain))
+    biased = int(model.actuator_biastype[index]) == AFFINE_BIAS
+    return gains, tuple(float(b) if biased else 0.0 for b in bias)
+
+
+def is_idle_at_zero(model: mujoco.MjModel, index: int) -> bool:
+    """Return whether an actuator that a plan leaves out, its control at zero, leaves the mechanism alone."""
+    gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
+    affine = gain in (FIXED, AFFINE) and (
+        bias == NO_BIAS or (bias == AFFINE_BIAS and not any(_coefficients(model, index)[1]))
+    )
+    return affine and (carries_passive(model, index) or not brings_passive(model, index))
+
+
+def brings_passive(model: mujoco.MjModel, index: int) -> bool:
+    """Return whether an actuator has damping or armature of its own."""
+    own = [model.actuator_damping[index], *model.actuator_dampingpoly[index], model.actuator_armature[index]]
+    return bool(np.any(own))
+
+
+def carries_passive(model: mujoco.MjModel, index: int) -> bool:
+    """Return whether the tree carries the actuator's own damping and armature: on a hinge, slide or tendon's length."""
+    if int(model.actuator_trntype[index]) == int(TRN_TENDON):
+        return not wraps(model, int(model.actuator_trnid[index, 0]))
+    on_joint = attachment(model, index)
+    return on_joint.dof is not None
+
+
+def read_actuators(model: mujoco.MjModel) -> tuple[Actuator, ...]:
+    """Return the actuators of a model that a plan can use, in file order."""
+    return tuple(_read(model, index) for index in range(model.nactuator) if why_not(model, index) is None)
+
+
+def effort_matrix(model: mujoco.MjModel, tree: Tree, actuators: tuple[Actuator, ...]) -> ca.SX:
+    """Return B (n_q, n_u), the generalised effort of each actuator's unit effort, an expression of tree.q."""
+    columns = [moment(model, tree, actuator.index) for actuator in actuators]
+    return ca.sparsify(ca.horzcat(ca.SX(tree.q.numel(), 0), *columns))
+
+
+def _read(model: mujoco.MjModel, index: int) -> Actuator:
+    gains, biases = _coefficients(model, index)
+    channel, at = int(model.actuator_ctrladr[index]), attachment(model, index)
+    clamp = not model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
+    control = (-np.inf, np.inf)
+    if model.actuator_ctrllimited[channel] and clamp:
+        control = tuple(float(x) for x in model.actuator_ctrlrange[channel])
+    bounds = list(_clamps(model, index))
+    if not any(gains[1:]) and not any(biases[1:]):
+        bounds.append(tuple(sorted(float(end) * gains[0] + biases[0] for end in control)))
+    if model.actuator_forcelimited[index]:
+        bounds.append(_scaled(model.actuator_forcerange[index], 1.0))
+    return Actuator(
+        name=label(model, index),
+        index=index,
+        channel=channel,
+        output=int(model.actuator_outadr[index]),
+        joint=at.dof,
+        target=at.target,
+        gear=float(gear_of(model, index)[0]),
+        gains=gains,
+        biases=biases,
+        control_lower=control[0],
+        control_upper=control[1],
+        lower=max((lo for lo, _ in bounds), default=-np.inf),
+        upper=min((hi for _, hi in bounds), default=np.inf),
+        unit=at.unit,
+    )
+
+
+def constant_arms(model: mujoco.MjModel, index: int) -> dict[int, float]:
+    """Return the moments of an actuator on a hinge, slide or fixed tendon, by coordinate; none for any other."""
+    gear, at = float(gear_of(model, index)[0]), attachment(model, index)
+    if at.dof is not None:
+        return {at.dof: gear}
+    tendon = int(model.actuator_trnid[index, 0])
+    if int(model.actuator_trntype[index]) == int(TRN_TENDON) and is_fixed(model, tendon):
+        return {dof: gear * c for dof, c in tendon_joints(model, tendon).items() if c}
+    return {}
+
+
+def _clamps(model: mujoco.MjModel, index: int):
+    """Yield the effort limits that clamps of joints and tendons put on an actuator with constant moments."""
+    tendon = int(model.actuator_trnid[index, 0])
+    if int(model.actuator_trntype[index]) == int(TRN_TENDON) and model.tendon_actfrclimited[tendon]:
+        yield _scaled(model.tendon_actfrcrange[tendon], 1.0)
+    for dof, arm in constant_arms(model, index).items():
+        joint = int(model.dof_jntid[dof])
+        if model.jnt_actfrclimited[joint]:
+            yield _scaled(model.jnt_actfrcrange[joint], 1.0 / arm)
+
+
+def _scaled(interval: np.ndarray, factor: float) -> tuple[float, float]:
+    ends = sorted(float(end) * factor for end in interval)
+    return ends[0], ends[1]
+
+
+def shared_clamps(model: mujoco.MjModel) -> list[str]:
+    """Return the clamps of joints and tendons that no limit of a single actuator stands for, in words.
+
+    MuJoCo cuts the sum of all that act on a joint or tendon; a plan's limits are each actuator's own.
+    """
+    usable = [index for index in range(model.nactuator) if why_not(model, index) is None]
+    found = []
+    for joint in range(model.njnt):
+        if not model.jnt_actfrclimited[joint] or int(model.jnt_type[joint]) not in (HINGE, SLIDE):
+            continue
+        dof = int(model.jnt_dofadr[joint])
+        acting = [index for index in usable if dof in (constant_arms(model, index) or range(model.nv))]
+        if len(acting) > 1 or any(not constant_arms(model, index) for index in acting):
+            names = ", ".join(label(model, index) for index in acting)
+            found.append(f"actuatorfrcrange of joint {joint_label(model, joint)}, which cuts the sum of {names}")
+    for tendon in range(model.ntendon):
+        on_it = int(TRN_TENDON)
+        acting = [i for i in usable if int(model.actuator_trntype[i]) == on_it and int(model.actuator_trnid[i, 0]) == tendon]
+        if model.tendon_actfrclimited[tendon] and len(acting) > 1:
+            names = ", ".join(label(model, index) for index in acting)
+            found.append(f"actuatorfrcrange of tendon {tendon_label(model, tendon)}, which cuts the sum of {names}")
+    return found

@@ -1,0 +1,170 @@
+"""Transmissions: how an actuator's force acts on the joints, as MuJoCo has it, in internal coordinates.
+
+    tau = B(q) u,   power = u l',   B = (dl / dq)^T
+
+l is the transmission's length (gear times a joint's position, a tendon's length or a slider-crank's travel). A wrench at a
+site, or on a ball or free joint, has no such length: B is then the site's Jacobian applied to the gear's axes.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from linkplan.models.tree.coordinates import BALL, FREE, HINGE, SLIDE, joint_label, turned_quaternion
+from linkplan.models.tree.dynamics import Tree, common_ancestor, rotation_from_quaternion, rotation_of
+from linkplan.models.tree.tendons import tendon_label
+
+TRN_JOINT, TRN_IN_PARENT = mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT
+TRN_TENDON, TRN_CRANK, TRN_SITE = mujoco.mjtTrn.mjTRN_TENDON, mujoco.mjtTrn.mjTRN_SLIDERCRANK, mujoco.mjtTrn.mjTRN_SITE
+KINDS = (TRN_JOINT, TRN_IN_PARENT, TRN_TENDON, TRN_CRANK, TRN_SITE)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Attachment:
+    """What an actuator acts on, in words and indices.
+
+    `target` is as in a sentence ("joint crank"); `dof` the coordinate of the one hinge or slide that it drives, None for any
+    other transmission; `unit` that of its force.
+    """
+
+    target: str
+    dof: int | None
+    unit: str  # "N.m" or "N"
+
+
+def gear_of(model: mujoco.MjModel, index: int) -> np.ndarray:
+    """Return the gear (6,) of an actuator with one force."""
+    return np.array(model.actuator_gear[model.actuator_outadr[index]], dtype=float)
+
+
+def attachment(model: mujoco.MjModel, index: int) -> Attachment:
+    """Return what actuator `index` acts on."""
+    kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
+    first, second = (int(i) for i in model.actuator_trnid[index])
+    if kind in (TRN_JOINT, TRN_IN_PARENT):
+        label, of = joint_label(model, first), int(model.jnt_type[first])
+        scalar = of in (HINGE, SLIDE)
+        pushes = of == SLIDE or (of == FREE and bool(np.any(gear_of(model, index)[:3])))
+        dof = int(model.jnt_dofadr[first]) if scalar else None
+        return Attachment(target=f"joint {label}", dof=dof, unit="N" if pushes else "N.m")
+    if kind == TRN_TENDON:
+        return Attachment(target=f"tendon {tendon_label(model, first)}", dof=None, unit="N")
+    if kind == TRN_CRANK:
+        ends = "-".join(_site(model, site) for site in (first, second))
+        return Attachment(target=f"slider-crank {ends}", dof=None, unit="N")
+    if kind == TRN_SITE:
+        pushes = bool(np.any(gear_of(model, index)[:3]))
+        return Attachment(target=f"site {_site(model, first)}", dof=None, unit="N" if pushes else "N.m")
+    return Attachment(target=kind.name.removeprefix("mjTRN_").lower(), dof=None, unit="N")
+
+
+def _site(model: mujoco.MjModel, site: int) -> str:
+    return model.site(site).name or f"site {site}"
+
+
+def has_length(model: mujoco.MjModel, index: int) -> bool:
+    """Return whether the actuator's length is a position on a line, which a servo's bias may depend on.
+
+    Rotations of ball joints and sites are lengths on a circle to MuJoCo, and a wrench without reference has none.
+    """
+    kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
+    if kind in (TRN_JOINT, TRN_IN_PARENT):
+        return int(model.jnt_type[model.actuator_trnid[index, 0]]) in (HINGE, SLIDE)
+    if kind == TRN_SITE:
+        return int(model.actuator_trnid[index, 1]) >= 0 and not np.any(gear_of(model, index)[3:])
+    return kind in (TRN_TENDON, TRN_CRANK)
+
+
+def moment(model: mujoco.MjModel, tree: Tree, index: int) -> ca.SX:
+    """Return the actuator's column of B (n_q,), zero entries left out where the transmission cannot reach."""
+    kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
+    gear, first = gear_of(model, index), int(model.actuator_trnid[index, 0])
+    if kind in (TRN_JOINT, TRN_IN_PARENT):
+        return _on_joint(model, tree, first, gear, in_parent=kind == TRN_IN_PARENT)
+    if kind == TRN_TENDON:
+        length = tree.tendon_lengths[first]
+        assert length is not None, "a tendon without an expression is no transmission: see actuators.why_not"
+        return gear[0] * ca.jacobian(length, tree.q).T
+    if kind == TRN_CRANK:
+        return gear[0] * ca.jacobian(_crank_travel(model, tree, index), tree.q).T
+    return _at_site(model, tree, index, gear)
+
+
+def _on_joint(model, tree: Tree, joint: int, gear: np.ndarray, in_parent: bool) -> ca.SX:
+    column, dof = ca.SX(tree.q.numel(), 1), int(model.jnt_dofadr[joint])
+    kind = int(model.jnt_type[joint])
+    if kind not in (BALL, FREE):
+        column[dof] = gear[0]
+        return column
+    if kind == FREE:
+        column[dof : dof + 3] = ca.DM(gear[:3])
+        dof, gear = dof + 3, gear[3:]
+    axis = ca.SX(ca.DM(gear[:3]))
+    if in_parent:
+        (chart,) = [chart for chart in tree.coordinates.charts if chart.joint == joint]
+        turned = turned_quaternion(chart, tree.q)
+        axis = rotation_of(turned).T @ ca.DM(rotation_from_quaternion(chart.centre)).T @ axis
+    turning = slice(dof, dof + 3)
+    column[turning] = tree.velocity_matrix[turning, turning].T @ axis
+    return column
+
+
+def _crank_travel(model, tree: Tree, index: int) -> ca.SX:
+    """Return where the slider stands on its axis: the foot of the crank's pin, less what the rod leans.
+
+    As in MuJoCo it is the foot itself where the rod is too short to reach the axis.
+    """
+    crank, slider = (int(i) for i in model.actuator_trnid[index])
+    to_crank = _place(model, tree, crank) - _place(model, tree, slider)
+    frame = tree.frames[int(model.site_bodyid[slider])]
+    axis = frame.R_world_B @ ca.DM(_site_axes(model, slider)[:, 2])
+    along = ca.dot(to_crank, axis)
+    rod = float(model.actuator_cranklength[index])
+    square = along**2 + rod**2 - ca.dot(to_crank, to_crank)
+    # The root's argument is kept away from where it has no derivative: a product with zero would not help.
+    return along - ca.if_else(square > 0, ca.sqrt(ca.if_else(square > 0, square, 1)), 0)
+
+
+def _at_site(model, tree: Tree, index: int, gear: np.ndarray) -> ca.SX:
+    """Return J^T of a wrench along a site's axes, or a reference site's, which then sees the difference of the two."""
+    site, reference = (int(i) for i in model.actuator_trnid[index])
+    body = int(model.site_bodyid[site])
+    holder = site if reference < 0 else reference
+    holder_body = int(model.site_bodyid[holder])
+    R = tree.frames[holder_body].R_world_B @ ca.DM(_site_axes(model, holder))
+    linear, angular = _velocity(model, tree, site)
+    if reference >= 0:
+        other_linear, other_angular = _velocity(model, tree, reference)
+        linear, angular = linear - other_linear, angular - other_angular
+    column = ca.SX(tree.q.numel(), 1)
+    for velocity, axis in ((linear, gear[:3]), (angular, gear[3:])):
+        if np.any(axis):
+            column += ca.jacobian(velocity, tree.qd).T @ (R @ ca.DM(axis))
+    if reference < 0:
+        return column
+    # Joints that carry both sites move them together: MuJoCo leaves those out.
+    keep = ca.DM.ones(tree.q.numel())
+    above = common_ancestor(model, body, holder_body)
+    while above:
+        start = int(model.body_dofadr[above])
+        keep[[start + k for k in range(int(model.body_dofnum[above]))]] = 0
+        above = int(model.body_parentid[above])
+    return ca.sparsify(column * keep)
+
+
+def _site_axes(model, site: int) -> np.ndarray:
+    flat = np.zeros(9)
+    mujoco.mju_quat2Mat(flat, model.site_quat[site])
+    return flat.reshape(3, 3)
+
+
+def _place(model, tree: Tree, site: int) -> ca.SX:
+    return tree.point(int(model.site_bodyid[site]), model.site_pos[site])
+
+
+def _velocity(model, tree: Tree, site: int) -> tuple[ca.SX, ca.SX]:
+    frame = tree.frames[int(model.site_bodyid[site])]
+    arm = frame.R_world_B @ ca.DM(model.site_pos[site])
+    return frame.v_world_B + ca.cross(frame.w_world_B, arm), frame.w_world_B

@@ -1,0 +1,166 @@
+"""Loop closure: the equations phi(q) = 0 of a model's equality constraints.
+
+A connect asks two points to coincide (three rows), a weld two frames (six), a joint or tendon equality asks a position or
+length to be a quartic polynomial of another (one row). The residuals are MuJoCo's own, with two changes that leave their
+zeros where they are:
+
+* All rows are lengths [m]. A weld's rotation rows are 2 sin(theta / 2) axis, the angle where it is small, times `lever_m`,
+  the mechanism's extent; so is the row of a joint equality on a hinge. An angle then counts by what it moves, forces on all
+  rows are newtons, and one tolerance serves all.
+* A loop that rides on a moving body is closed in that body's frame: two points tied within a leg have their rows along the
+  leg's axes and not the world's, so that a planar loop keeps its two independent rows however the leg turns.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from linkplan.models.errors import ModelError
+from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in, product
+from linkplan.models.tree.size import extent_m
+from linkplan.models.tree.tendons import is_fixed, tendon_label
+from linkplan.models.tree.ties import tied_points
+
+CONNECT, WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
+JOINT, TENDON = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Closure:
+    """One gap of an equality constraint: rows of phi [m] that belong together.
+
+    A weld has two, its point and its orientation. `lever_m` is what a radian of the gap counts [m], None where the gap is a
+    length by nature; `frame` is the body whose axes the rows lie along, 0 for the world's; `scale` makes the residual
+    of MuJoCo's row.
+    """
+
+    name: str
+    kind: str  # "point", "orientation", "joint" or "tendon"
+    index: int  # of MuJoCo's equality constraint
+    rows: slice
+    residual: ca.SX
+    frame: int
+    scale: float
+    lever_m: float | None
+
+    @property
+    def unit(self) -> str:
+        """The unit of the gap as a designer counts it."""
+        return "m" if self.lever_m is None else "rad"
+
+    def gap(self, phi: np.ndarray) -> np.ndarray:
+        """Return how far the gap stands open, [m] or [rad] as `unit` says, from values of all rows (..., n_rows)."""
+        return np.linalg.norm(phi[..., self.rows], axis=-1) / (self.lever_m or 1.0)
+
+
+def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
+    """Return the active loop closures of a model.
+
+    Raises:
+        ModelError: for an active equality constraint of a kind that has no equation here.
+    """
+    closures: list[Closure] = []
+    off = mujoco.mjtDisableBit.mjDSBL_EQUALITY.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
+    disabled = model.opt.disableflags & off
+    for index in range(model.neq):
+        if not model.eq_active0[index] or disabled:
+            continue
+        kind = mujoco.mjtEq(int(model.eq_type[index]))
+        if kind not in _READERS:
+            raise ModelError(
+                f"equality constraint '{equality_name(model, index)}' is of kind"
+                f" '{kind.name.removeprefix('mjEQ_').lower()}'; the planner closes loops by 'connect', 'weld', 'joint' and"
+                " 'tendon'"
+            )
+        for what, residual, frame, scale, lever in _READERS[kind](model, tree, index):
+            start = closures[-1].rows.stop if closures else 0
+            closures.append(
+                Closure(
+                    name=equality_name(model, index),
+                    kind=what,
+                    index=index,
+                    rows=slice(start, start + residual.numel()),
+                    residual=residual,
+                    frame=frame,
+                    scale=scale,
+                    lever_m=lever,
+                )
+            )
+    return tuple(closures)
+
+
+def equality_name(model: mujoco.MjModel, index: int) -> str:
+    """Return the constraint's own name, or one made of what it ties."""
+    name = model.equality(index).name
+    if name:
+        return name
+    kind = mujoco.mjtEq(int(model.eq_type[index]))
+    elements = {JOINT: model.joint, TENDON: model.tendon}
+    at_sites = int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE)
+    element = elements.get(kind, model.site if at_sites else model.body)
+    if kind not in (CONNECT, WELD, *elements):
+        return f"equality {index}"
+    tied = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
+    return "-".join(element(i).name or str(i) for i in tied)
+
+
+def _seen(model: mujoco.MjModel, tree: Tree, bodies: list[int]) -> tuple[int, list[Frame]]:
+    ancestor = common_ancestor(model, *bodies)
+    return ancestor, [frame_in(tree, ancestor, body) for body in bodies]
+
+
+def _connect(model: mujoco.MjModel, tree: Tree, index: int):
+    ends = tied_points(model, index)
+    frame, frames = _seen(model, tree, [body for body, _ in ends])
+    first, second = (f.p_world_B + f.R_world_B @ ca.DM(p) for f, (_, p) in zip(frames, ends, strict=True))
+    yield "point", first - second, frame, 1.0, None
+
+
+def _weld(model: mujoco.MjModel, tree: Tree, index: int):
+    """Yield the point, and the orientation unless `torquescale` is zero, which leaves a connect."""
+    yield from _connect(model, tree, index)
+    torquescale = float(model.eq_data[index, 10])
+    if torquescale == 0:
+        return
+    bodies = [body for body, _ in tied_points(model, index)]
+    _, (first, second) = _seen(model, tree, bodies)
+    if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
+        turns = [model.site_quat[model.eq_obj1id[index]], model.site_quat[model.eq_obj2id[index]]]
+    else:
+        turns = [model.eq_data[index, 6:10] / np.linalg.norm(model.eq_data[index, 6:10]), np.array([1.0, 0, 0, 0])]
+    q_1, q_2 = (product(f.quaternion, ca.SX(ca.DM(turn))) for f, turn in zip((first, second), turns, strict=True))
+    apart = product(ca.vertcat(q_2[0], -q_2[1:]), q_1)
+    lever = extent_m(model)
+    # Rows of MuJoCo's: torquescale times the vector part. Its scalar part is one where the weld holds, or minus one.
+    yield "orientation", 2 * lever * apart[1:], bodies[1], 2 * lever / torquescale, lever
+
+
+def _polynomial(model: mujoco.MjModel, index: int, y: ca.SX, x: ca.SX | None) -> ca.SX:
+    a = [float(c) for c in model.eq_data[index, :5]]
+    powers = range(5) if x is not None else range(1)
+    return y - sum((a[k] * (x**k if k else 1) for k in powers if a[k]), ca.SX(0))
+
+
+def _joint(model: mujoco.MjModel, tree: Tree, index: int):
+    joints = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
+    travels = [tree.q[int(model.jnt_dofadr[i])] - float(model.qpos0[model.jnt_qposadr[i]]) for i in joints]
+    lever = extent_m(model) if int(model.jnt_type[joints[0]]) == HINGE else None
+    residual = _polynomial(model, index, travels[0], travels[1] if len(joints) > 1 else None)
+    yield "joint", residual * (lever or 1.0), 0, lever or 1.0, lever
+
+
+def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
+    tendons = [int(i) for i in (model.eq_obj1id[index], model.eq_obj2id[index]) if i >= 0]
+    for tendon in tendons:
+        if not is_fixed(model, tendon):
+            raise ModelError(
+                f"equality constraint '{equality_name(model, index)}' ties spatial tendon '{tendon_label(model, tendon)}';"
+                " the planner takes fixed tendons"
+            )
+    travels = [tree.tendon_lengths[tendon] - float(model.tendon_length0[tendon]) for tendon in tendons]
+    yield "tendon", _polynomial(model, index, travels[0], travels[1] if len(tendons) > 1 else None), 0, 1.0, None
+
+
+_READERS = {CONNECT: _connect, WELD: _weld, JOINT: _joint, TENDON: _tendon}

@@ -1,0 +1,149 @@
+"""The home pose: assembling the loops near a reference, looking about from there, and refusing a singular one."""
+
+import numbers
+from collections.abc import Mapping
+
+import numpy as np
+
+from linkplan.models.closure import newton
+from linkplan.models.closure.newton import Loop
+from linkplan.models.closure.rank import numerical_rank
+from linkplan.models.errors import AssemblyError, ModelError
+from linkplan.models.tree.joints import Joint, index_of, where
+
+# Joint angles named in `home` beside the independent ones choose a branch; the loop may settle this far from them.
+HOME_TOLERANCE = np.radians(5.0)
+# No joint is asked to stand further out than this [rad or m].
+_FARTHEST = 1e3
+# Steps from the home pose to look whether it is an ordinary one [rad; on a slide, of the model's extent]: the shorter where
+# the longer opens the loop, next to an end of the reach.
+_HOME_STEPS = (0.02, 0.002)
+# Poses to look at about home, and how far away they are [rad; on a slide, of the model's extent].
+_LOOKS = 4
+_LOOK_STEP = 0.15
+
+
+def asked_home(name: str, joints: tuple[Joint, ...], home: Mapping[str, float] | None) -> dict[int, float]:
+    """Return the positions [rad or m] that `home` asks for, by joint index."""
+    asked = {}
+    for joint, value in (home or {}).items():
+        index = index_of(name, joints, joint)
+        number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+        if not number or not abs(value) < _FARTHEST:
+            raise ModelError(f"home of joint '{joint}' is a finite position within {_FARTHEST:g} rad or m, got {value!r}")
+        asked[index] = float(value)
+    return asked
+
+
+def assemble_home(
+    name: str, joints: tuple[Joint, ...], loop: Loop, reference: np.ndarray, asked: dict[int, float]
+) -> np.ndarray:
+    """Return a pose that closes every loop, with the asked joints held as far as the loops leave them free.
+
+    From the reference pose along a straight line to the asked one where that closes, which stays on the reference's
+    branch; else by Newton from the asked values, which then choose the branch.
+    """
+    everything = list(range(len(joints)))
+    near, gap = newton.close(loop, reference, everything)
+    if not asked:
+        if gap > newton.CLOSED_M:
+            gap = min(gap, newton.least_gap(loop, near, everything))
+            raise AssemblyError(
+                f"mechanism '{name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm;"
+                " name a pose near a closed one with mechanism.home_deg"
+            )
+        return near
+    base = near if gap <= newton.CLOSED_M else reference
+    start = np.array([asked.get(i, base[i]) for i in everything])
+    unnamed = [i for i in everything if i not in asked]
+    poses = []
+    if gap <= newton.CLOSED_M:
+        poses.append(newton.follow(loop, near, asked))
+    # Where more joints are named than the loop leaves free, the first are held and the others choose the branch. Unnamed
+    # joints may start on another branch than the reference's: each is tried all round as well.
+    starts = [start, *(_turned(joints, start, unnamed) if len(asked) > 1 else [])]
+    for n_held in range(len(asked), 0, -1):
+        held = list(asked)[:n_held]
+        free = [i for i in everything if i not in held]
+        for trial in starts:
+            guess = newton.close(loop, trial, unnamed)[0] if n_held < len(asked) and unnamed else trial
+            poses.append(newton.close(loop, guess, free))
+            for pose, open_by in poses:
+                away = max(abs(pose[i] - value) for i, value in asked.items())
+                if open_by <= newton.CLOSED_M and away <= HOME_TOLERANCE:
+                    return pose
+            poses.clear()
+    gap = min(newton.least_gap(loop, trial, unnamed) for trial in starts)
+    raise AssemblyError(
+        f"mechanism '{name}' does not close at {where(joints, asked)}: the loop stays open by {1e3 * gap:.3g} mm"
+    )
+
+
+def _turned(joints, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
+    """Return `start` with its unnamed hinges turned by quarters, together: places to look for another branch from."""
+    hinges = [i for i in unnamed if joints[i].kind == "hinge" and joints[i].chart is None]
+    turned = []
+    for quarter in (1, 2, 3) if hinges else ():
+        trial = np.array(start)
+        trial[hinges] += quarter * np.pi / 2
+        turned.append(trial)
+    return turned
+
+
+def poses_about(loop: Loop, home: np.ndarray, unit: np.ndarray) -> list[np.ndarray]:
+    """Return closed poses some way off the home pose, in directions that the loops leave free there.
+
+    Args:
+        loop: the closure.
+        home: a closed pose (n_q,).
+        unit: what counts as a radian for each joint (n_q,) [rad or m].
+    """
+    jacobian = loop.residual(home)[1] * unit
+    rank = numerical_rank(jacobian)
+    free = np.linalg.svd(jacobian)[2][rank:].T if jacobian.size else np.eye(len(home))
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(_LOOKS if free.shape[1] else 0):
+        direction = free @ rng.normal(size=free.shape[1])
+        trial = home + _LOOK_STEP * unit * direction / np.abs(direction).max()
+        pose, gap = newton.close(loop, trial, list(range(len(home))))
+        if gap <= newton.CLOSED_M:
+            found.append(pose)
+    return found
+
+
+def refuse_singular_home(
+    name: str, joints: tuple[Joint, ...], loop: Loop, pose: np.ndarray, rank: int, independent, extent: float, about
+) -> None:
+    """Refuse a home pose where the rank is not that of its neighbours, or from which nothing can move.
+
+    A parallelogram drawn flat, or a truss of three bars in a line, shows fewer independent rows there than it has.
+    `about` holds further closed poses.
+    """
+    held = [int(i) for i in independent]
+    rest = [i for i in range(len(joints)) if i not in held]
+    neighbours = list(about)
+    for index in held:
+        moved = False
+        for step in _HOME_STEPS:
+            for change in (step, -step):
+                trial = np.array(pose)
+                trial[index] += change * (1.0 if joints[index].kind == "hinge" else extent)
+                neighbour, gap = newton.close(loop, trial, rest)
+                if gap <= newton.CLOSED_M:
+                    moved = True
+                    neighbours.append(neighbour)
+            if moved:
+                break
+        if not moved and rank:
+            raise AssemblyError(
+                f"mechanism '{name}' cannot move joint {joints[index].name} from its home pose: the loop is singular or"
+                " locked there; name another pose with mechanism.home_deg"
+            )
+    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])
+    there = max((numerical_rank(loop.residual(neighbour)[1] * unit) for neighbour in neighbours), default=rank)
+    if there != rank:
+        raise AssemblyError(
+            f"mechanism '{name}' is assembled in a singular pose: its closure has rank {rank} there and {there} next"
+            " to it; name another pose with mechanism.home_deg"
+        )

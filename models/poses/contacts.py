@@ -1,0 +1,253 @@
+"""Contacts between geoms along poses: forces that the reduced dynamics do not know.
+
+All of it is MuJoCo's own collision detection, with the model's filters, pairs, margins and exclusions. A contact acts where
+the distance of two surfaces is below the margin; its depth is counted from there.
+"""
+
+import copy
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from itertools import pairwise
+
+import mujoco
+import numpy as np
+
+from linkplan.models.closure.pins import shared_pins
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.assembly import close_at
+from linkplan.models.tree.passive import disabled
+
+# An overlap that stays within so many times the one at home, or the least along a motion, is there by construction.
+_COMPARABLE = 2.0
+# Depths and distances below this share of the model's extent are rounding: resting geoms touch by as much.
+_TOUCH = 1e-6
+# Between two instants with this share of the extent or less to travel, nothing is looked for: 30 um on a leg.
+_TRAVEL = 1e-4
+# The instant at which geoms meet is found to this share of the motion.
+_INSTANT = 1e-10
+
+Pair = tuple[int, int]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class ContactPair:
+    """Two geoms that touch at one or more of the poses looked at: at which (indices), and how deep at the worst [m]."""
+
+    first: str
+    second: str
+    poses: tuple[int, ...]
+    depth_m: float
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Meeting:
+    """Two geoms in contact along a motion.
+
+    `since` is the instant at which they meet as they do not at home: None for an overlap by construction, which is there at
+    home or all along, about as deep, or on a pin that their bodies share.
+    """
+
+    first: str
+    second: str
+    bodies: tuple[str, str]
+    since: float | None
+    depth_m: float
+    deepest_at: float
+    home_depth_m: float
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Look:
+    """What one pose shows: the clearances [m] of near pairs, anywhere and away from shared pins; where the geoms are."""
+
+    clearance: dict[Pair, tuple[float, float]]
+    centres: np.ndarray  # (n_geoms, 3)
+    frames: np.ndarray  # (n_geoms, 3, 3)
+
+    def away(self, pair: Pair) -> float:
+        """Return the clearance of a pair away from the pins that its bodies share."""
+        return self.clearance.get(pair, (np.inf, np.inf))[1]
+
+
+def may_collide(model: mujoco.MjModel) -> bool:
+    """Return whether any two geoms of a model can be in contact at all."""
+    if disabled(model, mujoco.mjtDisableBit.mjDSBL_CONTACT) or disabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
+        return False
+    return bool(model.npair) or bool(np.any(model.geom_contype) and np.any(model.geom_conaffinity))
+
+
+def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair, ...]:
+    """Return the pairs of geoms in contact at poses (n, n_q)."""
+    model = mechanism.model
+    if not may_collide(model):
+        return ()
+    look = _looker(mechanism, model)
+    found: dict[Pair, list[tuple[int, float]]] = {}
+    for k, pose in enumerate(poses):
+        for pair, (clearance, _) in look(pose).clearance.items():
+            if clearance <= 0:
+                found.setdefault(pair, []).append((k, -clearance))
+    return tuple(
+        ContactPair(
+            first=geom_name(model, a),
+            second=geom_name(model, b),
+            poses=tuple(k for k, _ in at),
+            depth_m=max(depth for _, depth in at),
+        )
+        for (a, b), at in sorted(found.items())
+    )
+
+
+def meetings(
+    mechanism: Mechanism, time: np.ndarray, poses: np.ndarray, position_at: Callable[[np.ndarray], np.ndarray]
+) -> tuple[Meeting, ...]:
+    """Return the contacts along a motion, those that are not there by construction first, in the order of their instants.
+
+    Where two geoms may touch between two instants, by their distances and how far they travel, it is looked between them.
+
+    Args:
+        mechanism: whose geoms they are.
+        time: increasing instants (n,), or another measure of the way.
+        poses: closed poses (n, n_q) at them.
+        position_at: independent positions (m, n_s) at instants (m,), for poses between.
+    """
+    model = mechanism.model
+    if not may_collide(model):
+        return ()
+    size, look = _bounding_radii(mechanism), _looker(mechanism, model)
+    first = [look(pose) for pose in poses]
+    span = max((_travel(a, b, size).max() for a, b in pairwise(first)), default=0.0)
+    look = _looker(mechanism, _with_wider_gaps(model, 2 * float(span)))
+    at_home = look(mechanism.home)
+    seen = [(float(t), pose, look(pose)) for t, pose in zip(time, poses, strict=True)]
+    seen = _looked_between(mechanism, seen, look, position_at, size)
+    pairs = sorted({pair for _, _, one in seen for pair, (clearance, _) in one.clearance.items() if clearance <= 0})
+    found = [_meeting(mechanism, pair, at_home, seen, look, position_at) for pair in pairs]
+    return tuple(sorted(found, key=lambda meeting: np.inf if meeting.since is None else meeting.since))
+
+
+def _meeting(mechanism: Mechanism, pair: Pair, at_home: _Look, seen, look, position_at) -> Meeting:
+    """Return a pair's meeting along what was seen of a motion."""
+    model, extent = mechanism.model, mechanism.extent_m
+    depth = np.array([-one.clearance.get(pair, (np.inf, np.inf))[0] for _, _, one in seen])
+    away = np.array([-one.away(pair) for _, _, one in seen])
+    allowed = _COMPARABLE * max(0.0, -at_home.away(pair), float(away.min())) + _TOUCH * extent
+    deeper = np.flatnonzero(away > allowed)
+    since, deepest = None, int(np.argmax(depth))
+    if len(deeper):
+        since, deepest = _onset(mechanism, pair, allowed, int(deeper[0]), seen, look, position_at), int(np.argmax(away))
+    return Meeting(
+        first=geom_name(model, pair[0]),
+        second=geom_name(model, pair[1]),
+        bodies=(body_name(model, model.geom_bodyid[pair[0]]), body_name(model, model.geom_bodyid[pair[1]])),
+        since=since,
+        depth_m=float(depth[deepest]),
+        deepest_at=seen[deepest][0],
+        home_depth_m=max(0.0, -at_home.clearance.get(pair, (np.inf, np.inf))[0]),
+    )
+
+
+def _onset(mechanism: Mechanism, pair: Pair, allowed: float, k: int, seen, look, position_at) -> float:
+    """Return the instant between the k-th and the one before at which a pair's depth passes what is allowed."""
+    if k == 0:
+        return seen[0][0]
+    (before, pose, _), after = seen[k - 1], seen[k][0]
+    least = _INSTANT * (seen[-1][0] - seen[0][0])
+    while after - before > least:
+        middle = (before + after) / 2
+        there = close_at(mechanism, position_at(np.array([middle]))[0], pose)
+        if -look(there).away(pair) > allowed:
+            after = middle
+        else:
+            before, pose = middle, there
+    return after
+
+
+def _looked_between(mechanism: Mechanism, seen, look, position_at, size: np.ndarray) -> list:
+    """Return what is seen of a motion with looks put in where a contact could hide between two of them."""
+    least = _TRAVEL * mechanism.extent_m
+    result, ahead = [seen[0]], list(reversed(seen[1:]))
+    while ahead:
+        (begin, pose, one), (end, _, other) = result[-1], ahead[-1]
+        travel = _travel(one, other, size)
+        near = [
+            pair
+            for pair in one.clearance.keys() & other.clearance.keys()
+            if min(one.away(pair), other.away(pair)) > 0
+            and one.away(pair) + other.away(pair) <= travel[pair[0]] + travel[pair[1]]
+            and travel[pair[0]] + travel[pair[1]] > least
+        ]
+        if near and end - begin > _INSTANT * (seen[-1][0] - seen[0][0]):
+            middle = (begin + end) / 2
+            there = close_at(mechanism, position_at(np.array([middle]))[0], pose)
+            ahead.append((middle, there, look(there)))
+        else:
+            result.append(ahead.pop())
+    return result
+
+
+def _looker(mechanism: Mechanism, model: mujoco.MjModel) -> Callable[[np.ndarray], _Look]:
+    """Return a function from a pose (n_q,) to what collision detection with a model shows at it."""
+    pins = shared_pins(mechanism.model, mechanism.qpos_of(mechanism.home), mechanism.extent_m)
+    data = mujoco.MjData(model)
+    weld, body, radius = model.body_weldid, model.geom_bodyid, _bounding_radii(mechanism)
+
+    def on_a_pin(pair: Pair, place: np.ndarray) -> bool:
+        shared = pins.get(tuple(sorted((int(weld[body[pair[0]]]), int(weld[body[pair[1]]])))), ())
+        places = (data.xpos[of] + data.xmat[of].reshape(3, 3) @ local for of, local in shared)
+        return any(np.linalg.norm(place - pin) <= min(radius[list(pair)]) for pin in places)
+
+    def look(pose: np.ndarray) -> _Look:
+        data.qpos[:] = mechanism.qpos_of(pose)
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_collision(model, data)
+        clearance: dict[Pair, tuple[float, float]] = {}
+        contact = data.contact
+        for geoms, distance, place in zip(contact.geom, contact.dist - contact.includemargin, contact.pos, strict=True):
+            if min(geoms) < 0:  # of a flex, which is refused elsewhere
+                continue
+            pair = (int(min(geoms)), int(max(geoms)))
+            anywhere, away = clearance.get(pair, (np.inf, np.inf))
+            away = away if on_a_pin(pair, place) else min(away, float(distance))
+            clearance[pair] = (min(anywhere, float(distance)), away)
+        return _Look(clearance=clearance, centres=data.geom_xpos.copy(), frames=data.geom_xmat.reshape(-1, 3, 3).copy())
+
+    return look
+
+
+def _bounding_radii(mechanism: Mechanism) -> np.ndarray:
+    """Return the radius (n_geoms,) [m] of the ball about each geom's centre; of one without end, the model's extent."""
+    radius = mechanism.model.geom_rbound
+    return np.where(radius > 0, radius, mechanism.extent_m)
+
+
+def _travel(one: _Look, other: _Look, size: np.ndarray) -> np.ndarray:
+    """Return how far (n_geoms,) [m] any point of each geom goes between two looks, at least; arcs are little longer."""
+    turned = np.einsum("gij,gij->g", one.frames, other.frames)
+    angle = np.arccos(np.clip((turned - 1) / 2, -1.0, 1.0))
+    return np.linalg.norm(other.centres - one.centres, axis=1) + size * angle
+
+
+def _with_wider_gaps(model: mujoco.MjModel, width: float) -> mujoco.MjModel:
+    """Return a copy of a model whose collision detection reports distances up to `width` [m] beyond its own."""
+    wider = copy.copy(model)
+    wider.geom_gap += width / 2
+    wider.pair_gap += width
+    wider.body_margin += width
+    return wider
+
+
+def geom_name(model: mujoco.MjModel, index: int) -> str:
+    """Return a geom's name, or one made of its index and body."""
+    return model.geom(index).name or f"geom {index} of {body_name(model, model.geom_bodyid[index])}"
+
+
+def body_name(model: mujoco.MjModel, index: int) -> str:
+    """Return a body's name, or one made of its index."""
+    return model.body(int(index)).name or f"body {int(index)}"
+
+
+def new_meetings(found: Iterable[Meeting]) -> tuple[Meeting, ...]:
+    """Return the meetings that are not there by construction."""
+    return tuple(meeting for meeting in found if meeting.since is not None)

@@ -1,0 +1,35 @@
+"""The ctrl that planned efforts ask of actuators along a motion: what a servo's range must leave room for."""
+
+import mujoco
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import joint_rates
+
+
+def needed_controls(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return MuJoCo's ctrl (n, n_u) of every actuator that gives efforts u (n, n_u) at poses q (n, n_q) under v (n, n_s).
+
+    (u - bias) / gain at MuJoCo's own length and speed of the actuator, not cut at its range; infinite where the gain is
+    zero.
+    """
+    model, controls = mechanism.model, np.empty((len(q), mechanism.n_u))
+    data = mujoco.MjData(model)
+    rates = joint_rates(mechanism, q, v)
+    qpos, qvel = mechanism.qpos_of(q), mechanism.qvel_of(q, rates)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:] = qpos[k], qvel[k]
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        for j, actuator in enumerate(mechanism.actuators):
+            state = np.array([1.0, data.actuator_length[actuator.output], data.actuator_velocity[actuator.output]])
+            gain, bias = float(state @ actuator.gains), float(state @ actuator.biases)
+            controls[k, j] = (u[k, j] - bias) / gain if gain else np.inf
+    return controls
+
+
+def control_excess(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return how far (n, n_u) the needed ctrl lies beyond its range, in its own unit: positive where it would be cut."""
+    ranges = np.array([[a.control_lower, a.control_upper] for a in mechanism.actuators]).reshape(-1, 2)
+    controls = needed_controls(mechanism, q, v, u)
+    return np.maximum(ranges[:, 0] - controls, controls - ranges[:, 1])

@@ -1,0 +1,90 @@
+"""A stick drawing of a mechanism: each body as the points where it is pinned to others."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
+from linkplan.models.tree.dynamics import build_tree
+from linkplan.models.tree.ties import tied_points
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Stick:
+    """One body: its name, whether it is fixed to the world, and its pins in the plane of the drawing (n, n_pins, 2) [m]."""
+
+    body: str
+    fixed: bool
+    pins: np.ndarray
+
+
+def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
+    """Return the bodies of a mechanism at poses (n, n_q), seen along the axis that most hinges share.
+
+    A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it. A body that slides
+    in a moving one is drawn from that body's own pin on; one that is pinned at a single point, as far as its centre of mass.
+    """
+    model = mechanism.model
+    tree = build_tree(model, mechanism.qpos_of(np.zeros(mechanism.n_q)))
+    pins: dict[int, list[ca.SX]] = {}
+    for body in range(1, model.nbody):
+        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+            anchor = tree.point(body, model.jnt_pos[joint])
+            pins.setdefault(body, []).append(anchor)
+            if model.jnt_type[joint] == FREE:
+                continue
+            parent = int(model.body_parentid[body])
+            if model.jnt_type[joint] != SLIDE:
+                pins.setdefault(_solid(model, parent), []).append(anchor)
+            elif _solid(model, parent) == 0:
+                # A slide's own anchor moves with it: on the ground it stands where the joint is at its reference.
+                pins.setdefault(0, []).append(tree.point(parent, np.array(model.body_pos[body])))
+            else:
+                pins[body].insert(0, pins[_solid(model, parent)][0])
+    for index in range(model.neq):
+        if not model.eq_active0[index]:
+            continue
+        for body, point in tied_points(model, index):
+            pins.setdefault(_solid(model, body), []).append(tree.point(body, point))
+    for body, points in pins.items():
+        if len(points) == 1 and body != 0:
+            points.append(tree.point(body, np.array(model.body_ipos[body])))
+    right, up = _view(model)
+    result = []
+    for body in sorted(pins):
+        function = ca.Function("pins", [tree.q], [ca.densify(ca.horzcat(*pins[body]))])
+        points = np.array(function.map(len(poses))(poses.T)).reshape(3, len(poses), -1).transpose(1, 2, 0)
+        flat = np.stack([points @ right, points @ up], axis=-1)
+        result.append(Stick(body=_name(model, body), fixed=body == 0, pins=flat))
+    return tuple(result)
+
+
+def _solid(model: mujoco.MjModel, body: int) -> int:
+    """Return the body that `body` is rigidly part of: the nearest one up the tree with a joint, or the world (0)."""
+    return int(model.body_weldid[body])
+
+
+def _name(model: mujoco.MjModel, body: int) -> str:
+    return "ground" if body == 0 else model.body(body).name or f"body {body}"
+
+
+def _view(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+    """Return the drawing's right and up directions: across the hinges' common axis, up against gravity."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    axes = np.array(data.xaxis[~np.isin(model.jnt_type, (SLIDE, BALL, FREE))]).reshape(-1, 3)
+    normal = np.array([0.0, 1.0, 0.0])
+    if len(axes):
+        normal = np.linalg.svd(axes)[2][0]
+        normal = normal * np.sign(normal[np.argmax(np.abs(normal))])
+    up = np.array([0.0, 0.0, 1.0]) - normal[2] * normal
+    if np.linalg.norm(up) < 0.1:
+        up = np.array([0.0, 1.0, 0.0]) - normal[1] * normal
+        up /= np.linalg.norm(up)
+        return np.cross(up, normal), up
+    up /= np.linalg.norm(up)
+    # Looking along +y, +x is to the right when +z is up.
+    return np.cross(normal, up), up

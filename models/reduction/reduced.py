@@ -1,0 +1,166 @@
+"""Reduced dynamics of a closed chain, by coordinate partitioning.
+
+    q' = Gamma v,   Gamma = [I; -J_z^-1 J_s],   q'' = Gamma a + gamma,   gamma_z = -J_z^-1 (J' q')
+    Gamma^T (M q'' + h - tau_passive) = Gamma^T B u
+
+v = s' and a = s'' belong to the independent joints, z are the dependent ones, J = dphi/dq over independent rows
+(Wehage & Haug, J. Mech. Design 104, 1982). Multipliers follow from the dependent rows, J_z^T lambda = (...)_z.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.closure.equations import Closure
+from linkplan.models.reduction.elimination import block_determinants, determinant, factorise, solve_positive
+from linkplan.models.tree.dynamics import Tree
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class ReducedDynamics:
+    """CasADi functions of a closed chain; each can be called with numbers or with SX.
+
+    q (n_q,) are all joints, v and a (n_s,) the independent joints' rates and accelerations, u (n_u,) efforts.
+    Generalised efforts are (n_s,), [N.m] on a hinge and [N] on a slide.
+    """
+
+    closure: ca.Function  # q -> phi (n_rows,) [m], every row
+    independent_closure: ca.Function  # q -> phi (rank,) [m], independent rows
+    closure_jacobian: ca.Function  # q -> J (n_rows, n_q)
+    closure_step: ca.Function  # q -> phi (rank,), Newton's step -J_z^-1 phi in z, Gamma, the dets of J_z's blocks
+    velocity_map: ca.Function  # q -> Gamma (n_q, n_s)
+    singularity: ca.Function  # q -> det J_z, zero at a singular pose
+    block_singularity: ca.Function  # q -> the dets of J_z's blocks, each of loops that close together
+    mass_matrix: ca.Function  # q -> M (n_q, n_q), armature included
+    bias: ca.Function  # q, q' -> h (n_q,), MuJoCo's qfrc_bias
+    passive: ca.Function  # q, q' -> springs and dampers (n_q,)
+    reduced_inertia: ca.Function  # q -> Gamma^T M Gamma (n_s, n_s)
+    gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that holds the weight
+    effort_matrix: ca.Function  # q -> B (n_q, n_u), each actuator's generalised effort
+    effort_map: ca.Function  # q -> Gamma^T B (n_s, n_u)
+    inverse_dynamics: ca.Function  # q, v, a -> Gamma^T B u that the motion needs (n_s,)
+    residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
+    acceleration: ca.Function  # q, v, u -> a (n_s,)
+    flow: ca.Function  # q, v, u -> q' (n_q,), v' (n_s,)
+    linearisation: ca.Function  # q, v, u -> da/ds, da/dv, da/du along the closed chain
+    closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N], the least that does it; zero on closures left out
+    energy: ca.Function  # q, v -> kinetic, potential [J]
+
+
+def reduce_tree(
+    tree: Tree,
+    closures: Sequence[Closure],
+    effort_matrix: ca.SX,
+    rows: np.ndarray,
+    independent: np.ndarray,
+    dependent: np.ndarray,
+    parameters: ca.SX | None = None,
+) -> ReducedDynamics:
+    """Return the reduced dynamics of `tree` under its closures, of whose equations phi (n_rows,) `rows` are independent.
+
+    `effort_matrix` is B (n_q, n_u), an expression of the tree's q. Where the tree has `parameters`, they are every
+    function's last input.
+    """
+    further = [] if parameters is None else [parameters]
+    phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
+    q, qd, qdd = tree.q, tree.qd, tree.qdd
+    n_s, n_u = len(independent), effort_matrix.shape[1]
+    v, a, u = ca.SX.sym("v", n_s), ca.SX.sym("a", n_s), ca.SX.sym("u", n_u)
+    jacobian = ca.jacobian(phi, q)
+    chosen = [int(row) for row in rows]
+    J = jacobian[chosen, :]
+    J_s, J_z = J[:, [int(i) for i in independent]], J[:, [int(i) for i in dependent]]
+
+    gamma_map = ca.SX.zeros(q.numel(), n_s)
+    gamma_map[[int(i) for i in independent], :] = ca.SX.eye(n_s)
+    solve = factorise(J_z)
+    if chosen:
+        gamma_map[[int(i) for i in dependent], :] = -solve(J_s)
+    det, dets = determinant(J_z), block_determinants(J_z)
+    convective = ca.Function("convective", [q, qd], [ca.jtimes(J @ qd, q, qd)])
+    rates = gamma_map @ v
+    gamma = ca.SX.zeros(q.numel())
+    if chosen:
+        gamma[[int(i) for i in dependent]] = -solve(convective(q, rates))
+
+    tree_effort = ca.Function("tree_effort", [q, qd, qdd, *further], [tree.inverse_dynamics - tree.passive])
+    needed = tree_effort(q, rates, gamma_map @ a + gamma, *further)
+    B = effort_matrix
+    inverse = gamma_map.T @ needed
+    effort_map = gamma_map.T @ B
+    inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
+    reduced_bias = gamma_map.T @ tree_effort(q, rates, gamma, *further)
+    acceleration = solve_positive(inertia, effort_map @ u - reduced_bias)
+
+    force = ca.SX.zeros(phi.numel())
+    if chosen:
+        force[chosen] = _solve(J_z.T, (needed - B @ u)[[int(i) for i in dependent]])
+        force = _least_norm(ca.Function("J", [q], [ca.densify(jacobian)]), chosen, [c.rows for c in closures]) @ force
+    kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
+
+    def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
+        return ca.Function(name, inputs + further, [ca.densify(output) for output in outputs])
+
+    return ReducedDynamics(
+        closure=function("closure", [q], phi),
+        independent_closure=function("independent_closure", [q], phi[chosen]),
+        closure_jacobian=function("closure_jacobian", [q], jacobian),
+        closure_step=function("closure_step", [q], phi[chosen], -solve(phi[chosen]), gamma_map, dets),
+        velocity_map=function("velocity_map", [q], gamma_map),
+        singularity=function("singularity", [q], det),
+        block_singularity=function("block_singularity", [q], dets),
+        mass_matrix=function("mass_matrix", [q], tree.mass_matrix),
+        bias=function("bias", [q, qd], tree.bias),
+        passive=function("passive", [q, qd], tree.passive),
+        reduced_inertia=function("reduced_inertia", [q], inertia),
+        gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
+        effort_matrix=function("effort_matrix", [q], B),
+        effort_map=function("effort_map", [q], effort_map),
+        inverse_dynamics=function("inverse_dynamics", [q, v, a], inverse),
+        residual=function("residual", [q, v, a, u], inverse - effort_map @ u),
+        acceleration=function("acceleration", [q, v, u], acceleration),
+        flow=function("flow", [q, v, u], rates, acceleration),
+        linearisation=function(
+            "linearisation",
+            [q, v, u],
+            ca.jacobian(acceleration, q) @ gamma_map,
+            ca.jacobian(acceleration, v),
+            ca.jacobian(acceleration, u),
+        ),
+        closure_force=function("closure_force", [q, v, a, u], force),
+        energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),
+    )
+
+
+def _solve(A: ca.SX, b: ca.SX) -> ca.SX:
+    """Return A^-1 b."""
+    return factorise(A)(b)
+
+
+def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[slice]) -> ca.DM:
+    """Return the matrix (n_rows, n_rows) from forces on the chosen rows to the least forces on all rows that do the same.
+
+    In a planar loop one of a connect's three rows depends on the other two, J_c = C J_chosen with C constant; then
+    C (C^T C)^-1 mu has the size of the pin force whichever rows were chosen. Where C is not constant (spatial
+    loops, rows that depend on another closure's) forces stay on the chosen rows.
+    """
+    n_rows = jacobian.size1_out(0)
+    spread = np.eye(n_rows)
+    rng = np.random.default_rng(0)
+    samples = [np.array(jacobian(rng.uniform(-1.0, 1.0, jacobian.size1_in(0)))) for _ in range(3)]
+    for gap in gaps:
+        of = list(range(gap.start, gap.stop))
+        kept = [row for row in of if row in chosen]
+        if not kept or len(kept) == len(of):
+            continue
+        maps = [J[of] @ np.linalg.pinv(J[kept]) for J in samples]
+        residual = max(np.abs(J[of] - C @ J[kept]).max() for J, C in zip(samples, maps, strict=True))
+        if residual > 1e-9 or max(np.abs(C - maps[0]).max() for C in maps) > 1e-9:
+            continue
+        C = maps[0]
+        block = np.zeros((len(of), n_rows))
+        block[:, kept] = C @ np.linalg.inv(C.T @ C)
+        spread[of] = np.where(np.abs(block) > 1e-12, block, 0.0)
+    return ca.sparsify(ca.DM(spread))

@@ -1,0 +1,89 @@
+"""Joints as internal coordinates: hinges, slides, and the three rotations of a ball joint."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from linkplan.models.errors import ModelError
+from linkplan.models.names import nearest
+from linkplan.models.tree.coordinates import BALL, CHART_RANGE, FREE, HINGE, joint_label
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Joint:
+    """A coordinate: a hinge [rad] or slide [m] with its range, infinite where the model sets none.
+
+    A ball joint `rod` is three of kind "hinge", `rod_rx`, `rod_ry` and `rod_rz`, a free joint has `_x`, `_y` and `_z` before
+    them; `chart` then names it. Their range is that of the chart (see `linkplan.models.tree.coordinates`), not a stop.
+    """
+
+    name: str
+    kind: str  # "hinge" or "slide"
+    lower: float
+    upper: float
+    chart: str | None = None
+
+    @property
+    def unit(self) -> str:
+        """The unit of the joint's position in files and messages."""
+        return "deg" if self.kind == "hinge" else "m"
+
+    def shown(self, position: float) -> float:
+        """Return a position [rad or m] in the unit of files and messages."""
+        return float(np.degrees(position)) if self.kind == "hinge" else float(position)
+
+    def read(self, value: float) -> float:
+        """Return a value in the unit of files and messages as a position [rad or m]."""
+        return float(np.radians(value)) if self.kind == "hinge" else float(value)
+
+
+def read_joints(name: str, model: mujoco.MjModel) -> tuple[Joint, ...]:
+    """Return the coordinates of a model, one for every degree of freedom of its tree, in MuJoCo's order."""
+    if model.njnt == 0:
+        raise ModelError(f"model '{name}' has no joint: there is nothing to move")
+    joints: list[Joint] = []
+    limits_off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    for index in range(model.njnt):
+        label, kind = joint_label(model, index), int(model.jnt_type[index])
+        if kind in (BALL, FREE):
+            if kind == FREE:
+                joints += [
+                    Joint(name=f"{label}_{axis}", kind="slide", lower=-np.inf, upper=np.inf, chart=label) for axis in "xyz"
+                ]
+            joints += [
+                Joint(name=f"{label}_r{axis}", kind="hinge", lower=-CHART_RANGE, upper=CHART_RANGE, chart=label)
+                for axis in "xyz"
+            ]
+            continue
+        lower, upper = model.jnt_range[index] if model.jnt_limited[index] and not limits_off else (-np.inf, np.inf)
+        joints.append(Joint(name=label, kind="hinge" if kind == HINGE else "slide", lower=float(lower), upper=float(upper)))
+    names = [joint.name for joint in joints]
+    for joint in joints:
+        if names.count(joint.name) > 1:
+            raise ModelError(
+                f"model '{name}' has two coordinates '{joint.name}': one of joint '{joint.chart}' and a joint of that name"
+            )
+    return tuple(joints)
+
+
+def index_of(
+    mechanism: str, joints: tuple[Joint, ...], name: str, error: type[Exception] = ModelError, what: str = "joint"
+) -> int:
+    """Return the index of a joint by name.
+
+    Raises:
+        error: with the joints that there are, in one line.
+    """
+    names = [joint.name for joint in joints]
+    if name not in names:
+        raise error(
+            f"{what} '{name}' is not in mechanism '{mechanism}'{nearest(name, names)}; joints are {', '.join(names)}"
+        )
+    return names.index(name)
+
+
+def where(joints: tuple[Joint, ...], positions: Mapping[int, float]) -> str:
+    """Return positions [rad or m] by joint index in words: "O = 10 deg, B = 0.2 m"."""
+    return ", ".join(f"{joints[i].name} = {joints[i].shown(x):.6g} {joints[i].unit}" for i, x in positions.items())

@@ -1,0 +1,146 @@
+"""Springs, dampers and armatures of joints and tendons, and of the actuators on them.
+
+A spring's force is -(a x + b x^2 + c x^3) from its rest, a damper's -(a v + b v|v| + c v^3) (MuJoCo, Computation,
+"Polynomial forces"). What an actuator brings of its own is reflected by gear^2, each coefficient.
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from linkplan.models.tree.coordinates import HINGE, SLIDE
+
+JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+
+def disabled(model: mujoco.MjModel, bit: mujoco.mjtDisableBit) -> bool:
+    """Return whether a flag of the model's options switches something off."""
+    return bool(model.opt.disableflags & int(bit))
+
+
+def joint_armature(model: mujoco.MjModel) -> np.ndarray:
+    """Return the armature (n_q,) of joints and of the actuators that drive them directly (reflected by gear^2)."""
+    armature = np.array(model.dof_armature, dtype=float)
+    for dof, gear, actuator in _joint_actuators(model):
+        armature[dof] += gear**2 * model.actuator_armature[actuator]
+    return armature
+
+
+def _joint_actuators(model: mujoco.MjModel):
+    """Yield dof, gear and index of the actuators on hinges and slides."""
+    for actuator in range(model.nactuator):
+        joint = int(model.actuator_trnid[actuator, 0])
+        on_joint = int(model.actuator_trntype[actuator]) in JOINT_TRANSMISSIONS
+        if on_joint and int(model.jnt_type[joint]) in (HINGE, SLIDE):
+            yield int(model.jnt_dofadr[joint]), _gear(model, actuator), actuator
+
+
+def _tendon_actuators(model: mujoco.MjModel):
+    """Yield tendon, gear and index of the actuators on tendons."""
+    for actuator in range(model.nactuator):
+        if int(model.actuator_trntype[actuator]) == int(mujoco.mjtTrn.mjTRN_TENDON):
+            yield int(model.actuator_trnid[actuator, 0]), _gear(model, actuator), actuator
+
+
+def _gear(model: mujoco.MjModel, actuator: int) -> float:
+    return float(model.actuator_gear[model.actuator_outadr[actuator], 0])
+
+
+def tendon_inertias(model: mujoco.MjModel, lengths: Sequence, q: ca.SX) -> list[tuple[float, ca.SX]]:
+    """Return the armatures of tendons, their actuators' among them, each with its tendon's length.
+
+    Those that MuJoCo honours in full: its mass matrix has no room for a tendon that couples two branches of the tree.
+    """
+    return [
+        (inertia, lengths[tendon])
+        for tendon, inertia in enumerate(tendon_armatures(model))
+        if inertia > 0 and lengths[tendon] is not None and not spans_branches(model, lengths[tendon], q)
+    ]
+
+
+def tendon_armatures(model: mujoco.MjModel) -> list[float]:
+    """Return each tendon's armature, its actuators' among them (reflected by gear^2)."""
+    inertia = np.array(model.tendon_armature, dtype=float)
+    for tendon, gear, actuator in _tendon_actuators(model):
+        inertia[tendon] += gear**2 * model.actuator_armature[actuator]
+    return inertia.tolist()
+
+
+def spans_branches(model: mujoco.MjModel, length: ca.SX, q: ca.SX) -> bool:
+    """Return whether a length depends on two coordinates of which neither carries the other."""
+    reached = sorted(set(ca.jacobian(length, q).sparsity().get_triplet()[1]))
+    for lower, upper in itertools.pairwise(reached):
+        above = upper
+        while above > lower:
+            above = int(model.dof_parentid[above])
+        if above != lower:
+            return True
+    return False
+
+
+def tendon_passive(model: mujoco.MjModel, lengths, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the generalised force (n_q,) of tendons' springs and dampers, and the springs' energy.
+
+    A tendon's spring is slack between its two rest lengths; otherwise as in `joint_passive`.
+    """
+    force, energy = ca.SX.zeros(model.nv), ca.SX(0)
+    springs = not disabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
+    dampers = not disabled(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
+    for tendon, length in enumerate(lengths):
+        if length is None:
+            continue
+        pull, arm = ca.SX(0), ca.jacobian(length, q)
+        a, (b, c) = float(model.tendon_stiffness[tendon]), model.tendon_stiffnesspoly[tendon]
+        if springs and (a or b or c):
+            low, high = (float(x) for x in model.tendon_lengthspring[tendon])
+            x = length - high if low == high else ca.fmax(length - high, 0) + ca.fmin(length - low, 0)
+            pull -= a * x + b * x**2 + c * x**3
+            energy += a * x**2 / 2 + b * x**3 / 3 + c * x**4 / 4
+        if dampers:
+            speed = arm @ qd
+            pull -= _damper(speed, float(model.tendon_damping[tendon]), *model.tendon_dampingpoly[tendon])
+            for driven, gear, actuator in _tendon_actuators(model):
+                if driven == tendon:
+                    coefficients = float(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
+                    pull -= gear**2 * _damper(speed, *coefficients)
+        force += arm.T * pull
+    return force, energy
+
+
+def joint_passive(model: mujoco.MjModel, q: ca.SX, velocity: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """Return the force (nv,) of joint springs and dampers as MuJoCo's qvel counts it, and the springs' energy.
+
+    A spring's force is -(a x + b x^2 + c x^3) from `springref`, a damper's -(a v + b v|v| + c v^3) (MuJoCo,
+    "Polynomial forces"); an actuator's own damping is reflected to its joint by gear^2, each coefficient.
+    """
+    force, energy = ca.SX.zeros(model.nv), ca.SX(0)
+    springs = not disabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
+    dampers = not disabled(model, mujoco.mjtDisableBit.mjDSBL_DAMPER)
+    for joint in range(model.njnt):
+        dof, address = int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
+        if springs and int(model.jnt_type[joint]) in (HINGE, SLIDE):
+            x = q[dof] - model.qpos_spring[address]
+            a, (b, c) = float(model.jnt_stiffness[joint]), model.jnt_stiffnesspoly[joint]
+            if a or b or c:
+                force[dof] -= a * x + b * x**2 + c * x**3
+                energy += a * x**2 / 2 + b * x**3 / 3 + c * x**4 / 4
+    if dampers:
+        for dof in range(model.nv):
+            force[dof] -= _damper(velocity[dof], float(model.dof_damping[dof]), *model.dof_dampingpoly[dof])
+        for dof, gear, actuator in _joint_actuators(model):
+            coefficients = float(model.actuator_damping[actuator]), *model.actuator_dampingpoly[actuator]
+            force[dof] -= gear**2 * _damper(velocity[dof], *coefficients)
+    return force, energy
+
+
+def _damper(v: ca.SX, a: float, b: float, c: float) -> ca.SX:
+    """Return a v + b v|v| + c v^3, without the terms whose coefficient is zero."""
+    total = a * v
+    if b:
+        total += b * v * ca.fabs(v)
+    if c:
+        total += c * v**3
+    return total

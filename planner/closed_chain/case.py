@@ -1,0 +1,169 @@
+"""A mechanism's planning problem as refinement sees it."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError
+from linkplan.planner.certificate.certificate import INTEGRATION_DEG, INTEGRATION_M, RANGE_SLACK, Certificate, certify
+from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
+from linkplan.planner.problem.planning_problem import MeshSettings, PlanningProblem, SolverSettings
+from linkplan.planner.refinement.history import Step
+from linkplan.planner.refinement.tightening import AT_NODES, Inset, insets_of
+from linkplan.planner.solvers.solve import Solution
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.collocation import Transcribed
+from linkplan.planner.transcription.mesh import Mesh
+
+# What the integrated state is refined towards where no tolerance is asked for [deg].
+_TARGET_DEG = 1e-6
+# What the objective is to change by from mesh to mesh at the most where that is looked at, relative.
+_OBJECTIVE = 1e-7
+# Speed limits are drawn in where they were overrun so many times, then everywhere: what is left moves about, and is little.
+_LOCAL = 1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class MechanismCase:
+    """A `planner.refinement.case.Case` of a planning problem; certificates are against `asked`, solves within `problem`."""
+
+    problem: PlanningProblem
+    asked: PlanningProblem
+    insets: tuple[Inset, ...] = ()
+    tightenings: int = 0
+    bends: bool = True  # whether to look for bends of efforts that do not jump
+
+    @property
+    def mesh(self) -> MeshSettings:
+        """The problem's mesh settings."""
+        return self.problem.mesh
+
+    @property
+    def solver(self) -> SolverSettings:
+        """The problem's solver settings."""
+        return self.problem.solver
+
+    @property
+    def effort_limit(self) -> np.ndarray:
+        """The effort limits (n_u, 2)."""
+        return self.asked.limits.effort
+
+    @property
+    def switches(self) -> bool:
+        """Whether switches are looked for: efforts jump between limits, none and arcs, or bend where they reach a limit."""
+        objective = self.problem.objective
+        bends = self.bends and objective.has("effort", "copper_loss") and not objective.has("tracking")
+        return (objective.has("time", "work") or bends) and not objective.has("effort_rate")
+
+    @property
+    def bangs(self) -> bool:
+        """Whether efforts are at their limits wherever no other limit binds: where time alone counts."""
+        return list(self.asked.objective.weights) == ["time"]
+
+    @property
+    def ramps(self) -> bool:
+        """Whether efforts have no jumps: where their squares count."""
+        return self.problem.objective.has("effort", "copper_loss")
+
+    @property
+    def tolerance_given(self) -> bool:
+        """Whether the problem asks for a tolerance."""
+        return self.asked.mesh.tolerance_deg is not None
+
+    @property
+    def objective_tolerance(self) -> float | None:
+        """The tolerance on the objective's change where limits on coefficients cost what a motion does not show."""
+        problem = self.asked
+        lines = any(motor is not None and motor.has_line for motor in problem.motors)
+        bends = self.ramps and np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent]))
+        return _OBJECTIVE if self.switches and (lines or bends) else None
+
+    def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
+        """Return the program from a guess."""
+        return transcribe(self.problem, start, mesh, durations, insets=self.insets, **options)
+
+    def motion(self, solution: Solution, limit: np.ndarray) -> Trajectory | None:
+        """Return a solution's trajectory; None where the solver took it to another branch."""
+        try:
+            return trajectory_of(solution.transcribed, solution.x, limit)
+        except AssemblyError:
+            return None
+
+    def start_from(self, motion: Trajectory) -> Guess:
+        """Return a trajectory as a guess."""
+        return motion_of(motion)
+
+    def certify(self, motion: Trajectory) -> Certificate | None:
+        """Return a trajectory's certificate; None where it leaves the branch."""
+        try:
+            return certify(self.asked, motion)
+        except AssemblyError:
+            return None
+
+    def strictness(self) -> float:
+        """Return how many times more exact than a certificate demands the integrated state is to be."""
+        return INTEGRATION_DEG / (self.asked.mesh.tolerance_deg or _TARGET_DEG)
+
+    def exact(self, certificate: Certificate) -> bool:
+        """Return whether the integrated state is within the tolerance."""
+        strict = self.strictness()
+        return certificate.integration_error_deg * strict <= INTEGRATION_DEG and (
+            certificate.integration_error_m * strict <= INTEGRATION_M
+        )
+
+    def noted(self, step: Step, certificate: Certificate) -> Step:
+        """Return a step with the certificate's integration error."""
+        return replace(step, integration_error_deg=certificate.integration_error_deg)
+
+    def leaves_positions(self, certificate: Certificate) -> bool:
+        """Return whether a joint leaves its range."""
+        return bool(np.any(certificate.position_margin < 0))
+
+    def overruns(self, certificate: Certificate) -> bool:
+        """Return whether a joint leaves its range or speed limit, or another limit is overrun between the nodes."""
+        least = min(certificate.position_margin.min(), certificate.speed_margin.min())
+        return bool(least < -RANGE_SLACK) or not all(margin.kept for margin in certificate.margins)
+
+    def mendable(self, certificate: Certificate) -> bool:
+        """Return whether another mesh may mend why a certificate does not pass."""
+        return certificate.mendable
+
+    def overrun(self, certificate: Certificate) -> np.ndarray:
+        """Return by what share of themselves limits are overrun between the nodes, at most, on each interval (n,)."""
+        over = [certificate.speed_overrun, certificate.position_overrun]
+        over += [margin.overrun[None] for margin in certificate.margins if margin.what in AT_NODES]
+        return np.vstack(over).max(axis=0)
+
+    def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
+        """Return the case with limits drawn in by what the motion overran them."""
+        further = insets_of(certificate.margins, certificate.speed_overrun, motion.breaks_s)
+        everywhere = self.tightenings >= _LOCAL
+        problem = _tightened(self.problem, certificate, speeds=everywhere)
+        return replace(self, problem=problem, insets=self.insets + further, tightenings=self.tightenings + 1)
+
+    def with_scheme(self, name: str) -> "MechanismCase":
+        """Return the case with another transcription."""
+        return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
+
+
+def case_of(problem: PlanningProblem, *, bends: bool = True) -> MechanismCase:
+    """Return the case of a problem; `bends` says whether bends of efforts that do not jump are looked for."""
+    return MechanismCase(problem, problem, bends=bends)
+
+
+def _tightened(problem: PlanningProblem, certificate: Certificate, *, speeds: bool) -> PlanningProblem:
+    """Return a problem with ranges, effort rates and maybe speeds drawn in by what a motion overran, and a tenth more."""
+    limits = problem.limits
+    changed: dict = {}
+    inward = 1.1 * np.maximum(0.0, -certificate.position_margin)[:, None] * np.array([1.0, -1.0])
+    changed["position"] = limits.position + inward
+    if speeds:
+        over = 1.1 * np.maximum(0.0, -certificate.speed_margin)[:, None]
+        changed["speed"] = limits.speed + over * np.array([1.0, -1.0])
+    rate = np.array(limits.effort_rate)
+    for margin in certificate.margins:
+        if margin.what == "effort_rate" and not margin.kept and np.isfinite(margin.left):
+            rate[margin.item] += 1.1 * -margin.left * np.array([1.0, -1.0])
+    return replace(problem, limits=replace(limits, effort_rate=rate, **changed))

@@ -1,0 +1,241 @@
+"""A mechanism's planning problem as a formulation: which functions it needs, and the numbers of its limits and objective."""
+
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.closed_chain.mechanics import RUNNING, WITH_EFFORT, Asked, Scales, mechanism_system, node_numbers
+from linkplan.planner.problem.objective import QUADRATIC
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.tightening import Inset, drawn_in
+from linkplan.planner.transcription.formulation import Formulation, Knot, Units
+from linkplan.planner.transcription.interval import IntervalRows
+
+# Weight of the squared effort rate where no other term makes the effort smooth (tracking, work), all in scaled units. Where
+# limits bind, the motion nearest in position alone chatters at the ends of its bang arcs (Fuller's phenomenon); with this
+# weight, a swing over the whole limit in a tenth of the motion costs as much as an rms error of 3e-4 of the motion's span.
+SMOOTHING = 2.5e-9
+
+
+def formulate(
+    problem: PlanningProblem,
+    scales: Scales,
+    *,
+    position_rows: bool = False,
+    least_limit: bool = False,
+    insets: tuple[Inset, ...] = (),
+) -> Formulation:
+    """Return a problem's formulation.
+
+    Args:
+        problem: what to plan.
+        scales: units of its unknowns.
+        position_rows: whether independent ranges are kept between the nodes by constraint rows.
+        least_limit: leave the objective out: only a motion is sought.
+        insets: how far limits are drawn in over the motion, where it overran them between nodes.
+    """
+    mechanism, limits, objective = problem.mechanism, problem.limits, problem.objective
+    n_s, n_u = mechanism.dof, mechanism.n_u
+    speed_columns, speed_joints = _speed_limited(problem)
+    motor_columns, motors = _motors_limited(problem)
+    running = () if least_limit else tuple(term for term in RUNNING if objective.has(term))
+    smoothed = objective.has("tracking", "work") and not objective.has(*QUADRATIC)
+    rated = tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.effort_rate).any(axis=1)))
+    costs = () if least_limit else _costs(problem, smoothed)
+    asked = Asked(
+        running=running,
+        speed_joints=speed_joints,
+        motors=motors,
+        powers=tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.power).any(axis=1))),
+        closures=limits.limited_closures,
+        singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
+    )
+    rows = IntervalRows(
+        costs=costs,
+        speed_columns=speed_columns,
+        position_columns=tuple(range(n_s)) if position_rows else (),
+        rate_columns=rated,
+        motor_columns=motor_columns,
+        looked=tuple(i for i, kind in enumerate(asked.kinds) if kind in WITH_EFFORT),
+    )
+    unit = _term_units(problem, scales)
+    value = sum(weight * unit[term] for term, weight in objective.weights.items())
+    weights = [objective.weight(term) * unit[term] / value for term in running]
+    lines = np.array([_line(problem, j) for j in asked.motors]).reshape(-1, 2)
+    before, after = node_numbers(mechanism, asked, scales, weights, lines, limits.closure_force[list(asked.closures)])
+    tracked = "tracking" in running
+
+    def theta(times: np.ndarray) -> np.ndarray:
+        n, m = times.shape
+        parts = [np.broadcast_to(before, (n, m, len(before)))]
+        if tracked:
+            parts.append(problem.reference.derivative(times.ravel()).reshape(n, m, n_s) / scales.position)
+        return np.concatenate([*parts, np.broadcast_to(after, (n, m, len(after)))], axis=2)
+
+    rate = scales.position / scales.time_s
+    independent, dependent = mechanism.independent, mechanism.dependent
+    works = "work" in running
+    algebraic = np.vstack([limits.position[dependent], np.tile([0.0, np.inf], (n_u if works else 0, 1))])
+    own = {
+        "speed": limits.speed[independent[list(speed_columns)]] / rate[list(speed_columns), None],
+        "position": limits.position[independent] / scales.position[:, None],
+        "effort_rate": limits.effort_rate[list(rated)] * scales.time_s / scales.effort[list(rated), None],
+        "motor": np.tile([-1.0, 1.0], (len(motor_columns), 1)),
+    }
+    limited = [("speed", joint) for joint in speed_joints] + [("motor", j) for j in motors]
+    limited += [("power", j) for j in asked.powers] + [("closure_force", c) for c in asked.closures]
+    limited += [("singular_margin", block) for block in range(asked.singular)] + [
+        ("work", j) for j in range(n_u if works else 0)
+    ]
+    path = [
+        limits.speed[list(speed_joints)] * scales.time_s,
+        np.tile([-1.0, 1.0], (len(motors), 1)),
+        limits.power[list(asked.powers)] / scales.power,
+        np.tile([-np.inf, 1.0], (len(asked.closures), 1)),
+        np.tile([limits.singular_margin, np.inf], (asked.singular, 1)),
+        np.tile([0.0, np.inf], (n_u if works else 0, 1)),
+    ]
+    path = np.vstack([part.reshape(-1, 2) for part in path])
+    state = np.vstack([limits.position[independent] / scales.position[:, None], limits.speed[independent] / rate[:, None]])
+    return Formulation(
+        build_system=lambda: mechanism_system(mechanism, asked),
+        n_s=n_s,
+        n_x=0,
+        n_z=len(algebraic),
+        n_u=n_u,
+        rows=rows,
+        units=Units(
+            time_s=scales.time_s,
+            state=np.concatenate([scales.position, rate]),
+            effort=scales.effort,
+            objective=value,
+        ),
+        state=state,
+        algebraic=algebraic,
+        effort=limits.effort,
+        path=path,
+        own=own,
+        knots=knots_of(problem, scales),
+        returns=tuple(range(2 * n_s)) if problem.motion.kind == "periodic" else (),
+        smooth=smoothed or objective.has("effort_rate") or bool(rated),
+        eta=_eta(problem, scales, rows, value, smoothed, lines=_own_lines(problem, motor_columns, scales)),
+        theta=theta,
+        inset=drawn_in(insets, limited, path),
+    )
+
+
+def _speed_limited(problem: PlanningProblem) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Return the independent columns and the dependent joints whose speeds are limited."""
+    mechanism = problem.mechanism
+    limited = [i for i in range(mechanism.n_q) if np.any(np.isfinite(problem.limits.speed[i]))]
+    columns = tuple(k for k, i in enumerate(mechanism.independent) if i in limited)
+    return columns, tuple(i for i in limited if i not in mechanism.independent)
+
+
+def _motors_limited(problem: PlanningProblem) -> tuple[tuple[tuple[int, int], ...], tuple[int, ...]]:
+    """Return (effort, coordinate) of motors whose speed is a coordinate's own, and the other motors with a line.
+
+    The former's lines are bounded at every instant, the latter's at nodes.
+    """
+    columns, others = [], []
+    for j, motor in enumerate(problem.motors):
+        if motor is not None and motor.has_line:
+            column = _own_column(problem.mechanism, j)
+            if column is None:
+                others.append(j)
+            else:
+                columns.append((j, column))
+    return tuple(columns), tuple(others)
+
+
+def _own_column(mechanism: Mechanism, j: int) -> int | None:
+    """Return the independent column that an actuator drives directly, or None."""
+    joint = mechanism.actuators[j].joint
+    places = np.flatnonzero(mechanism.independent == joint) if joint is not None else []
+    return int(places[0]) if len(places) else None
+
+
+def _line(problem: PlanningProblem, j: int) -> tuple[float, float]:
+    motor = problem.motors[j]
+    return 1.0 / motor.stall_effort, 1.0 / motor.no_load_speed
+
+
+def _own_lines(problem: PlanningProblem, columns: tuple[tuple[int, int], ...], scales: Scales) -> np.ndarray:
+    """Return alpha and beta of each motor on a coordinate, scaled, its gear in beta."""
+    lines = []
+    for j, column in columns:
+        alpha, beta = _line(problem, j)
+        gear = problem.mechanism.actuators[j].gear
+        lines += [alpha * scales.effort[j], beta * gear * scales.position[column] / scales.time_s]
+    return np.array(lines)
+
+
+def _costs(problem: PlanningProblem, smoothed: bool) -> tuple[str, ...]:
+    objective = problem.objective
+    present = {
+        "time": objective.has("time"),
+        "effort": objective.has("effort", "copper_loss"),
+        "effort_rate": objective.has("effort_rate") or smoothed,
+    }
+    return tuple(cost for cost, there in present.items() if there)
+
+
+def _losses(problem: PlanningProblem) -> np.ndarray:
+    return np.array([0.0 if motor is None else motor.loss for motor in problem.motors])
+
+
+def _term_units(problem: PlanningProblem, scales: Scales) -> dict[str, float]:
+    """Return each term's unit in SI: what it is where its scaled integrand is one."""
+    T, U, P = scales.time_s, float(scales.effort.max()), float(scales.position.max())
+    loss = float((_losses(problem) * scales.effort**2).max(initial=0.0))
+    units = {"time": T, "effort": T * U**2, "tracking": T * P**2, "work": T * scales.power, "copper_loss": T * loss}
+    return units | {"effort_rate": U**2 / T, "closure_force": T * scales.force**2}
+
+
+def _eta(
+    problem: PlanningProblem, scales: Scales, rows: IntervalRows, value: float, smoothed: bool, lines: np.ndarray
+) -> np.ndarray:
+    """Return an interval's own parameters: weights of its costs on the scaled unknowns, then the motors' lines."""
+    objective, T = problem.objective, scales.time_s
+    squared = scales.effort**2
+    numbers = {
+        "time": np.array([objective.weight("time") * T]),
+        "effort": T * squared * (objective.weight("effort") + objective.weight("copper_loss") * _losses(problem)),
+        "effort_rate": objective.weight("effort_rate") * squared / T + (SMOOTHING * value if smoothed else 0.0),
+    }
+    return np.concatenate([*(numbers[cost] / value for cost in rows.costs), lines])
+
+
+def knots_of(problem: PlanningProblem, scales: Scales) -> tuple[Knot, ...]:
+    """Return a problem's knots, scaled: start, the middle of a periodic motion between two poses, waypoints, goal."""
+    motion, mechanism, n_s = problem.motion, problem.mechanism, problem.mechanism.dof
+    unit = np.concatenate([scales.position, scales.position / scales.time_s])
+
+    # What spins idly, as a rod between two balls, is asked for nothing: where it comes to is of no effect.
+    idle = np.isin(mechanism.independent, mechanism.idle)
+
+    def knot(s, v, time: tuple[float, float], share: float | None = None) -> Knot:
+        state = np.full((2 * n_s, 2), [-np.inf, np.inf])
+        for value, place in ((s, slice(0, n_s)), (v, slice(n_s, None))):
+            if value is not None:
+                asked = np.asarray(value, dtype=float) / unit[place]
+                given = ~np.isnan(asked) & ~(idle & (time[1] > 0))
+                state[place][given] = asked[given, None]
+        return Knot(state=state, time=(time[0] / scales.time_s, time[1] / scales.time_s), share=share)
+
+    if motion.duration_s is not None:
+        last = (motion.duration_s, motion.duration_s)
+    else:
+        last = (motion.min_duration_s or 0.0, motion.max_duration_s or np.inf)
+    via = []
+    for waypoint in motion.waypoints:
+        time = (0.0, np.inf) if waypoint.time_s is None else (waypoint.time_s, waypoint.time_s)
+        via.append(knot(waypoint.position, waypoint.speed, time))
+    if motion.kind == "reach":
+        rest = np.zeros(n_s)
+        start = knot(motion.start, rest if motion.start_speed is None else motion.start_speed, (0.0, 0.0))
+        goal = knot(motion.goal, rest if motion.goal_speed is None else motion.goal_speed, last)
+        return (start, *via, goal)
+    start, goal = knot(motion.start, None, (0.0, 0.0)), knot(None, None, last)
+    if motion.start is not None and not via:
+        via = [knot(motion.goal, None, (0.0, np.inf), share=0.5)]
+    return (start, *via, goal)

@@ -1,0 +1,268 @@
+"""Starting points: motions that already close the loop, keep the boundary states and ask for a possible effort."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.interpolate import BPoly, CubicSpline
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.problem.planning_problem import PlanningProblem, Sketch
+from linkplan.planner.trajectory import Trajectory
+
+# Samples along a guess at which its effort is looked at: enough for a path of a few radians.
+_SAMPLES = 121
+# The longest and shortest durations considered for a free one [s].
+_DURATIONS = (1e-5, 1e4)
+# A motion whose last given waypoint is later than its guessed end is guessed to last this much longer than that.
+_AFTER_THE_LAST = 1.25
+# Bends of further starts: half waves over the motion, and their size as a share of its span.
+_WAVES = 3
+_BEND = 0.5
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Guess:
+    """A motion to start from: functions of time (n,) giving (n, n_s) and efforts (n, n_u), and its duration.
+
+    `knots_s` (n_knots,) are its instants at start, waypoints and goal; None where there are no waypoints.
+    """
+
+    position: Callable[[np.ndarray], np.ndarray]
+    velocity: Callable[[np.ndarray], np.ndarray]
+    acceleration: Callable[[np.ndarray], np.ndarray]
+    effort: Callable[[np.ndarray], np.ndarray] | None
+    duration_s: float
+    start_pose: np.ndarray
+    knots_s: np.ndarray | None = None
+    legs: int = 1  # swings that it is made of: each wants intervals of its own
+    cuts_s: np.ndarray | None = None  # (n_cuts,) instants between its knots at which its efforts switch
+    held: np.ndarray | None = None  # (n_segments, n_u) efforts between those and the knots
+
+
+def motion_of(trajectory: Trajectory) -> Guess:
+    """Return a trajectory as a guess."""
+    return Guess(
+        position=trajectory.position_at,
+        velocity=trajectory.velocity_at,
+        acceleration=trajectory.acceleration_at,
+        effort=trajectory.effort_at,
+        duration_s=trajectory.duration_s,
+        start_pose=trajectory.start_pose,
+    )
+
+
+def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
+    """Return a motion to start from: the reference itself, or the smoothest path through the knots.
+
+    A free duration is the shortest that the effort limits allow on that path.
+    """
+    motion = problem.motion
+    if motion.kind != "reach" and problem.reference is not None and not motion.waypoints:
+        reference = problem.reference
+        return Guess(
+            position=lambda t: reference.derivative(t, 0),
+            velocity=lambda t: reference.derivative(t, 1),
+            acceleration=lambda t: reference.derivative(t, 2),
+            effort=None,
+            duration_s=motion.duration_s or reference.period_s,
+            start_pose=start_pose,
+        )
+    duration = motion.duration_s or _within(problem, _shortest_duration(problem, start_pose))
+    knots = knot_times(problem, duration)
+    guess = replace(_guess_along(_smooth_path(problem, duration), duration, start_pose), knots_s=knots)
+    if motion.waypoints and not closes(problem.mechanism, guess):
+        return replace(_guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose), knots_s=knots)
+    return guess
+
+
+def guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
+    """Yield the user's own start and the first guess, with a word on each."""
+    if problem.guess is not None:
+        own = _of_the_user(problem, start_pose)
+        if own is not None:
+            yield "the guess given", own
+    yield "a smooth path", first_guess(problem, start_pose)
+
+
+def bent_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
+    """Yield endless further starts: the first guess bent by a few half waves of random size, the same in every run."""
+    base = first_guess(problem, start_pose)
+    times = np.linspace(0.0, base.duration_s, _SAMPLES)
+    s = base.position(times)
+    unit = np.array([1.0 if j.kind == "hinge" else problem.mechanism.extent_m for j in problem.mechanism.independent_joints])
+    span = np.maximum(np.ptp(s, axis=0), 0.1 * unit)
+    waves = np.sin(np.pi * np.outer(times / base.duration_s, 1 + np.arange(_WAVES)))
+    number = 0
+    while True:
+        number += 1
+        sizes = np.random.default_rng(number).uniform(-1.0, 1.0, size=(_WAVES, len(span)))
+        sizes *= _BEND * (1 + number // 4) / (1 + np.arange(_WAVES))[:, None]
+        yield f"bend {number}", _splined(times, s + waves @ (sizes * span), base.start_pose, base.knots_s)
+
+
+def closes(mechanism: Mechanism, guess: Guess) -> bool:
+    """Return whether a guess stays within what the loops allow."""
+    try:
+        poses_along(mechanism, guess, np.linspace(0.0, guess.duration_s, _SAMPLES))
+    except AssemblyError:
+        return False
+    return True
+
+
+def knot_times(problem: PlanningProblem, duration: float) -> np.ndarray | None:
+    """Return the instants (n_knots,) [s] of start, waypoints and goal in a guess, free ones shared out by distance.
+
+    None where there are no knots on the way.
+    """
+    motion = problem.motion
+    if not motion.waypoints:
+        return np.array([0.0, 0.5, 1.0]) * duration if motion.kind == "periodic" and motion.goal is not None else None
+    states = _knot_positions(problem)
+    steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
+    steps = np.maximum(steps, 0.05 * max(float(steps.max()), 1e-9))
+    along = np.concatenate([[0.0], np.cumsum(steps)])
+    given = [(0, 0.0), *((k + 1, w.time_s) for k, w in enumerate(motion.waypoints) if w.time_s is not None)]
+    last = given[-1][1]
+    given.append((len(states) - 1, duration if duration > last else _AFTER_THE_LAST * last))
+    index, at = (np.array(x) for x in zip(*given, strict=True))
+    return np.interp(along, along[index], at)
+
+
+def _knot_positions(problem: PlanningProblem) -> np.ndarray:
+    """Return positions (n_knots, n_s) of start, waypoints and goal, what is free put in between."""
+    motion = problem.motion
+    first = motion.start
+    if first is None:
+        first = motion.waypoints[0].position if problem.reference is None else problem.reference.derivative(np.zeros(1))[0]
+    last = motion.goal if motion.kind == "reach" else first
+    states = np.vstack([first, *(w.position for w in motion.waypoints), last])
+    for column in states.T:
+        known = ~np.isnan(column)
+        column[~known] = np.interp(np.flatnonzero(~known), np.flatnonzero(known), column[known]) if known.any() else 0.0
+    return states
+
+
+def _within(problem: PlanningProblem, duration: float) -> float:
+    """Return a duration brought within the bounds on a free one."""
+    motion = problem.motion
+    return float(np.clip(duration, motion.min_duration_s or 0.0, motion.max_duration_s or np.inf))
+
+
+def _of_the_user(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+    """Return the guess that a problem carries, stretched to its duration; None where it leaves what the loops allow."""
+    given, motion = problem.guess, problem.motion
+    if given is None:
+        return None
+    if isinstance(given, Sketch):
+        duration = motion.duration_s or given.duration_s or _within(problem, _shortest_duration(problem, start_pose))
+        times = np.linspace(0.0, duration, len(given.path))
+        guess = _splined(times, given.path, start_pose, knot_times(problem, duration))
+    else:
+        duration = motion.duration_s or given.duration_s
+        stretch = given.duration_s / duration
+        guess = Guess(
+            position=lambda t: given.position_at(stretch * t),
+            velocity=lambda t: stretch * given.velocity_at(stretch * t),
+            acceleration=lambda t: stretch**2 * given.acceleration_at(stretch * t),
+            effort=lambda t: given.effort_at(stretch * t),
+            duration_s=duration,
+            start_pose=given.start_pose,
+            knots_s=knot_times(problem, duration),
+        )
+    return guess if closes(problem.mechanism, guess) else None
+
+
+def _splined(times: np.ndarray, s: np.ndarray, start_pose: np.ndarray, knots_s: np.ndarray | None) -> Guess:
+    """Return the cubic spline through positions (n, n_s) at times (n,) as a guess."""
+    spline = CubicSpline(times, s)
+    guess = _guess_along(spline, float(times[-1]), start_pose)
+    return replace(guess, knots_s=knots_s)
+
+
+def _guess_along(path: BPoly | CubicSpline, duration: float, start_pose: np.ndarray) -> Guess:
+    """Return a path as a guess, its efforts left to inverse dynamics."""
+    return Guess(
+        position=path,
+        velocity=path.derivative(1),
+        acceleration=path.derivative(2),
+        effort=None,
+        duration_s=duration,
+        start_pose=start_pose,
+    )
+
+
+def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[Guess]:
+    """Yield motions for a reach that gather way first: back from the goal before it, or beyond it and back.
+
+    Where effort is short of gravity's, the way straight there is not open, and a solver that starts on it finds none.
+    """
+    motion = problem.motion
+    if motion.kind != "reach" or motion.waypoints:
+        return
+    way, rest = motion.goal - motion.start, np.zeros_like(motion.goal)
+    duration = motion.duration_s or _within(problem, 4.0 * _shortest_duration(problem, start_pose))
+    for via, at in ((motion.start - 0.5 * way, 0.4), (motion.goal + 0.5 * way, 0.6)):
+        states = [[motion.start, rest, rest], [via, rest, rest], [motion.goal, rest, rest]]
+        path = BPoly.from_derivatives([0.0, at * duration, duration], states)
+        guess = _guess_along(path, duration, start_pose)
+        if closes(problem.mechanism, guess):
+            yield guess
+
+
+def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False) -> BPoly:
+    """Return quintics through the knots, with no acceleration at them (Flash & Hogan 1985), at rest at each where asked."""
+    motion = problem.motion
+    if motion.waypoints:
+        times, s = knot_times(problem, duration), _knot_positions(problem)
+        v = np.zeros_like(s)
+        v[1:-1] = (s[2:] - s[:-2]) / (times[2:] - times[:-2])[:, None]
+        turning = (s[2:] - s[1:-1]) * (s[1:-1] - s[:-2]) <= 0
+        v[1:-1][turning | rests] = 0.0
+        for k, waypoint in enumerate(motion.waypoints if not rests else ()):
+            v[k + 1] = np.where(np.isnan(waypoint.speed), v[k + 1], waypoint.speed)
+    else:
+        times = np.array([0.0, duration / 2, duration] if motion.kind == "periodic" else [0.0, duration])
+        s = np.vstack([motion.start, motion.goal, motion.start][: len(times)])
+        v = np.zeros_like(s)
+    if motion.kind == "reach":
+        v[0] = motion.start_speed if motion.start_speed is not None else 0.0
+        v[-1] = motion.goal_speed if motion.goal_speed is not None else 0.0
+    return BPoly.from_derivatives(times, [[a, b, np.zeros_like(a)] for a, b in zip(s, v, strict=True)])
+
+
+def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> float:
+    """Return the duration at which the smooth path just asks for the whole effort limit; bisection in log time."""
+    mechanism, limit = problem.mechanism, problem.limits.effort
+    given = [w.time_s for w in problem.motion.waypoints if w.time_s is not None]
+    if given:
+        return _AFTER_THE_LAST * given[-1]
+    unit = _smooth_path(problem, 1.0)
+    tau = np.linspace(0.0, 1.0, _SAMPLES)
+    try:
+        poses = follow(mechanism, unit(tau), start_pose)
+    except AssemblyError:  # the path leaves what the loop allows; how fast it could be gone along says nothing
+        return 1.0
+
+    def excess(log_duration: float) -> float:
+        duration = float(np.exp(log_duration))
+        path = _smooth_path(problem, duration)
+        time = duration * tau
+        effort, _ = needed_effort(mechanism, poses, path.derivative(1)(time), path.derivative(2)(time))
+        return float(np.max(np.maximum(effort - limit[:, 1], limit[:, 0] - effort)))
+
+    low, high = (float(np.log(d)) for d in _DURATIONS)
+    if not np.all(np.isfinite(limit)) or excess(high) > 0:
+        return 1.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return float(np.exp(high))
+
+
+def poses_along(mechanism: Mechanism, guess: Guess, time_s: np.ndarray) -> np.ndarray:
+    """Return the closed poses (n, n_q) of a guess at increasing times (n,)."""
+    return follow(mechanism, guess.position(time_s), guess.start_pose)

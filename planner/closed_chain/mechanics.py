@@ -1,0 +1,184 @@
+"""A mechanism as a system for the transcription: closure and reduced dynamics at a node, all scaled.
+
+Second-order coordinates are the independent joints. Algebraic unknowns are the dependent ones (lifted: tied by phi(s, z)
+= 0) and, where positive work costs, each actuator's positive power (P >= u w, P >= 0: exact, with no kink in the program).
+Equations: phi(q) / length and (inverse_dynamics(q, v, a) - Gamma^T B u) / scale. Path quantities: what limits ask for beyond
+the bounds of the unknowns themselves.
+"""
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.transcription.system import NodeSymbols, System, node_symbols
+
+# Terms of an objective that are integrals of a quantity at nodes.
+RUNNING = ("tracking", "work", "closure_force")
+# Path quantities that jump where the effort does.
+WITH_EFFORT = ("motor", "power", "closure_force")
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Scales:
+    """Units in which the unknowns are of order one.
+
+    `time_s` [s], `position` (n_s,) [rad or m], `effort` (n_u,) and `residual` (n_s,), the generalised effort's, [N.m or N],
+    `length_m` the closure's [m].
+    """
+
+    time_s: float
+    position: np.ndarray
+    effort: np.ndarray
+    residual: np.ndarray
+    length_m: float
+
+    @property
+    def power(self) -> float:
+        """The unit of power [W]."""
+        return float((self.residual * self.position).max()) / self.time_s
+
+    @property
+    def force(self) -> float:
+        """The unit of closure forces [N]."""
+        return float(self.residual.max()) / self.length_m
+
+    def vector(self) -> np.ndarray:
+        """Return the scales as parameters of a node."""
+        units = [self.length_m, self.power, self.force]
+        return np.concatenate([[self.time_s], self.position, self.effort, self.residual, units])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Asked:
+    """What is looked at in a node, the structure of its functions: running costs out of `RUNNING`, and path quantities.
+
+    `speed_joints` are dependent joints, `motors` and `powers` actuators, `closures` those whose force is limited; `singular`
+    is the number of blocks of J_z whose determinants are.
+    """
+
+    running: tuple[str, ...] = ()
+    speed_joints: tuple[int, ...] = ()
+    motors: tuple[int, ...] = ()
+    powers: tuple[int, ...] = ()
+    closures: tuple[int, ...] = ()
+    singular: int = 0
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """What each path quantity is, but for those of the objective."""
+        listed = {"speed": self.speed_joints, "motor": self.motors, "power": self.powers, "closure_force": self.closures}
+        return tuple(kind for kind, items in listed.items() for _ in items) + ("singular",) * self.singular
+
+
+@functools.lru_cache(maxsize=16)
+def mechanism_system(mechanism: Mechanism, asked: Asked) -> System:
+    """Return a mechanism's system.
+
+    A node's parameters are, in this order: the weights of the running costs; the reference (n_s,), scaled, where it is
+    tracked; the scales; alpha and beta of each motor's line [1 / effort, 1 / speed]; 1 / F^2 of each limited closure; 1
+    / det J_z at home where that is limited.
+    """
+    n_s, n_q, n_u = mechanism.dof, mechanism.n_q, mechanism.n_u
+    works = "work" in asked.running
+    node = node_symbols(n_s, 0, n_q - n_s + (n_u if works else 0), n_u)
+    sizes = {"weight": len(asked.running), "reference": n_s if "tracking" in asked.running else 0}
+    sizes |= {"time": 1, "position": n_s, "effort": n_u, "residual": n_s, "length": 1, "power": 1, "force": 1}
+    sizes |= {"line": 2 * len(asked.motors), "rating": len(asked.closures), "home": asked.singular}
+    sizes |= {"payload": 0 if mechanism.payload is None else len(mechanism.payload.numbers())}
+    given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+    rate = given["position"] / given["time"]
+    order = np.argsort(np.concatenate([mechanism.independent, mechanism.dependent]))
+    q = ca.vertcat(node.s * given["position"], node.z[: n_q - n_s])[[int(i) for i in order]]
+    v, a, u = node.v * rate, node.a * rate / given["time"], node.u * given["effort"]
+    call = _caller(mechanism, given["payload"])
+    equations = ca.vertcat(
+        call("independent_closure", q) / given["length"], call("residual", q, v, a, u) / given["residual"]
+    )
+    path = _path(mechanism, asked, given, call, (q, v, a, u))
+    kinds = ("closure",) * (n_q - n_s) + ("dynamics",) * n_s + asked.kinds
+    if works:
+        spent = u * (call("effort_map", q).T @ v) / given["power"]
+        path.append(node.z[n_q - n_s :] - spent)
+        kinds += ("work",) * n_u
+    path = ca.vertcat(ca.SX(0, 1), *path)
+    running = _running(mechanism, asked, given, node, call, (q, v, a, u))
+    theta = ca.vertcat(*given.values())
+    column = ca.densify(ca.vertcat(equations, path, running))
+    return System(
+        n_s=n_s,
+        n_x=0,
+        n_z=node.z.numel(),
+        n_u=n_u,
+        node=ca.Function("node", [node.stacked, theta], [column]),
+        n_equations=equations.numel(),
+        n_path=path.numel(),
+        kinds=kinds,
+    )
+
+
+def _caller(mechanism: Mechanism, payload: ca.SX) -> Callable[..., ca.SX]:
+    """Return a caller of the reduced dynamics' functions by name, a payload's numbers being parameters."""
+    if mechanism.payload is None:
+        return lambda name, *arguments: getattr(mechanism.dynamics, name)(*arguments)
+    dynamics = mechanism.parametric_dynamics()
+    return lambda name, *arguments: getattr(dynamics, name)(*arguments, payload)
+
+
+def _path(mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], call: Callable[..., ca.SX], motion) -> list[ca.SX]:
+    """Return the path quantities that limits ask for: speeds in units of 1 / time, powers in theirs, the rest as shares."""
+    q, v, _, u = motion
+    path = [given["time"] * (call("velocity_map", q)[joint, :] @ v) for joint in asked.speed_joints]
+    if asked.motors or asked.powers:
+        w = call("effort_map", q).T @ v
+        for item, j in enumerate(asked.motors):
+            path.append(given["line"][2 * item] * u[j] + given["line"][2 * item + 1] * w[j])
+        path += [u[j] * w[j] / given["power"] for j in asked.powers]
+    if asked.closures:
+        force = call("closure_force", *motion)
+        for item, c in enumerate(asked.closures):
+            path.append(ca.sumsqr(force[mechanism.closure_slice(c)]) * given["rating"][item])
+    if asked.singular:
+        path.append(call("block_singularity", q) * given["home"])
+    return path
+
+
+def _running(
+    mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], node: NodeSymbols, call: Callable[..., ca.SX], motion
+) -> ca.SX:
+    """Return the weighted running costs, each in its own unit."""
+    total = ca.SX(0)
+    for item, term in enumerate(asked.running):
+        if term == "tracking":
+            share_of = (given["position"] / ca.mmax(given["position"])) ** 2
+            value = ca.dot(share_of, (node.s - given["reference"]) ** 2)
+        elif term == "work":
+            value = ca.sum1(node.z[mechanism.n_q - mechanism.dof :])
+        else:
+            value = ca.sumsqr(call("closure_force", *motion)) / given["force"] ** 2
+        total += given["weight"][item] * value
+    return total
+
+
+def node_numbers(
+    mechanism: Mechanism, asked: Asked, scales: Scales, weights, lines, ratings
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the numbers of a node's parameters before and after the reference, in the order of `mechanism_system`.
+
+    Args:
+        mechanism: the mechanism, for its home pose.
+        asked: the structure.
+        scales: units.
+        weights: of the running costs.
+        lines: (alpha, beta) of each motor asked for.
+        ratings: largest force [N] of each closure asked for.
+    """
+    after = [scales.vector(), np.ravel(lines), 1.0 / np.square(ratings)]
+    if asked.singular:
+        after.append(1.0 / np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel())
+    if mechanism.payload is not None:
+        after.append(mechanism.payload.numbers())
+    return np.asarray(weights, dtype=float), np.concatenate([np.asarray(part, dtype=float) for part in after])

@@ -1,0 +1,177 @@
+"""Motions that are prescribed: a reference followed exactly, with the effort that it takes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from linkplan.models.poses.along import joint_rates, needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.schemes import bernstein_integral, bernstein_matrix
+
+# Degree of the polynomials that stand for a smooth reference on an interval: with forty intervals a period, its
+# interpolation error is at rounding.
+_DEGREE = 8
+# Samples of a period while a frequency is sought: a peak between them is missed by less than a hundred-thousandth of it.
+_COARSE = 721
+# Where a reference this many times slower still breaks a limit, its frequency is not what is wrong with it.
+_SLOWEST = 1000.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Demand:
+    """The largest excess of a motion over a limit: which, where, when, how much; `needed` and `limit` as in the files."""
+
+    what: str  # "effort", "range" or "speed"
+    name: str  # of the actuator or joint
+    needed: float
+    limit: float
+    unit: str
+    time_s: float
+
+    def sentence(self, subject: str) -> str:
+        """Return the demand in words, `subject` being what makes it."""
+        needed = _figure(self.needed)
+        if self.what == "effort":
+            where = f"{self.name} to give {needed} {self.unit}"
+        else:
+            verb = "reach" if self.what == "range" else "move at"
+            where = f"joint {self.name} to {verb} {needed} {self.unit}"
+        return (
+            f"{subject} needs {where} at t = {self.time_s:.4g} s, {_figure(abs(self.needed - self.limit))} {self.unit}"
+            f" beyond its limit of {_figure(self.limit)}"
+        )
+
+
+def _figure(value: float) -> str:
+    """Return a number with four digits, large ones with one decimal: 120.0, 5.3, 0.145."""
+    return f"{value:.1f}" if abs(value) >= 99.95 else f"{value:.4g}"
+
+
+def prescribe(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory:
+    """Return the reference as a trajectory, its efforts by inverse dynamics."""
+    mechanism, reference = problem.mechanism, problem.reference
+    duration = problem.motion.duration_s or reference.period_s
+    n = max(8, int(np.ceil(problem.mesh.intervals * duration / reference.period_s)))
+    breaks = np.linspace(0.0, duration, n + 1)
+    h = np.diff(breaks)[:, None]
+    tau = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_DEGREE + 1) + 0.5) / (_DEGREE + 1))
+    to_bernstein = np.linalg.inv(bernstein_matrix(_DEGREE, tau))
+    time = (breaks[:-1, None] + h * tau).ravel()
+    s, v, a = (reference.derivative(time, order) for order in range(3))
+    poses = follow(mechanism, s, start_pose)
+    effort, _ = needed_effort(mechanism, poses, v, a)
+
+    def coefficients(values: np.ndarray) -> np.ndarray:
+        return np.einsum("pj,kjs->pks", to_bernstein, values.reshape(n, _DEGREE + 1, -1))
+
+    s0, v0 = reference.derivative(breaks[:-1], 0), reference.derivative(breaks[:-1], 1)
+    first = np.einsum("pj,jks->pks", bernstein_integral(_DEGREE), coefficients(a))
+    velocity = v0 + h * first
+    second = np.einsum("pj,jks->pks", bernstein_integral(_DEGREE + 1), first)
+    steps = (np.arange(_DEGREE + 3) / (_DEGREE + 2))[:, None, None]
+    return Trajectory(
+        breaks_s=breaks,
+        position=s0 + steps * h * v0 + h**2 * second,
+        velocity=velocity,
+        effort=coefficients(effort),
+        start_pose=start_pose,
+        periodic=is_whole(duration / reference.period_s),
+    )
+
+
+def is_whole(number: float) -> bool:
+    """Return whether a ratio is a whole number, to rounding of typed-in decimals."""
+    return round(number) >= 1 and abs(number - round(number)) < 1e-9 * max(1.0, number)
+
+
+def rounded_down(value: float, digits: int = 4) -> float:
+    """Return a positive number cut to some digits: a bound that is printed must still be kept."""
+    unit = 10.0 ** (np.floor(np.log10(value)) - digits + 1)
+    return float(np.floor(value / unit) * unit)
+
+
+def highest_frequency(problem: PlanningProblem, start_pose: np.ndarray) -> float | None:
+    """Return the highest frequency [Hz] at which the reference keeps every limit, its amplitude kept; None where none does.
+
+    Bisection between the asked frequency, which is too high, and a thousandth of it.
+    """
+    mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
+    time = np.linspace(0.0, reference.period_s, _COARSE)
+    poses = follow(mechanism, reference.derivative(time), start_pose)  # the same at every frequency
+    v, a = reference.derivative(time, 1), reference.derivative(time, 2)
+    if not np.all((limits.position[:, 0] <= poses) & (poses <= limits.position[:, 1])):
+        return None
+
+    def keeps(frequency_hz: float) -> bool:
+        faster = frequency_hz / reference.frequency_hz
+        effort, _ = needed_effort(mechanism, poses, faster * v, faster**2 * a)
+        rates = joint_rates(mechanism, poses, faster * v)
+        inside = [(x >= bound[:, 0]) & (x <= bound[:, 1]) for x, bound in ((effort, limits.effort), (rates, limits.speed))]
+        return bool(np.all(inside[0]) and np.all(inside[1]))
+
+    high = problem.reference.frequency_hz
+    low = high / _SLOWEST
+    if not keeps(low):
+        return None
+    while high - low > 1e-7 * high:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if keeps(middle) else (low, middle)
+    return low
+
+
+def reference_demand(problem: PlanningProblem, start_pose: np.ndarray) -> Demand | None:
+    """Return what the reference, followed exactly, asks most beyond a limit; None where it keeps all of them.
+
+    The largest excess relative to its limit; its instant is refined to the reference's own peak.
+    """
+    mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
+    duration = problem.motion.duration_s or reference.period_s
+    time = np.linspace(0.0, duration, 2001)
+    poses = follow(mechanism, reference.derivative(time), start_pose)
+
+    def looked_at(t: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        q = follow(mechanism, reference.derivative(t), start)
+        v, a = reference.derivative(t, 1), reference.derivative(t, 2)
+        effort, _ = needed_effort(mechanism, q, v, a)
+        return effort, q, joint_rates(mechanism, q, v)
+
+    sampled = looked_at(time, start_pose)
+    bounds = {"effort": limits.effort, "range": limits.position, "speed": limits.speed}
+    worst = None
+    for index, what in enumerate(bounds):
+        for column, (low, high) in enumerate(bounds[what]):
+            for limit, sign in ((high, 1.0), (low, -1.0)):
+                if not np.isfinite(limit):
+                    continue
+                excess = sign * (sampled[index][:, column] - limit)
+                at = int(np.argmax(excess))
+                share = excess[at] / (abs(limit) or 1.0)
+                if excess[at] > 1e-9 * max(1.0, abs(limit)) and (worst is None or share > worst[0]):
+                    worst = (share, what, index, column, limit, sign, at)
+    if worst is None:
+        return None
+    _, what, index, column, limit, sign, at = worst
+    low, high = time[max(at - 1, 0)], time[min(at + 1, len(time) - 1)]
+
+    def negative(t: float) -> float:
+        return -sign * float(looked_at(np.array([t]), poses[at])[index][0, column])
+
+    best = minimize_scalar(negative, bounds=(low, high), method="bounded", options={"xatol": 1e-12})
+    needed = sign * -float(best.fun)
+    if what == "effort":
+        actuator = mechanism.actuators[column]
+        return Demand(
+            what=what, name=actuator.name, needed=needed, limit=float(limit), unit=actuator.unit, time_s=float(best.x)
+        )
+    joint = mechanism.joints[column]
+    return Demand(
+        what=what,
+        name=joint.name,
+        needed=joint.shown(needed),
+        limit=joint.shown(float(limit)),
+        unit=joint.unit if what == "range" else f"{joint.unit}/s",
+        time_s=float(best.x),
+    )

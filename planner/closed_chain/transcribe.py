@@ -1,0 +1,158 @@
+"""A mechanism's planning problem as a formulation, transcribed, and a solution of it as a trajectory."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import needed_effort, sampled
+from linkplan.models.poses.assembly import close_at
+from linkplan.planner.closed_chain.formulate import formulate
+from linkplan.planner.closed_chain.guess import Guess, poses_along
+from linkplan.planner.closed_chain.mechanics import Scales
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.tightening import Inset
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with
+from linkplan.planner.transcription.formulation import Start
+from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.transcription.schemes import scheme
+
+__all__ = ["Transcribed", "choose_scales", "renumbered", "trajectory_of", "transcribe"]
+
+# Samples of a guess at which its needs are looked at for units.
+_SAMPLES = 61
+# The least effort that is a unit, of what gives the reduced inertia the span in the duration.
+_LEAST_NEED = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Origin:
+    """What a mechanism's program was made of: the mechanism, its units, and a closed pose (n_q,) near the start."""
+
+    mechanism: Mechanism
+    scales: Scales
+    start_pose: np.ndarray
+
+
+def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
+    """Return units of order one: durations, spans, limits, or the guess's needs where they are far below the limits."""
+    mechanism, limit = problem.mechanism, problem.limits.effort
+    times = np.linspace(0.0, guess.duration_s, _SAMPLES)
+    s = guess.position(times)
+    poses = poses_along(mechanism, guess, times)
+    need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times))
+    extent = mechanism.extent_m
+    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in mechanism.independent_joints])
+    span = np.ptp(s, axis=0)
+    position = np.where(span > 1e-3 * unit, span, unit)
+    # A motion that needs next to nothing, at rest where weight balances: rounding is no unit.
+    inertia = sampled(mechanism.dynamics.reduced_inertia, poses[:1])[0]
+    maps = np.array([np.array(mechanism.dynamics.effort_map(q)) for q in poses[::10]])
+    least = _LEAST_NEED * np.abs(inertia @ position).max() / guess.duration_s**2 / np.maximum(np.abs(maps).max(), 1e-300)
+    need = np.maximum(np.abs(need).max(axis=0), least)
+    largest = np.where(np.isfinite(limit), np.abs(limit), 0.0).max(axis=1)
+    if problem.objective.has("time"):
+        effort = np.where(largest > 0, largest, need)
+    else:
+        effort = np.where(largest > 0, np.minimum(largest, need), need)
+    effort = np.where(effort > 0, effort, 1.0)
+    residual = np.abs(maps).max(axis=0) @ effort
+    return Scales(
+        time_s=guess.duration_s,
+        position=position,
+        effort=effort,
+        residual=np.where(residual > 0, residual, effort.max()),
+        length_m=extent,
+    )
+
+
+def transcribe(
+    problem: PlanningProblem,
+    guess: Guess,
+    mesh: Mesh,
+    durations: np.ndarray,
+    *,
+    scales: Scales | None = None,
+    position_rows: bool = False,
+    least_limit: bool = False,
+    pinned: np.ndarray | None = None,
+    held: np.ndarray | None = None,
+    insets: tuple[Inset, ...] = (),
+) -> Transcribed:
+    """Return the program of a problem on a mesh, with bounds and a starting point.
+
+    Args:
+        problem: what to plan.
+        guess: the motion to start from.
+        mesh: intervals; its segments have `durations` (n_segments,) [s] in the guess.
+        durations: guessed durations of the segments.
+        scales: units; chosen from the guess by default.
+        position_rows: whether independent ranges are kept between the nodes by constraint rows.
+        least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
+        pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
+        held: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole segments.
+        insets: how far limits are drawn in, where a motion overran them between nodes.
+    """
+    scales = scales or choose_scales(problem, guess)
+    formulation = formulate(problem, scales, position_rows=position_rows, least_limit=least_limit, insets=insets)
+    transcribed = collocate(
+        formulation,
+        scheme(problem.mesh.scheme, problem.mesh.effort),
+        mesh,
+        durations,
+        _start(problem, guess, scales, formulation.n_z),
+        compile_mode=problem.solver.compile,
+        least_limit=least_limit,
+        pinned=pinned,
+        held=held,
+    )
+    origin = Origin(mechanism=problem.mechanism, scales=scales, start_pose=np.array(guess.start_pose))
+    return replace(transcribed, origin=origin)
+
+
+def renumbered(transcribed: Transcribed, problem: PlanningProblem, x: np.ndarray) -> Transcribed:
+    """Return a program with another problem's numbers in it: nothing is built.
+
+    Args:
+        transcribed: of a problem with the same mechanism, kind, terms of the objective and mesh, limited in the same places.
+        problem: whose numbers to take.
+        x: unknowns to start from, as a rule the last solution; a fixed duration is the new problem's.
+    """
+    positions = bool(transcribed.formulation.rows.position_columns)
+    again = renumbered_with(transcribed, formulate(problem, transcribed.origin.scales, position_rows=positions), x)
+    return replace(again, origin=replace(transcribed.origin, mechanism=problem.mechanism))
+
+
+def _start(problem: PlanningProblem, guess: Guess, scales: Scales, n_z: int) -> Start:
+    """Return a guess as a scaled start: loops closed, efforts by inverse dynamics where it has none."""
+    mechanism = problem.mechanism
+    rate = scales.position / scales.time_s
+
+    def states(times: np.ndarray) -> np.ndarray:
+        return np.hstack([guess.position(times) / scales.position, guess.velocity(times) / rate])
+
+    def nodes(times: np.ndarray):
+        v, a = guess.velocity(times), guess.acceleration(times)
+        poses = poses_along(mechanism, guess, times)
+        effort = guess.effort(times) if guess.effort is not None else needed_effort(mechanism, poses, v, a)[0]
+        algebraic = poses[:, mechanism.dependent]
+        if n_z > algebraic.shape[1]:
+            w = np.einsum("ksu,ks->ku", sampled(mechanism.dynamics.effort_map, poses), v)
+            algebraic = np.hstack([algebraic, np.maximum(effort * w / scales.power, 0.0)])
+        return a / (rate / scales.time_s), np.zeros((len(times), 0)), algebraic, effort
+
+    return Start(states=states, nodes=nodes)
+
+
+def trajectory_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) -> Trajectory:
+    """Return the continuous motion of a program's unknowns x (n,); efforts are cut at `limit` against rounding."""
+    curves, origin = curves_of(transcribed, x, limit), transcribed.origin
+    return Trajectory(
+        breaks_s=curves.breaks_s,
+        position=curves.position,
+        velocity=curves.velocity,
+        effort=curves.effort,
+        start_pose=close_at(origin.mechanism, curves.position[0, 0], origin.start_pose),
+        periodic=transcribed.formulation.periodic,
+    )

@@ -1,0 +1,142 @@
+"""Batch files: many problems that vary one.
+
+A batch file is TOML: `problem`, a built-in name or a file; `set`, settings for all of them; then `[[case]]` tables with
+`name` and
+`set` (a list of "key=value"), or a `[sweep]` table of key = list of values, of which every combination is a case.
+"""
+
+import itertools
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from linkplan.models.errors import ProblemError, one_line
+from linkplan.models.library import is_file
+from linkplan.models.names import nearest
+from linkplan.planner.files.problem_file import beside
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+
+KEYS = ("problem", "set", "case", "sweep")
+CASE_KEYS = ("name", "set")
+# More cases than this are a slip of the keyboard: at a fifth of a second each they take half an hour.
+MAX_CASES = 10_000
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Case:
+    """One problem of a batch: its name, fit for a folder, and its settings ("key=value") on the batch's problem."""
+
+    name: str
+    settings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Batch:
+    """A problem, settings on it that are common to all, and the cases that vary it."""
+
+    problem: str
+    common: tuple[str, ...]
+    cases: tuple[Case, ...]
+
+
+def read_batch(path: str | Path) -> Batch:
+    """Return the batch in a file.
+
+    Raises:
+        ProblemError: for anything in the file that cannot be used.
+    """
+    path = Path(path)
+    if not is_file(path):
+        raise ProblemError(f"batch '{path}' is not a file; a batch is a TOML file with problem, and [[case]] or [sweep]")
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ProblemError(f"batch '{path}' cannot be read: {error.strerror}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ProblemError(f"batch '{path}' is not TOML: {one_line(error)}") from error
+    for key in tables:
+        if key not in KEYS:
+            raise ProblemError(f"unknown key '{key}' in a batch{nearest(key, KEYS)}; keys are {', '.join(KEYS)}")
+    problem = tables.get("problem")
+    if not isinstance(problem, str) or not problem:
+        raise ProblemError(f"problem of a batch is a built-in name or a TOML file, got {problem!r}")
+    if problem not in PROBLEMS:
+        problem = str(beside(problem, path.parent))
+    common = _settings(tables.get("set", []), "set")
+    if ("case" in tables) == ("sweep" in tables):
+        raise ProblemError("a batch has [[case]] tables or a [sweep] table, one of the two")
+    listed = _listed(tables["case"]) if "case" in tables else _swept(tables["sweep"])
+    cases = tuple(Case(name=name, settings=settings) for name, settings in listed)
+    names = [case.name for case in cases]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise ProblemError(f"cases of a batch have names of their own; twice: {', '.join(twice)}")
+    return Batch(problem=problem, common=common, cases=cases)
+
+
+def _settings(value: object, where: str) -> tuple[str, ...]:
+    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
+        raise ProblemError(f'{where} of a batch is a list of "key=value", got {value!r}')
+    return tuple(value)
+
+
+def _listed(value: object) -> Iterator[tuple[str, tuple[str, ...]]]:
+    if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
+        raise ProblemError(f"case of a batch is a list of tables ([[case]]), got {value!r}")
+    for number, item in enumerate(value):
+        for key in item:
+            if key not in CASE_KEYS:
+                raise ProblemError(f"unknown key 'case.{key}'{nearest(key, CASE_KEYS)}; keys are {', '.join(CASE_KEYS)}")
+        name = item.get("name", f"case-{number + 1}")
+        if not isinstance(name, str) or not _is_a_folder_name(name):
+            raise ProblemError(f"case.name is a word that can name a folder, got {name!r}")
+        yield name, _settings(item.get("set", []), f"set of case '{name}'")
+
+
+def _is_a_folder_name(name: str) -> bool:
+    return bool(name) and name not in (".", "..") and not set(name) & set('/\\:*?"<>|\0') and len(name) < 100
+
+
+def _swept(value: object) -> list[tuple[str, tuple[str, ...]]]:
+    if not isinstance(value, dict) or not value:
+        raise ProblemError(f"sweep of a batch is a table of key = list of values, got {value!r}")
+    axes = []
+    for key, values in _flat(value):
+        if not isinstance(values, list) or not values:
+            raise ProblemError(f"sweep.{key} is a list of values, got {values!r}")
+        axes.append([(key, item) for item in values])
+    total = 1
+    for axis in axes:
+        total *= len(axis)
+    if total > MAX_CASES:
+        raise ProblemError(f"a batch has {MAX_CASES} cases at the most, the sweep makes {total}")
+    cases = []
+    for number, combination in enumerate(itertools.product(*axes)):
+        settings = tuple(f"{key}={_toml(item)}" for key, item in combination)
+        cases.append((f"{number + 1:0{len(str(total))}d}", settings))
+    return cases
+
+
+def _flat(table: dict, prefix: str = "") -> Iterator[tuple[str, object]]:
+    """Yield dotted keys, whether they were quoted or TOML made tables of them."""
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _toml(value: object) -> str:
+    """Return a value of a sweep in TOML's syntax."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    if isinstance(value, str):
+        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    if isinstance(value, list):
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + "}"
+    raise ProblemError(f"a sweep's values are numbers, words, lists or tables, got {value!r}")

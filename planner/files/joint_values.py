@@ -1,0 +1,23 @@
+"""Values of joints in a problem file: a table of joint = value under a key that carries the unit."""
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+
+
+def joint_values(section: dict, key: str, table_name: str, mechanism: Mechanism) -> dict[int, object]:
+    """Return {joint index: raw value} of `key`_deg and `key`_m (before any _s), units checked against the joints."""
+    found: dict[int, object] = {}
+    stem, rate = (key[: -len("_s")], "_s") if key.endswith("_s") else (key, "")
+    for unit, kind, other in (("deg", "hinge", "m"), ("m", "slide", "deg")):
+        name = f"{stem}_{unit}{rate}"
+        table = section.get(name, {})
+        if not isinstance(table, dict):
+            raise ProblemError(f"{table_name}.{name} is a table of joint = value, got {table!r}")
+        for joint, value in table.items():
+            index = mechanism.joint_index(joint, ProblemError)
+            if mechanism.joints[index].kind != kind:
+                raise ProblemError(
+                    f"joint '{joint}' is a {mechanism.joints[index].kind}; use {table_name}.{stem}_{other}{rate}, not {name}"
+                )
+            found[index] = value
+    return found

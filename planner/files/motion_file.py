@@ -1,0 +1,134 @@
+"""The [motion] table of a problem file."""
+
+import json
+
+import numpy as np
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import nearest
+from linkplan.models.poses.equilibrium import resting, sprung_freedoms
+from linkplan.planner.closed_chain.prescribed import is_whole
+from linkplan.planner.files.joint_values import joint_values
+from linkplan.planner.files.values import number
+from linkplan.planner.problem.motion import Motion, Waypoint
+from linkplan.planner.problem.reference import Sine
+
+KEYS = (
+    "kind",
+    "start_deg",
+    "start_m",
+    "goal_deg",
+    "goal_m",
+    "start_speed_deg_s",
+    "start_speed_m_s",
+    "goal_speed_deg_s",
+    "goal_speed_m_s",
+    "duration_s",
+    "min_duration_s",
+    "max_duration_s",
+    "waypoints",
+)
+WAYPOINT_KEYS = ("at_deg", "at_m", "speed_deg_s", "speed_m_s", "time_s")
+
+
+def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | None) -> Motion:
+    """Return the motion of a [motion] table."""
+    duration = section.get("duration_s", "free" if reference is None else reference.period_s)
+    if isinstance(duration, str) and duration != "free":
+        raise ProblemError(f'motion.duration_s is a positive number or "free", got {duration!r}')
+    duration = None if duration == "free" else number(duration, "motion.duration_s", positive=True)
+    repeats = kind == "periodic" and reference is not None and duration is not None
+    if repeats and not is_whole(duration * reference.frequency_hz):
+        raise ProblemError(
+            f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
+            f" {reference.period_s:g} s, got {duration:g}"
+        )
+    return Motion(
+        kind=kind,
+        start=_state(section, "start", mechanism, None),
+        goal=_state(section, "goal", mechanism, None),
+        start_speed=_state(section, "start_speed_s", mechanism, 0.0),
+        goal_speed=_state(section, "goal_speed_s", mechanism, 0.0),
+        duration_s=duration,
+        min_duration_s=_optional(section, "min_duration_s"),
+        max_duration_s=_optional(section, "max_duration_s"),
+        waypoints=_waypoints(section, mechanism),
+    )
+
+
+def _state(section: dict, key: str, mechanism: Mechanism, default: float | None, where="motion") -> np.ndarray | None:
+    """Return the independent joints' values (n_s,) of a boundary condition, or None where nothing is said."""
+    values = joint_values(section, key, where, mechanism)
+    if not values:
+        return None
+    result = []
+    if default is None:
+        values = _with_rests(values, f"{where}.{key}", mechanism)
+    for index in mechanism.independent:
+        joint = mechanism.joints[index]
+        if index not in values and default is None and int(index) not in mechanism.idle:
+            named = sorted(mechanism.joints[i].name for i in values)
+            others = len(values) == mechanism.dof and not {int(i) for i in values} <= {int(i) for i in mechanism.independent}
+            hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if others else ""
+            raise ProblemError(
+                f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which moves on its own{hint}"
+            )
+        value = values.get(int(index), default)
+        if value is None and int(index) in mechanism.idle:  # what spins idly stands where it is, unless it is named
+            value = joint.shown(mechanism.home[index])
+        result.append(joint.read(number(value, f"{where}.{key} of joint {joint.name}")))
+    if key.endswith("_s"):
+        for index in values:
+            if index not in mechanism.independent:
+                raise ProblemError(
+                    f"{where}.{key} of joint {mechanism.joints[index].name}: its speed follows from"
+                    f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
+                )
+    return np.array(result)
+
+
+def _with_rests(values: dict[int, object], where: str, mechanism: Mechanism) -> dict[int, object]:
+    """Return a state's values with those freedoms that it does not name, and that nothing drives, resting on springs."""
+    unnamed = tuple(c for c in sprung_freedoms(mechanism) if int(mechanism.independent[c]) not in values)
+    if not unnamed:
+        return values
+    joints = mechanism.joints
+    named = {
+        column: joints[index].read(number(values[index], f"{where} of joint {joints[index].name}"))
+        for column, index in enumerate(mechanism.independent.tolist())
+        if index in values
+    }
+    s = resting(mechanism, named, unnamed)
+    if s is None:
+        names = ", ".join(joints[int(mechanism.independent[c])].name for c in unnamed)
+        raise ProblemError(f"{where} names no value for {names}, and springs and weight balance nowhere near home")
+    return values | {int(mechanism.independent[c]): joints[int(mechanism.independent[c])].shown(s[c]) for c in unnamed}
+
+
+def _optional(section: dict, key: str) -> float | None:
+    value = section.get(key)
+    return None if value is None else number(value, f"motion.{key}", positive=True)
+
+
+def _waypoints(section: dict, mechanism: Mechanism) -> tuple[Waypoint, ...]:
+    given = section.get("waypoints", [])
+    if not isinstance(given, list) or not all(isinstance(item, dict) for item in given):
+        raise ProblemError(f"motion.waypoints is a list of tables with keys {', '.join(WAYPOINT_KEYS)}, got {given!r}")
+    waypoints = []
+    for k, item in enumerate(given):
+        where = f"motion.waypoints[{k}]"
+        for key in item:
+            if key not in WAYPOINT_KEYS:
+                raise ProblemError(
+                    f"unknown key '{where}.{key}'{nearest(key, WAYPOINT_KEYS)}; keys are {', '.join(WAYPOINT_KEYS)}"
+                )
+        nothing = np.full(mechanism.dof, np.nan)
+        states = []
+        for key in ("at", "speed_s"):
+            state = _state(item, key, mechanism, np.nan, where)
+            states.append(nothing if state is None else state)
+        time = item.get("time_s", "free")
+        time = None if time == "free" else number(time, f"{where}.time_s", positive=True)
+        waypoints.append(Waypoint(position=states[0], speed=states[1], time_s=time))
+    return tuple(waypoints)

@@ -1,0 +1,356 @@
+"""Problem files: TOML tables to a `PlanningProblem`, every key checked, every value in range.
+
+Angles are in degrees with `_deg` in the key, positions of slides in metres with `_m`; all else is SI. A built-in name works
+wherever a file does.
+"""
+
+import copy
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.audit import audit
+from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.library import BUILT_IN as MODELS
+from linkplan.models.library import is_file
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.names import nearest
+from linkplan.models.poses.assembly import close_at
+from linkplan.planner.certificate.certificate import INTEGRATION_DEG
+from linkplan.planner.files.joint_values import joint_values
+from linkplan.planner.files.limits_file import KEYS as LIMIT_KEYS
+from linkplan.planner.files.limits_file import limits_of, motors_of
+from linkplan.planner.files.motion_file import KEYS as MOTION_KEYS
+from linkplan.planner.files.motion_file import motion_of
+from linkplan.planner.files.tables import Tables, apply_override, read_tables
+from linkplan.planner.files.trajectory_file import read_trajectory
+from linkplan.planner.files.values import number, whole, word
+from linkplan.planner.problem.objective import TERMS, Objective, objective_from
+from linkplan.planner.problem.planning_problem import (
+    COMPILE,
+    CONTACTS,
+    KINDS,
+    REFINE,
+    SOLVERS,
+    MeshSettings,
+    PlanningProblem,
+    Sketch,
+    SolverSettings,
+    Tracking,
+)
+from linkplan.planner.problem.reference import Sine
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.schemes import scheme
+
+KEYS: Mapping[str, tuple[str, ...]] = {
+    "mechanism": ("model", "payload", "home_deg", "home_m", "independent"),
+    "motion": MOTION_KEYS,
+    "reference": ("amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg", "frequency_hz"),
+    "objective": ("minimize",),
+    "limits": (*LIMIT_KEYS, "contacts"),
+    "motors": (),
+    "guess": ("plan", "path_deg", "path_m", "duration_s"),
+    "mesh": ("scheme", "intervals", "effort", "tolerance_deg", "refine", "breaks"),
+    "solver": ("name", "compile", "max_time_s", "starts"),
+    "tracking": (
+        "kp",
+        "kd",
+        "period_s",
+        "delay_periods",
+        "duration_s",
+        "lqr_position_deg",
+        "lqr_velocity_deg_s",
+        "lqr_position_m",
+        "lqr_velocity_m_s",
+    ),
+}
+# The integration that judges is good to about a tenth of this.
+_TIGHTEST_DEG = 1e-9
+# Errors that LQR weighs, in degrees or metres and per second: beyond these a Riccati equation has no numbers left.
+_LQR_ERRORS = (1e-9, 1e9)
+# Starts beyond this take minutes without finding more.
+MAX_STARTS = 1000
+# Meshes beyond this take minutes; a typing slip of a zero should not.
+MAX_INTERVALS = 20_000
+# A dependent joint named in start_deg or goal_deg must stand this near to where the closed loop has it.
+_POSE_TOLERANCE = np.radians(0.05)
+
+
+def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> PlanningProblem:
+    """Return the problem of a built-in name or a TOML file, with `key=value` overrides applied.
+
+    Raises:
+        ProblemError: for anything in the file or an override that cannot be used.
+        ModelError: when the mechanism that it names cannot be.
+    """
+    name, tables, folder = read_tables(source)
+    for override in overrides:
+        apply_override(tables, override)
+    return problem_from_tables(name, tables, folder)
+
+
+def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -> PlanningProblem:
+    """Return the problem that a file's tables mean; paths in it are from its own folder, else the working folder."""
+    tables = copy.deepcopy(tables)
+    _check_keys(tables)
+    section = {key: tables.get(key, {}) for key in KEYS}
+    mechanism = _mechanism(section["mechanism"], folder)
+    tables.setdefault("mechanism", {})["model"] = section["mechanism"]["model"]
+    if mechanism.n_u == 0:
+        raise ProblemError(
+            f"mechanism '{mechanism.name}' has no usable actuator; a plan needs one"
+            + "".join(f"; {item.text}" for item in audit(mechanism.model))
+        )
+    kind = word(section["motion"], "motion.kind", KINDS)
+    default = "tracking" if kind == "track" or (kind == "periodic" and section["reference"]) else "effort"
+    objective = _objective(section["objective"], default)
+    reference = _reference(section["reference"], mechanism) if section["reference"] else None
+    problem = PlanningProblem(
+        name=name,
+        mechanism=mechanism,
+        motion=motion_of(section["motion"], kind, mechanism, reference),
+        objective=objective,
+        limits=limits_of(section["limits"], mechanism),
+        motors=motors_of(section["motors"], mechanism),
+        reference=reference,
+        guess=_guess(section["guess"], mechanism, folder),
+        contacts=word(section["limits"], "limits.contacts", CONTACTS, "refuse"),
+        mesh=_mesh(section["mesh"], objective),
+        solver=_solver(section["solver"]),
+        tracking=_tracking(section["tracking"]),
+        source=tables,
+    )
+    _check_poses(section["motion"], problem)
+    return problem
+
+
+def mechanism_from_tables(tables: Tables, folder: Path | None = None) -> Mechanism:
+    """Return the mechanism that a file's [mechanism] table means; the other tables are only checked for their keys."""
+    tables = copy.deepcopy(tables)
+    _check_keys(tables)
+    return _mechanism(tables.get("mechanism", {}), folder)
+
+
+def tracking_from_tables(tables: Tables) -> Tracking:
+    """Return the tracking settings of a file's [tracking] table."""
+    _check_keys(tables)
+    return _tracking(tables.get("tracking", {}))
+
+
+def _check_keys(tables: Tables) -> None:
+    for section, content in tables.items():
+        if section == "description" and isinstance(content, str):
+            continue
+        if section not in KEYS:
+            raise ProblemError(f"unknown table or key '{section}'{nearest(section, KEYS)}; tables are {', '.join(KEYS)}")
+        if not isinstance(content, dict):
+            raise ProblemError(f"'{section}' is a table ([{section}]), got {content!r}")
+        for key in content:
+            if section != "motors" and key not in KEYS[section]:
+                raise ProblemError(
+                    f"unknown key '{section}.{key}'{nearest(key, KEYS[section])}; keys are {', '.join(KEYS[section])}"
+                )
+
+
+def _mechanism(section: dict, folder: Path | None) -> Mechanism:
+    model = section.get("model")
+    if not isinstance(model, str) or not model:
+        raise ProblemError(f"mechanism.model is a built-in name or a path to an MJCF file, got {model!r}")
+    place = beside(model, folder)
+    if model not in MODELS and is_file(place):
+        model = str(place.resolve())
+    section["model"] = model
+    mechanism = load_mechanism(
+        model, payload=section.get("payload"), home=_home(section), independent=section.get("independent")
+    )
+    joint_values(section, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
+    return mechanism
+
+
+def beside(path: str, folder: Path | None) -> Path:
+    """Return a path that a problem file names: from the file's folder, or from the working folder where it is not there."""
+    try:
+        there = folder is not None and (folder / path).exists()
+    except (OSError, ValueError):  # a name that no file can have
+        there = False
+    return folder / path if folder is not None and there else Path(path)
+
+
+def _home(section: dict) -> dict[str, float]:
+    home = {}
+    for key, factor in (("home_deg", np.pi / 180), ("home_m", 1.0)):
+        table = section.get(key, {})
+        if not isinstance(table, dict):
+            raise ProblemError(f"mechanism.{key} is a table of joint = value, got {table!r}")
+        for joint, value in table.items():
+            home[joint] = factor * number(value, f"mechanism.{key}.{joint}")
+    return home
+
+
+def _reference(section: dict, mechanism: Mechanism) -> Sine:
+    def values(key: str, default: float | None) -> np.ndarray:
+        found = joint_values(section, key, "reference", mechanism)
+        for index in found:
+            if index not in mechanism.independent:
+                names = ", ".join(j.name for j in mechanism.independent_joints)
+                raise ProblemError(
+                    f"reference.{key} is for independent joints ({names}), got {mechanism.joints[index].name}"
+                )
+        result = []
+        for index, joint in zip(mechanism.independent, mechanism.independent_joints, strict=True):
+            if int(index) not in found and default is None:
+                raise ProblemError(f"reference.{key}_{joint.unit} names no value for joint {joint.name}")
+            result.append(joint.read(number(found.get(int(index), default), f"reference.{key} of joint {joint.name}")))
+        return np.array(result)
+
+    phase = section.get("phase_deg", {})
+    if not isinstance(phase, dict):
+        raise ProblemError(f"reference.phase_deg is a table of joint = value, got {phase!r}")
+    for joint in phase:
+        mechanism.joint_index(joint, ProblemError)
+    phases = [number(phase.get(j.name, 0.0), f"reference.phase_deg.{j.name}") for j in mechanism.independent_joints]
+    return Sine(
+        amplitude=values("amplitude", None),
+        bias=values("bias", 0.0),
+        phase=np.radians(phases),
+        frequency_hz=number(section.get("frequency_hz"), "reference.frequency_hz", positive=True),
+    )
+
+
+def _objective(section: dict, default: str) -> Objective:
+    wanted = section.get("minimize", default)
+    if isinstance(wanted, dict):
+        return objective_from({term: number(weight, f"objective.minimize.{term}") for term, weight in wanted.items()})
+    return objective_from(word(section, "objective.minimize", tuple(TERMS), default))
+
+
+def _guess(section: dict, mechanism: Mechanism, folder: Path | None) -> Sketch | Trajectory | None:
+    """Return the user's own start: a saved plan's motion, or positions at equal times."""
+    plan, duration = section.get("plan"), section.get("duration_s")
+    duration = None if duration is None else number(duration, "guess.duration_s", positive=True)
+    paths = joint_values(section, "path", "guess", mechanism)
+    if plan is not None and paths:
+        raise ProblemError("guess.plan and guess.path_deg are two guesses; keep one")
+    if plan is not None:
+        if not isinstance(plan, str) or not plan:
+            raise ProblemError(f"guess.plan is a saved plan's folder, got {plan!r}")
+        place = beside(plan, folder)
+        if not place.is_dir():
+            where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
+            raise ProblemError(f"guess.plan '{plan}' is not a folder in {where}; it is where a plan was saved")
+        section["plan"] = str(place.resolve())
+        return read_trajectory(place / "trajectory.npz")
+    if not paths:
+        return None
+    columns = []
+    for index, joint in zip(mechanism.independent, mechanism.independent_joints, strict=True):
+        values = paths.get(int(index))
+        if not isinstance(values, list) or len(values) < 2:
+            raise ProblemError(f"guess.path_{joint.unit}.{joint.name} is a list of two or more positions, got {values!r}")
+        columns.append([joint.read(number(value, f"guess.path_{joint.unit}.{joint.name}")) for value in values])
+    if len({len(column) for column in columns}) > 1:
+        raise ProblemError("guess.path_deg has equally many positions for every independent joint")
+    return Sketch(path=np.array(columns).T, duration_s=duration)
+
+
+def _mesh(section: dict, objective: Objective) -> MeshSettings:
+    # Least work pushes in full, coasts and brakes in full: a polynomial smears that, and is charged at its nodes alone.
+    default = MeshSettings(
+        effort="constant" if objective.has("work") and {*objective.weights} <= {"work", "time"} else MeshSettings().effort
+    )
+    name = section.get("scheme", default.scheme)
+    intervals = whole(section.get("intervals", default.intervals), "mesh.intervals", 2, MAX_INTERVALS)
+    effort = section.get("effort", default.effort)
+    tolerance = section.get("tolerance_deg")
+    if tolerance is not None:
+        tolerance = number(tolerance, "mesh.tolerance_deg", positive=True)
+        if not _TIGHTEST_DEG <= tolerance <= INTEGRATION_DEG:
+            raise ProblemError(
+                f"mesh.tolerance_deg is from {_TIGHTEST_DEG:g} to the certificate's {INTEGRATION_DEG:g}, got {tolerance:g}"
+            )
+    breaks = section.get("breaks")
+    if breaks is not None:
+        if "intervals" in section:
+            raise ProblemError("mesh.breaks and mesh.intervals both say how many intervals there are; keep one")
+        breaks = np.array([number(x, "mesh.breaks") for x in breaks] if isinstance(breaks, list) else [])
+        if not 3 <= len(breaks) <= MAX_INTERVALS + 1 or breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) <= 0):
+            raise ProblemError(
+                "mesh.breaks is three or more increasing numbers from 0 to 1, the ends of the intervals as shares of the"
+                f" duration, got {section['breaks']!r}"
+            )
+        intervals = len(breaks) - 1
+    return MeshSettings(
+        scheme=scheme(name, effort).name,
+        intervals=intervals,
+        effort=effort,
+        tolerance_deg=tolerance,
+        # A transcription that was named is kept, unless its degree is given free in so many words.
+        refine=word(section, "mesh.refine", REFINE, "intervals" if "scheme" in section else default.refine),
+        breaks=breaks,
+    )
+
+
+def _solver(section: dict) -> SolverSettings:
+    default = SolverSettings()
+    return SolverSettings(
+        name=word(section, "solver.name", SOLVERS, default.name),
+        compile=word(section, "solver.compile", COMPILE, default.compile),
+        max_time_s=number(section.get("max_time_s", default.max_time_s), "solver.max_time_s", positive=True),
+        starts=whole(section.get("starts", default.starts), "solver.starts", 1, MAX_STARTS),
+    )
+
+
+def _tracking(section: dict) -> Tracking:
+    default = Tracking()
+    delay = section.get("delay_periods", 0)
+    whole(delay, "tracking.delay_periods", 0, 1000)
+    duration = section.get("duration_s")
+
+    def length(key: str, value: float) -> float:
+        found = number(section.get(key, value), f"tracking.{key}", positive=True)
+        if not _LQR_ERRORS[0] <= found <= _LQR_ERRORS[1]:
+            raise ProblemError(
+                f"tracking.{key}, the error that weighs as much as the whole effort limit, is from {_LQR_ERRORS[0]:g} to"
+                f" {_LQR_ERRORS[1]:g}, got {found:g}"
+            )
+        return found
+
+    def angle(key: str, value: float) -> float:
+        return np.radians(length(key, np.degrees(value)))
+
+    return Tracking(
+        kp=number(section.get("kp", default.kp), "tracking.kp", least=0.0),
+        kd=number(section.get("kd", default.kd), "tracking.kd", least=0.0),
+        period_s=number(section.get("period_s", default.period_s), "tracking.period_s", positive=True),
+        delay_periods=delay,
+        duration_s=None if duration is None else number(duration, "tracking.duration_s", positive=True),
+        lqr_position=float(angle("lqr_position_deg", default.lqr_position)),
+        lqr_velocity=float(angle("lqr_velocity_deg_s", default.lqr_velocity)),
+        lqr_position_m=length("lqr_position_m", default.lqr_position_m),
+        lqr_velocity_m_s=length("lqr_velocity_m_s", default.lqr_velocity_m_s),
+    )
+
+
+def _check_poses(section: dict, problem: PlanningProblem) -> None:
+    """Refuse a start or goal whose dependent joints do not stand where the closed loop has them."""
+    mechanism = problem.mechanism
+    for key, s in (("start", problem.motion.start), ("goal", problem.motion.goal)):
+        named = joint_values(section, key, "motion", mechanism)
+        extra = [index for index in named if index not in mechanism.independent]
+        if s is None or not extra:
+            continue
+        try:
+            pose = close_at(mechanism, s)
+        except AssemblyError as error:
+            raise ProblemError(f"motion.{key}_deg does not close: {error}") from error
+        for index in extra:
+            joint = mechanism.joints[index]
+            asked = joint.read(number(named[index], f"motion.{key} of joint {joint.name}"))
+            if abs(asked - pose[index]) > _POSE_TOLERANCE:
+                pairs = zip(mechanism.independent_joints, s, strict=True)
+                raise ProblemError(
+                    f"motion.{key}_{joint.unit} does not close: with"
+                    f" {', '.join(f'{j.name} = {j.shown(x):.6g}' for j, x in pairs)} the loop has {joint.name} at"
+                    f" {joint.shown(pose[index]):.6g} {joint.unit}, asked {joint.shown(asked):.6g}"
+                )

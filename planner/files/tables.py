@@ -1,0 +1,100 @@
+"""Problem files as tables: reading TOML, built-in names, and setting single keys."""
+
+import re
+import tomllib
+from importlib import resources
+from pathlib import Path
+
+from linkplan.models.errors import ProblemError, one_line
+from linkplan.models.library import is_file, is_folder
+from linkplan.models.names import nearest
+from linkplan.models.payload import BUILT_IN as PAYLOADS
+
+BUILT_IN = (
+    "knee-sine",
+    "knee-sine-shank",
+    "knee-reach",
+    "knee-sprint",
+    "knee-sprint-bare",
+    "knee-linear-reach",
+    "slider-crank-turn",
+    "five-bar-reach",
+    "five-bar-swing-up",
+    "squeezer-turn",
+    "gripper-close",
+    "cart-pole-swing-up",
+)
+
+Tables = dict[str, dict]
+
+
+def built_in_text(name: str) -> str:
+    """Return the TOML text of a built-in problem."""
+    return resources.files("linkplan.planner").joinpath("problems").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+
+
+def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
+    """Return a problem's name, its tables and the folder of its file (None for a built-in)."""
+    text = str(source)
+    if text in BUILT_IN:
+        return text, tomllib.loads(built_in_text(text)), None
+    if not text.strip():
+        raise ProblemError(f"a problem's name is empty; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
+    path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."
+    if is_folder(path):
+        raise ProblemError(f"problem '{text}' is a folder; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
+    if not is_file(path):
+        raise ProblemError(
+            f"unknown problem '{shown}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
+        )
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ProblemError(f"problem '{text}' cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise ProblemError(f"problem '{text}' is not UTF-8 text") from error
+    except tomllib.TOMLDecodeError as error:
+        raise ProblemError(f"problem '{text}' is not TOML: {one_line(error)}") from error
+    return path.stem, tables, path.parent
+
+
+def apply_override(tables: Tables, override: str) -> None:
+    """Set one key of `tables` from "section.key=value", the value in TOML syntax, a bare word being a string."""
+    key, equals, text = override.partition("=")
+    path = [part.strip() for part in key.split(".")]
+    if not equals or len(path) < 2 or not all(path):
+        raise ProblemError(f"--set takes section.key=value, got '{override}'")
+    value = parse_value(text.strip(), override)
+    node: object = tables
+    for depth, part in enumerate(path[:-1]):
+        if not isinstance(node, dict):
+            break
+        child = node.setdefault(part, {})
+        if path[: depth + 1] == ["mechanism", "payload"] and isinstance(child, str) and child in PAYLOADS:
+            built_in = PAYLOADS[child]
+            child = node[part] = {
+                "body": built_in.body,
+                "mass_kg": built_in.mass_kg,
+                "com_m": built_in.com_m.tolist(),
+                "inertia_kgm2": built_in.inertia_kgm2.tolist(),
+            }
+        node = child
+    if not isinstance(node, dict):
+        raise ProblemError(f"--set {override}: '{'.'.join(path[:-1])}' is a value, not a table")
+    node[path[-1]] = value
+
+
+def parse_value(text: str, where: str) -> object:
+    """Return a TOML value; a bare word is a string.
+
+    Raises:
+        ProblemError: when the text is neither.
+    """
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError as error:
+        if re.fullmatch(r"[^\s\"'\[\]{}=,]+", text):
+            return text
+        raise ProblemError(
+            f"--set {where}: '{text}' is neither TOML nor a bare word; write 1.5, true, \"two words\", [1, 2] or {{ O = 1 }}"
+        ) from error

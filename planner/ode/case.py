@@ -1,0 +1,177 @@
+"""A user's problem as refinement sees it: solved within limits that may be drawn in, certified against what was asked."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.planner.ode.certificate import (
+    INTEGRATION,
+    OBJECTIVE_SHARE,
+    OVERRUN,
+    SLACK,
+    OdeCertificate,
+    certify_ode,
+    running_cost,
+)
+from linkplan.planner.ode.formulation import formulate_ode, start_from
+from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.problem.planning_problem import MeshSettings, SolverSettings
+from linkplan.planner.refinement.history import Step
+from linkplan.planner.refinement.tightening import Inset, drawn
+from linkplan.planner.solvers.solve import Solution
+from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of
+from linkplan.planner.transcription.formulation import Start, Units
+from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.transcription.schemes import scheme
+
+# A bound drawn in takes a little more than what was overrun.
+_MORE = 1.1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OdeCase:
+    """A `planner.refinement.case.Case` of a user's problem; solves are within `problem`, certificates against `asked`."""
+
+    problem: OdeProblem
+    asked: OdeProblem
+    units: Units
+    insets: tuple[Inset, ...] = ()
+    cut: bool = False  # whether the mesh has its cuts already, where the costates put them
+    held: np.ndarray | None = None  # (n_segments, n_u) efforts held between those cuts
+
+    @property
+    def mesh(self) -> MeshSettings:
+        """The problem's mesh settings."""
+        return self.problem.mesh
+
+    @property
+    def solver(self) -> SolverSettings:
+        """The problem's solver settings."""
+        return self.problem.solver
+
+    @property
+    def effort_limit(self) -> np.ndarray:
+        """The effort limits (n_u, 2)."""
+        return self.asked.effort_limit
+
+    @property
+    def switches(self) -> bool:
+        """Whether switches are looked for: wherever an effort has two limits to jump between."""
+        return not self.cut and bool(np.any(np.all(np.isfinite(self.asked.effort_limit), axis=1)))
+
+    @property
+    def bangs(self) -> bool:
+        """False: a differential equation's efforts may take a singular arc anywhere."""
+        return False
+
+    @property
+    def ramps(self) -> bool:
+        """False: nothing is known of a differential equation's costs."""
+        return False
+
+    @property
+    def tolerance_given(self) -> bool:
+        """Whether the mesh may grow beyond what is comfortable."""
+        return True
+
+    @property
+    def objective_tolerance(self) -> float | None:
+        """The tolerance on the objective's change from mesh to mesh."""
+        return self.asked.objective_tolerance
+
+    def transcribe(
+        self,
+        start: Start,
+        mesh: Mesh,
+        durations: np.ndarray,
+        *,
+        position_rows: bool = False,
+        pinned: np.ndarray | None = None,
+        held: np.ndarray | None = None,
+        least_limit: bool = False,
+    ) -> Transcribed:
+        """Return the program from a start."""
+        if pinned is None and self.held is not None and mesh.n_segments == len(self.held):
+            pinned = self.held
+        formulation = formulate_ode(
+            self.problem, self.units, state_rows=position_rows, least_limit=least_limit, insets=self.insets
+        )
+        return collocate(
+            formulation,
+            scheme(self.mesh.scheme, self.mesh.effort),
+            mesh,
+            durations,
+            start,
+            compile_mode=self.solver.compile,
+            least_limit=least_limit,
+            pinned=pinned,
+            held=held,
+        )
+
+    def motion(self, solution: Solution, limit: np.ndarray) -> OdeTrajectory:
+        """Return a solution's polynomials."""
+        curves = curves_of(solution.transcribed, solution.x, limit)
+        motion = OdeTrajectory(breaks_s=curves.breaks_s, state=curves.state, effort=curves.effort, n_x=self.asked.n_x)
+        if self.asked.running_cost is None:
+            return motion
+        return replace(motion, running=running_cost(self.asked, motion, solution.transcribed.scheme))
+
+    def start_from(self, motion: OdeTrajectory) -> Start:
+        """Return a solution as a start."""
+        return start_from(motion, self.units)
+
+    def certify(self, motion: OdeTrajectory) -> OdeCertificate:
+        """Return a solution's certificate."""
+        return certify_ode(self.asked, motion)
+
+    def strictness(self) -> float:
+        """Return how many times more exact than a certificate demands the integrated state is to be."""
+        return INTEGRATION / self.asked.tolerance
+
+    def exact(self, certificate: OdeCertificate) -> bool:
+        """Return whether the integrated state is within the tolerance, and the objective that of the integrated motion."""
+        return (
+            certificate.integration_error <= self.asked.tolerance
+            and certificate.objective_error <= OBJECTIVE_SHARE * self.asked.tolerance
+            and certificate.overrun <= OVERRUN
+        )
+
+    def noted(self, step: Step, certificate: OdeCertificate) -> Step:
+        """Return a step with the certificate's integration error."""
+        return replace(step, integration_error=certificate.integration_error)
+
+    def leaves_positions(self, certificate: OdeCertificate) -> bool:
+        """Return whether a state leaves its limits by more than a certificate lets pass."""
+        return certificate.leaves_states
+
+    def overruns(self, certificate: OdeCertificate) -> bool:
+        """Return whether a path quantity or a state leaves its limits between the nodes."""
+        return bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -SLACK)
+
+    def mendable(self, certificate: OdeCertificate) -> bool:
+        """Return whether another mesh may mend why a certificate does not pass: always, for all that is known."""
+        return not certificate.passed
+
+    def overrun(self, certificate: OdeCertificate) -> np.ndarray:
+        """Return by what share of themselves path limits are overrun between the nodes, at most, on each interval (n,)."""
+        size = [max(abs(bound) for bound in limit if np.isfinite(bound)) or 1.0 for limit in self.asked.path_limit]
+        n = len(certificate.growth)
+        return (certificate.path_overrun / np.array(size).reshape(-1, 1)).max(axis=0, initial=0.0).reshape(n)
+
+    def tightened(self, certificate: OdeCertificate, motion: OdeTrajectory) -> "OdeCase":
+        """Return the case with limits drawn in by what the solution overran them."""
+        breaks = (motion.breaks_s - motion.breaks_s[0]) / motion.duration_s
+        further = []
+        for k, (overrun, limit) in enumerate(zip(certificate.path_overrun, self.asked.path_limit, strict=True)):
+            if overrun.max() > 0:
+                upper = bool(np.isfinite(limit[1]) and (limit[1] or not np.isfinite(limit[0])))
+                share = drawn(overrun / (abs(limit[int(upper)]) or 1.0))
+                further.append(Inset(what="path", item=k, breaks=breaks, share=share, upper=upper))
+        inward = np.array([1.0, -1.0])
+        state = self.problem.state_limit + _MORE * np.maximum(0.0, -certificate.state_margin)[:, None] * inward
+        return replace(self, problem=replace(self.problem, state_limit=state), insets=(*self.insets, *further))
+
+    def with_scheme(self, name: str) -> "OdeCase":
+        """Return the case with another transcription."""
+        return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))

@@ -1,0 +1,185 @@
+"""The certificate of a solution to a user's optimal-control problem: what holds between the nodes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from linkplan.planner.certificate.margins import least_between, look_points
+from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.transcription.schemes import Scheme
+
+# The state reached by integration may differ by this share of each state's size; a tolerance below it is refined towards.
+INTEGRATION = 1e-4
+# Limits are kept but for rounding, and what the solver leaves of its own rows.
+SLACK = 1e-8
+# Between the nodes, where the integrated state need not be the polynomial, it may leave a limit by this share of its size.
+OVERRUN = 1e-6
+# The objective may differ from that of the integrated motion by so many times what its states may, relative.
+OBJECTIVE_SHARE = 10.0
+_RTOL, _ATOL = 1e-12, 1e-13
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class OdeCertificate:
+    """Findings on a solution; `failures` say why it does not pass.
+
+    `integration_error` is the largest distance of the integrated state from the planned one, as a share of each state's
+    size;
+    `integrated_objective` the objective along the integrated state, and `objective_error` how far the solution's own is from
+    it, as a share of the sum of its parts' sizes; `overrun` how far the integrated state leaves its limits at the most, as a
+    share of its size; margins are negative outside, infinite where nothing limits.
+    """
+
+    effort_excess: float
+    integration_error: float
+    integrated_objective: float
+    objective_error: float
+    overrun: float
+    state_margin: np.ndarray  # (n_x,)
+    leaves_states: bool
+    path_margin: np.ndarray  # (n_path,)
+    path_overrun: np.ndarray  # (n_path, n_intervals)
+    boundary_error: float
+    growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed
+    residual_share: np.ndarray  # (n_intervals,), zero: the integration tells all
+    failures: tuple[str, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether everything holds."""
+        return not self.failures
+
+
+def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificate:
+    """Return the certificate of a solution against its problem."""
+    points = look_points(trajectory.state.shape[0] - 1)
+    n_x, time = problem.n_x, trajectory.times_at(points)
+    x, u = trajectory.state_at(time), trajectory.effort_at(time)
+    size = np.maximum(np.abs(x).max(axis=0), np.ptp(x, axis=0))
+    size = np.where(size > 0, size, 1.0)
+    errors, integrated, misjudged, beyond = _integrate(problem, trajectory, size, points)
+    over = np.maximum(u - problem.effort_limit[:, 1], problem.effort_limit[:, 0] - u).max()
+    state_margin = np.minimum(x - problem.state_limit[:, 0], problem.state_limit[:, 1] - x).min(axis=0)
+    p = np.tile(problem.parameters[:, None], (1, len(time)))
+    path = np.array(problem.at_instant("path").map(len(time))(x.T, u.T, p, time[None])).reshape(-1, len(time))
+    limit = problem.path_limit
+    inside = np.minimum(path - limit[:, :1], limit[:, 1:] - path)
+    n = len(trajectory.breaks_s) - 1
+    by_interval = np.array([least_between(row, points) for row in inside]).reshape(-1, n)
+    path_margin = by_interval.min(axis=1, initial=np.inf)
+    boundary = _boundary_error(problem, trajectory, size)
+    error = float(errors.max())
+    failures = []
+    if over > 0:
+        failures.append(f"an effort exceeds its limit by {over:.3g}")
+    if not error <= INTEGRATION:
+        failures.append(f"the integrated state ends {error:.3g} of its size from the solution (allowed: {INTEGRATION:g})")
+    outside = state_margin < -SLACK * size
+    for name, value, left in zip(problem.states, state_margin, outside, strict=True):
+        if left:
+            failures.append(f"state {name} leaves its limits by {-value:.3g} between the nodes")
+    if beyond.max() > INTEGRATION:
+        failures.append(f"the integrated state leaves its limits by {beyond.max():.3g} of its size between the nodes")
+    path_size = np.abs(path).max(axis=1, initial=1.0)
+    for k, value in enumerate(path_margin):
+        if value < -SLACK * path_size[k]:
+            failures.append(f"path quantity {k} leaves its limits by {-value:.3g} between the nodes")
+    if not abs(misjudged[-1]) <= OBJECTIVE_SHARE * INTEGRATION:
+        failures.append(f"the objective is {abs(misjudged[-1]):.3g} of its size from that of the integrated motion")
+    if boundary > SLACK:
+        failures.append(f"start, goal or ends are missed by {boundary:.3g}")
+    both = np.column_stack([errors, misjudged / OBJECTIVE_SHARE])
+    growth = np.abs(np.diff(np.vstack([np.zeros(n_x + 1), both]), axis=0)).max(axis=1) / INTEGRATION
+    # An overrun at its limit asks for as much refinement as a state at its tolerance.
+    growth = np.maximum(growth, beyond / OVERRUN * problem.tolerance / INTEGRATION)
+    return OdeCertificate(
+        effort_excess=max(0.0, float(over)),
+        integration_error=error,
+        integrated_objective=integrated,
+        objective_error=float(abs(misjudged[-1])),
+        overrun=float(beyond.max()),
+        state_margin=state_margin,
+        leaves_states=bool(outside.any()),
+        path_margin=path_margin,
+        path_overrun=np.maximum(0.0, -by_interval),
+        boundary_error=boundary,
+        growth=np.nan_to_num(growth, nan=np.inf),
+        residual_share=np.zeros(len(growth)),
+        failures=tuple(failures),
+    )
+
+
+def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme) -> np.ndarray:
+    """Return what each interval (n,) adds to the running cost by a transcription's quadrature."""
+    breaks, m = trajectory.breaks_s, chosen.n_nodes
+    # The right end of an interval is the next one's left end, where efforts may jump: a hair inside.
+    time = breaks[:-1, None] + np.diff(breaks)[:, None] * np.clip(chosen.nodes, 0.0, 1.0 - 1e-12)
+    x, u = trajectory.state_at(time.ravel()).T, trajectory.effort_at(time.ravel()).T
+    p = np.tile(problem.parameters[:, None], (1, time.size))
+    rate = np.array(problem.at_instant("running_cost").map(time.size)(x, u, p, time.reshape(1, -1)))
+    return np.diff(breaks) * (rate.reshape(-1, m) @ chosen.weights)
+
+
+def _integrate(
+    problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray
+) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
+    """Return the integrated state's errors (n, n_x) at the intervals' ends, the objective along it, its errors, overruns.
+
+    Errors (n,) are of the solution's running cost up to each interval's end, as shares of the objective's size; overruns
+    (n,) how far the integrated state leaves its limits within each interval, as a share of its size.
+    """
+    f, L, n_x = problem.at_instant("rate"), problem.at_instant("running_cost"), problem.n_x
+    has_cost = problem.running_cost is not None
+    p, breaks = problem.parameters, trajectory.breaks_s
+    begin = trajectory.state_at(breaks[:1])[0]
+    state, n = np.append(begin, 0.0), len(breaks) - 1
+    errors, spent, beyond = np.zeros((n, n_x)), np.zeros(n), np.zeros(n)
+    low, high = problem.state_limit.T[:, :, None]
+    planned = np.vstack([trajectory.state_at(breaks[1:-1]), trajectory.state[-1, -1, :n_x]])
+    for k in range(n):
+        coefficients, width = trajectory.effort[:, k], breaks[k + 1] - breaks[k]
+
+        def rate(t: float, y: np.ndarray, coefficients=coefficients, width=width, t0=breaks[k]) -> np.ndarray:
+            u = coefficients
+            while len(u) > 1:
+                u = u[:-1] + (t / width) * (u[1:] - u[:-1])
+            x = y[:n_x]
+            running = float(L(x, u[0], p, t0 + t)) if has_cost else 0.0
+            return np.append(np.array(f(x, u[0], p, t0 + t)).ravel(), running)
+
+        atol = _ATOL * np.maximum(1.0, np.abs(state))
+        at = width * np.append(points[:-1], 1.0)
+        result = solve_ivp(rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=at)
+        if not result.success or not np.all(np.isfinite(result.y[:, -1])):
+            errors[k:] = np.inf
+            return errors, np.inf, np.full(n, np.inf), np.full(n, np.inf)
+        state = result.y[:, -1]
+        errors[k] = np.abs(state[:n_x] - planned[k]) / size
+        spent[k] = state[n_x]
+        inside = result.y[:n_x]
+        beyond[k] = max(0.0, float((np.maximum(inside - high, low - inside) / size[:, None]).max()))
+    final = 0.0
+    if problem.final_cost is not None:
+        final = float(problem.at_ends("final_cost")(begin, state[:n_x], trajectory.duration_s, p))
+    if trajectory.running is None:
+        return errors, spent[-1] + final, np.zeros(n), beyond
+    scale = np.abs(trajectory.running).sum() + abs(final)
+    return errors, spent[-1] + final, (spent - np.cumsum(trajectory.running)) / (scale if scale > 0 else 1.0), beyond
+
+
+def _boundary_error(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> float:
+    """Return how far the ends are outside what is asked of them, of each state's size; psi by its own."""
+    first, last = trajectory.state[0, 0, : problem.n_x], trajectory.state[-1, -1, : problem.n_x]
+    missed = [0.0]
+    for value, rows in ((first, problem.start), (last, problem.goal)):
+        missed.append(float((np.maximum(rows[:, 0] - value, value - rows[:, 1]) / size).max()))
+    if problem.returns:
+        back = list(problem.returns)
+        missed.append(float((np.abs(last - first)[back] / size[back]).max()))
+    if problem.ends is not None:
+        psi = np.array(problem.at_ends("ends")(first, last, trajectory.duration_s, problem.parameters)).ravel()
+        outside = np.maximum(problem.ends_limit[:, 0] - psi, psi - problem.ends_limit[:, 1])
+        missed.append(float((outside / np.maximum(1.0, np.abs(psi))).max(initial=0.0)))
+    return max(missed)

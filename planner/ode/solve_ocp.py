@@ -1,0 +1,279 @@
+"""Solving a user's optimal-control problem: the transcription, refinement and certificate that mechanisms get.
+
+problem = OdeProblem(name="double integrator", rate=lambda x, u, p, t: [x[1], u[0]], start=[0, 0], goal=[1, 0],
+                     effort_limit=[[-1, 1]], duration_s=(0.1, 10), final_cost=lambda x0, xT, T, p: T)
+plan = plan_ode(problem).require()        # plan.objective is 2, with one switch at T / 2
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.models.errors import InfeasibleError
+from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.ode.certificate import OdeCertificate
+from linkplan.planner.ode.costates import is_affine
+from linkplan.planner.ode.formulation import completed, start_of, straight_guess, units_of
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.starts import bent, held, is_open, of_least_effort, of_other_durations, runs_away, sampled_guess
+from linkplan.planner.ode.switches import cut_by_costates, has_arcs
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import Say, Step, silent, step_of
+from linkplan.planner.refinement.refine import refine
+from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, Solution, solve
+from linkplan.planner.transcription.mesh import Mesh, broken, uniform
+
+# An integrated state that ends this share of its size from a first solution: its efforts are looked at between the nodes.
+_WILD = 1e-3
+# Efforts linear over intervals bring the integrated state so much nearer where polynomials swing between their nodes.
+_SWINGS = 0.01
+# Bends tried where a motion's duration is open, or where no other start leads to a solution.
+_BENDS = 4
+# Objectives within this share of one another are of the same motion, as a mesh knows it.
+_ALIKE = 1e-4
+# Times that a motion is begun anew whose duration ended where the first guess held it: each is a factor of up to 100.
+_FURTHER = 3
+# What is left of an objective by one of them where it only falls and falls.
+_FALLS = 0.5
+# Iterations for starts tried beside others, or after others failed, and a time [s] that none needs but one that goes
+# astray: those measured took less than a second on programs of this size, or a few times what the first solve took.
+_ITERATIONS = 200
+_PATIENCE_S = 1.0
+_PATIENCE = 5.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class OdePlan:
+    """A solution with its certificate, or none and the reason; `status` is "optimal", "infeasible" or "failed"."""
+
+    problem: OdeProblem
+    status: str
+    message: str
+    objective: float | None = None
+    trajectory: OdeTrajectory | None = None
+    certificate: OdeCertificate | None = None
+    history: tuple[Step, ...] = ()
+
+    def require(self) -> "OdePlan":
+        """Return this plan if it is optimal.
+
+        Raises:
+            InfeasibleError: carrying the plan, if it is not.
+        """
+        if self.status != "optimal":
+            raise InfeasibleError(self.message, self)
+        return self
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Found:
+    """A first solution: its motion and program, on which mesh, from which of the starts."""
+
+    motion: OdeTrajectory
+    solution: Solution
+    case: OdeCase
+    mesh: Mesh
+    number: int
+    away: str | None = None  # the words on a duration that has no best
+
+
+def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
+    """Return the solution of a problem; one without an answer says why in `message`.
+
+    The guesses are tried in turn, the first where none is given being a straight line, at several durations where nothing
+    says how long a motion takes; where none leads to a solution, from a motion of least effort and from bends. With
+    `solver.starts` above 1 as many starts are solved, bent from the guesses at random but the same in every run. The best
+    is refined.
+    """
+    contradiction = _contradiction(problem)
+    if contradiction is not None:
+        return OdePlan(problem=problem, status="infeasible", message=contradiction)
+    history: list[Step] = []
+    given = [completed(problem, guess) for guess in problem.guesses] or [straight_guess(problem)]
+    if problem.solver.starts > 1:
+        found = _first_solutions(problem, bent(problem, given, problem.solver.starts), history, say)
+    else:
+        found = _in_turn(problem, given, history, say)
+    failed, tried = None, np.zeros(0)
+    for one in sorted(found, key=lambda one: (one.solution.objective, one.number)):
+        if np.any(np.abs(tried - one.solution.objective) <= _ALIKE * abs(one.solution.objective)):
+            continue  # the same motion, that did not pass
+        tried = np.append(tried, one.solution.objective)
+        plan = _refined(problem, one, history, say)
+        if plan.status == "optimal" or one.away is not None:
+            return plan
+        failed = failed or plan
+    return failed or _explain(problem, given[0], history, say)
+
+
+def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], say: Say) -> list[_Found]:
+    """Return first solutions from the guesses, and from further starts where those lead to none or time is open."""
+    found = _first_solutions(problem, given, history, say, enough=1)
+    stopped = not found and history[-1].solver_status in (OUT_OF_TIME, INVALID)
+    if stopped or (found and not is_open(problem)):
+        return found
+    patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * history[-1].solve_s))
+    patient = replace(problem, solver=replace(problem.solver, max_iterations=_ITERATIONS, max_time_s=patience))
+    others = of_other_durations(problem, given[0]) if is_open(problem) else []
+    others += list(bent(problem, given, len(given) + _BENDS))[len(given) :]
+    if np.all(np.isfinite(problem.effort_limit)):
+        # With limits a motion of no duration's solves may be another local one; what forbids one is found by the efforts.
+        return found + _first_solutions(patient, others if is_open(problem) else [], history, say, first=len(given))
+    found += _from_least_effort(patient, given[0], history, say)
+    return found or _first_solutions(patient, others, history, say, enough=1, first=len(given))
+
+
+def _from_least_effort(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> list[_Found]:
+    """Return the solution that is begun from the motion of least squared effort, if there is one."""
+    for one in _first_solutions(of_least_effort(problem), [guess], history, say):
+        case = OdeCase(problem, problem, one.case.units)
+        start, durations = case.start_from(one.motion), np.diff(one.motion.breaks_s[[0, -1]])
+        solved = attempt(case, start, one.mesh, durations, "start from least effort", history, say)
+        if solved is not None:
+            return [_Found(motion=solved[0], solution=solved[1], case=case, mesh=one.mesh, number=1)]
+    return []
+
+
+def _first_solutions(
+    problem: OdeProblem, starts: Iterable[StateGuess], history: list[Step], say: Say, *, enough: int | None = None, first=0
+) -> list[_Found]:
+    """Return the solutions that starts lead to on the first mesh, the first `enough` of them."""
+    found: list[_Found] = []
+    for number, guess in enumerate(starts, first):
+        case = OdeCase(problem, problem, units_of(problem, guess))
+        mesh = uniform(problem.mesh.intervals) if problem.mesh.breaks is None else broken(problem.mesh.breaks)
+        word = f"start {number + 1}" if number or problem.solver.starts > 1 else "first solve"
+        solved = attempt(case, start_of(guess, case.units), mesh, np.array([guess.duration_s]), word, history, say)
+        away, times = None, 0
+        while solved is not None and times < _FURTHER:
+            held_at, before = runs_away(problem, *solved), solved[1].objective
+            if held_at is None:
+                break
+            # Guessed too short or too long by far: from what was found, with time in its own units.
+            rescaled = sampled_guess(solved[0])
+            case = OdeCase(problem, problem, units_of(problem, rescaled))
+            durations, what = np.array([rescaled.duration_s]), f"{word}, from where time was held"
+            solved, times = attempt(case, start_of(rescaled, case.units), mesh, durations, what, history, say), times + 1
+            # Still a fraction of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
+            falls = solved is not None and times > 1 and solved[1].objective < _FALLS * before
+            away = held_at if falls else None
+        if solved is not None:
+            found.append(_Found(motion=solved[0], solution=solved[1], case=case, mesh=mesh, number=number, away=away))
+            if len(found) == enough:
+                break
+    return found
+
+
+def _calmed(found: _Found, history: list[Step], say: Say) -> _Found:
+    """Return a first solution whose efforts are no wild polynomials between its nodes."""
+    before = found.case.certify(found.motion).integration_error
+    if before <= _WILD:
+        return found
+    durations = np.diff(found.motion.breaks_s[[0, -1]])
+    what = "efforts calmed between the nodes"
+    solved = attempt(found.case, held(found.case, found.motion), found.mesh, durations, what, history, say, warm=True)
+    if solved is None or found.case.certify(solved[0]).integration_error >= before:
+        return found
+    return replace(found, motion=solved[0], solution=solved[1])
+
+
+def _eased(found: _Found, history: list[Step], say: Say) -> _Found:
+    """Return a first solution with efforts that are linear over intervals, where it has arcs on which they could chatter.
+
+    On an arc within the limits an effort that enters affinely is held by the costates' higher derivatives alone: a
+    polynomial through an interval's nodes is free to swing there, a straight line is not.
+    """
+    case, asked = found.case, found.case.asked
+    if asked.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(found.motion, asked.effort_limit):
+        return found
+    case = replace(case, problem=replace(asked, mesh=replace(asked.mesh, effort="linear")))
+    start, durations = case.start_from(found.motion), np.diff(found.motion.breaks_s[[0, -1]])
+    solved = attempt(case, start, found.mesh, durations, "efforts linear over intervals", history, say, warm=True)
+    if solved is None:
+        return found
+    before, after = (case.certify(motion).integration_error for motion in (found.motion, solved[0]))
+    return replace(found, motion=solved[0], solution=solved[1], case=case) if after < _SWINGS * before else found
+
+
+def _refined(problem: OdeProblem, found: _Found, history: list[Step], say: Say) -> OdePlan:
+    case = OdeCase(problem, problem, found.case.units)
+    found = _calmed(replace(found, case=case), history, say)
+    found = _eased(found, history, say)
+    case = found.case
+    case, solved, mesh = cut_by_costates(case, (found.motion, found.solution), found.mesh, history, say)
+    refined = refine(case, solved, mesh, history, say)
+    assert refined is not None  # a user's solution always has a certificate
+    trajectory, solution, certificate, settled = refined
+    away = found.away or runs_away(problem, trajectory, solution)
+    status, message = "optimal", f"optimum {solution.objective:.10g} in {trajectory.duration_s:.8g} s"
+    if away is not None:
+        status, message = "failed", f"failed: {away}"
+    elif not certificate.passed:
+        status = "failed"
+        message = f"failed: the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
+    elif certificate.integration_error > problem.tolerance:
+        status = "failed"
+        message = (
+            f"failed: the integrated state ends {certificate.integration_error:.3g} of its size from the solution, more than"
+            f" the tolerance {problem.tolerance:g}"
+        )
+    elif not settled:
+        status = "failed"
+        message = (
+            f"failed: the objective still changes from mesh to mesh by more than objective_tolerance ="
+            f" {problem.objective_tolerance:g}, at {solution.objective:.10g}"
+        )
+    return OdePlan(
+        problem=problem,
+        status=status,
+        message=message,
+        objective=solution.objective,
+        trajectory=trajectory,
+        certificate=certificate,
+        history=tuple(history),
+    )
+
+
+def _contradiction(problem: OdeProblem) -> str | None:
+    """Return the sentence on a limit that no motion can keep, found without solving, or None."""
+    for what, rows in (("start", problem.start), ("goal", problem.goal)):
+        for name, (low, high), (least, most) in zip(problem.states, rows, problem.state_limit, strict=True):
+            if low > most or high < least:
+                asked = low if low > most else high
+                return f"infeasible: {what} asks for {name} = {asked:g}, beyond its limits {least:g} to {most:g}"
+    return None
+
+
+def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> OdePlan:
+    """Return the plan of a problem that no start solved: from the motion of the least limits, or the reason."""
+    stopped = {
+        OUT_OF_TIME: f"the solver ran out of its {problem.solver.max_time_s:g} s (solver.max_time_s)",
+        INVALID: "the dynamics gave a number that is not finite (NaN), or the solver could not begin",
+    }
+    # Of the first start: those after it were given less time.
+    status = history[0].solver_status
+    reason = f"failed: {stopped.get(status, f'no start led to a solution ({status})')}"
+    if status not in stopped and np.all(np.isfinite(problem.effort_limit)):
+        say("no solution found; looking for the least effort that admits one")
+        case = OdeCase(problem, problem, units_of(problem, guess))
+        mesh, durations = uniform(problem.mesh.intervals), np.array([guess.duration_s])
+        transcribed = case.transcribe(start_of(guess, case.units), mesh, durations, least_limit=True)
+        solution = solve(transcribed, problem.solver)
+        history.append(step_of("least effort limit", transcribed, solution))
+        factor = float(solution.x[transcribed.program.layout.extra()][0])
+        if solution.converged and factor > 1:
+            found = f"efforts of {factor:.4g} times their limits are the least with which a motion was found"
+            fixed = problem.duration[0] == problem.duration[1]
+            # Where time is free a motion may gather way that no start has tried: what was found is no proof then.
+            message = f"infeasible: {found}" if fixed else f"failed: no solution was found; {found}, which is no proof"
+            status = "infeasible" if fixed else "failed"
+            return OdePlan(problem=problem, status=status, message=message, history=tuple(history))
+        if solution.converged:
+            motion = case.motion(solution, problem.effort_limit)
+            solved = attempt(case, case.start_from(motion), mesh, durations, "start from the least limits", history, say)
+            if solved is not None:
+                found = _Found(motion=solved[0], solution=solved[1], case=case, mesh=mesh, number=0)
+                return _refined(problem, found, history, say)
+    return OdePlan(problem=problem, status="failed", message=reason, history=tuple(history))

@@ -1,0 +1,126 @@
+"""Where to start from on a user's problem: given guesses, other durations, bends, and what mends one that leads astray."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.ode.formulation import completed, units_of
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.solvers.solve import Solution
+from linkplan.planner.transcription.formulation import Start
+
+# Bends of further starts: half waves over the motion, and their size as a share of each state's.
+_WAVES = 3
+_BEND = 0.5
+# Durations tried beside the first where nobody said how long a motion takes: what is asked may be quick or slow.
+_LONGER = (4.0, 16.0, 0.25)
+# A free duration whose bounds lie further apart than this says nothing of how long a motion takes.
+_WIDE = 20.0
+# A duration within this share of a bound is at it.
+_AT_BOUND = 0.01
+# Bounds this near, relative, are one: they went through units and back.
+_ROUNDING = 1e-9
+# Rows of a solution as a guess.
+_SAMPLES = 101
+# Where in an interval the effort is read that is then held over it: the first node of radau-3.
+_READ_AT = 0.155
+
+
+def bent(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[StateGuess]:
+    """Yield n starts: the guesses, then the guesses bent at random, but the same in every run."""
+    limit = problem.state_limit
+    for number in range(n):
+        guess = given[number % len(given)]
+        if number < len(given):
+            yield guess
+            continue
+        rng = np.random.default_rng(number)
+        size = np.maximum(np.abs(guess.state).max(axis=0), units_of(problem, guess).state[: problem.n_x])
+        tau = np.linspace(0.0, 1.0, max(41, len(guess.state)))
+        at = np.linspace(0.0, 1.0, len(guess.state))
+        state = np.column_stack([np.interp(tau, at, column) for column in guess.state.T])
+        waves = np.sin(np.pi * np.outer(tau, 1 + np.arange(_WAVES)))
+        bend = waves @ (rng.uniform(-1, 1, (_WAVES, problem.n_x)) / (1 + np.arange(_WAVES))[:, None])
+        state = np.clip(state + _BEND * (1 + number // 4) * bend * size, limit[:, 0], limit[:, 1])
+        low, high = problem.duration
+        duration = float(np.clip(guess.duration_s * 2.0 ** rng.uniform(-1, 1), low, high))
+        yield completed(problem, StateGuess(state=state, effort=guess.effort, duration_s=duration))
+
+
+def is_open(problem: OdeProblem) -> bool:
+    """Return whether neither the bounds nor a guess say how long the motion takes."""
+    low, high = problem.duration
+    return high > _WIDE * low and not problem.guesses
+
+
+def of_other_durations(problem: OdeProblem, guess: StateGuess) -> list[StateGuess]:
+    """Return a guess at other durations within the bounds."""
+    low, high = problem.duration
+    durations = np.clip([factor * guess.duration_s for factor in _LONGER], low, high)
+    return [replace(guess, duration_s=float(T)) for T in dict.fromkeys(durations) if T > 0 and guess.duration_s != T]
+
+
+def of_least_effort(problem: OdeProblem) -> OdeProblem:
+    """Return the problem with the least squared effort as its objective.
+
+    Its motion, well in the middle of the limits, is a start for the objective that was asked for.
+    """
+    limit = problem.effort_limit
+    finite = np.all(np.isfinite(limit), axis=1)
+    both = np.where(finite[:, None], limit, 0.0)
+    middle, half = both.mean(axis=1), np.where(finite, 0.5 * np.diff(both, axis=1).ravel(), 1.0)
+    half = np.where(half > 0, half, 1.0)
+    longest = problem.duration[1]
+
+    def running_cost(x: ca.SX, u: ca.SX, p: ca.SX, t: ca.SX) -> ca.SX:
+        del x, p, t
+        return ca.sumsqr((u - ca.DM(middle)) / ca.DM(half))
+
+    def final_cost(x0: ca.SX, xT: ca.SX, T: ca.SX, p: ca.SX) -> ca.SX:
+        del x0, xT, p
+        return T  # without it the longest motion would be the best
+
+    free = problem.duration[0] < longest
+    return replace(problem, running_cost=running_cost, final_cost=final_cost if free else None, objective_tolerance=None)
+
+
+def runs_away(problem: OdeProblem, motion: OdeTrajectory, solution: Solution) -> str | None:
+    """Return the words on a duration that ended at a bound which is not the user's but that of its guess; None elsewhere."""
+    low, high = problem.duration
+    transcribed, T = solution.transcribed, motion.duration_s
+    place = transcribed.program.layout.durations()
+    if len(place) > 1 or low == high:
+        return None
+    unit = transcribed.units.time_s
+    lower, upper = (float(bound[place[0]]) * unit for bound in (transcribed.lower, transcribed.upper))
+    if upper < (1 - _ROUNDING) * high and (1 - _AT_BOUND) * upper < T:
+        return f"the longer the motion the better, without end, still at {T:.4g} s: bound duration_s from above"
+    if lower > (1 + _ROUNDING) * low and (1 + _AT_BOUND) * lower > T:
+        return f"the shorter the motion the better, down to nothing, still at {T:.4g} s: bound duration_s from below"
+    return None
+
+
+def sampled_guess(motion: OdeTrajectory) -> StateGuess:
+    """Return a motion as a guess."""
+    time = motion.breaks_s[0] + motion.duration_s * np.linspace(0.0, 1.0, _SAMPLES)
+    return StateGuess(state=motion.state_at(time), effort=motion.effort_at(time), duration_s=motion.duration_s)
+
+
+def held(case: OdeCase, motion: OdeTrajectory) -> Start:
+    """Return a solution as a start with each effort held over an interval.
+
+    An effort that acts through its sine and cosine alone may leap by whole turns from node to node: the rows are kept there,
+    and between them the polynomial is wild. Held over an interval, and the states as they are, it is next to a motion.
+    """
+    start, breaks = case.start_from(motion), motion.breaks_s
+
+    def nodes(at: np.ndarray):
+        acceleration, rate, algebraic, _ = start.nodes(at)
+        k = np.clip(np.searchsorted(breaks, at, side="right") - 1, 0, len(breaks) - 2)
+        return acceleration, rate, algebraic, motion.effort_at(breaks[k] + _READ_AT * np.diff(breaks)[k])
+
+    return Start(states=start.states, nodes=nodes)

@@ -1,0 +1,147 @@
+"""Switches where Pontryagin's conditions have them: mesh cuts at the zeros of the switching functions.
+
+A solution on a mesh shows its switches as smeared intervals. Arcs shorter than an interval do not show at all, and the
+solver rests where the mesh has no room for them; the costates know of them all the same.
+"""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+
+from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.ode.costates import Switching, is_affine, last_costates, switching_of
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.refinement.switch_search import NO_WORSE, cut_mesh
+from linkplan.planner.solvers.outcome import SUCCEEDED
+from linkplan.planner.solvers.solve import Solution
+from linkplan.planner.transcription.mesh import Mesh
+
+# Times that cuts are put anew: an arc that is to vanish shrinks from one to the next.
+_TURNS = 8
+# A switching function within this share of its largest value says nothing.
+_FAINT = 1e-6
+# An effort within this share of its span is at its limit; the solver leaves 1e-8.
+_AT_LIMIT = 1e-3
+# Intervals in a row with an effort within its limits that are an arc of their own and no smeared switch.
+_ARC = 3
+# More cuts than this are no switches but a solution that chatters.
+_MOST = 40
+# Cuts nearer to one another or to an end than this share of the duration are one.
+_APART = 1e-7
+# A solution replaces another with cuts where it is better by this, relative: next to an arc that vanishes the duration goes
+# with the root of what the solver leaves of its rows, 1e-10.
+_BETTER = 1e-6
+# And by so many times what its states' errors are worth.
+_SURE = 10.0
+
+
+def cut_by_costates(
+    case: OdeCase, found: tuple[OdeTrajectory, Solution], mesh: Mesh, history: list[Step], say: Say
+) -> tuple[OdeCase, tuple[OdeTrajectory, Solution], Mesh]:
+    """Return a solution with its efforts at the limits that their switching functions ask for, its mesh, and its case.
+
+    Where an effort enters otherwise than affinely, has no two limits, or has an arc within them, the solution is returned
+    as it is.
+    """
+    problem = case.asked
+    if not np.all(np.isfinite(problem.effort_limit)) or not is_affine(problem):
+        return case, found, mesh
+    asked = case
+    for _ in range(_TURNS):
+        motion, solution = found
+        if has_arcs(motion, problem.effort_limit):
+            return case, found, mesh
+        switching = switching_of(problem, motion, solution)
+        if switching is None or not np.all(np.isfinite(switching.value)):
+            return case, found, mesh
+        cuts = _cuts(switching)
+        promised = _promised(motion, switching, problem.effort_limit)
+        if promised <= _BETTER * abs(solution.objective) or len(cuts) > _MOST:
+            return case, found, mesh
+        knots = motion.breaks_s[[0, -1]]
+        finer, durations = cut_mesh(knots, cuts, case.mesh.intervals)
+        ends = np.concatenate([knots[:1], cuts, knots[1:]])
+        pinned, start = _pinned(switching, ends, problem.effort_limit), case.start_from(motion)
+        better = None
+        for efforts, what in ((pinned, "cuts by the costates"), (None, "cuts by the costates, efforts free")):
+            tried = attempt(asked, start, finer, durations, what, history, say, pinned=efforts, warm=True)
+            if tried is not None and tried[1].status == SUCCEEDED and _replaces(asked, tried, solution, first=not case.cut):
+                better = tried, efforts
+                break
+        if better is None:
+            return case, found, mesh
+        found, mesh, case = better[0], finer, replace(asked, cut=True, held=better[1])
+    return case, found, mesh
+
+
+def _replaces(case: OdeCase, tried: tuple[OdeTrajectory, Solution], before: Solution, *, first: bool) -> bool:
+    """Return whether a solution replaces the one before.
+
+    The first with cuts does where it is no worse than a mesh without cuts is wrong, later ones where they gain more than
+    what their states' errors are worth by their own costates.
+    """
+    (motion, solution), allowed = tried, NO_WORSE * abs(before.objective)
+    if first:
+        return solution.objective <= before.objective + allowed
+    sizes = np.abs(motion.state[:, :, : case.asked.n_x]).max(axis=(0, 1))
+    worth = case.certify(motion).integration_error * float(np.abs(last_costates(case.asked, solution)) @ sizes)
+    return before.objective - solution.objective > max(_BETTER * abs(before.objective), _SURE * worth)
+
+
+def has_arcs(motion: OdeTrajectory, limit: np.ndarray) -> bool:
+    """Return whether an effort stays within its limits for longer than a smeared switch."""
+    slack = np.where(np.isfinite(limit).all(axis=1), _AT_LIMIT * np.diff(limit, axis=1).ravel(), np.inf)
+    within = (motion.effort.min(axis=0) < limit[:, 1] - slack) & (motion.effort.max(axis=0) > limit[:, 0] + slack)
+    for column in within.T:
+        padded = np.concatenate([[False], column, [False]]).astype(int)
+        lengths = np.flatnonzero(np.diff(padded) < 0) - np.flatnonzero(np.diff(padded) > 0)
+        if lengths.max(initial=0) > _ARC:
+            return True
+    return False
+
+
+def _signs(switching: Switching) -> np.ndarray:
+    """Return the signs (n (steps + 1), n_u) of the switching functions in order of time, zero where they are faint."""
+    flat = switching.value.reshape(-1, switching.value.shape[2])
+    return np.where(np.abs(flat) > _FAINT * np.abs(flat).max(axis=0), np.sign(flat), 0.0)
+
+
+def _promised(motion: OdeTrajectory, switching: Switching, limit: np.ndarray) -> float:
+    """Return what the objective would gain, to first order, with every effort at the limit that it is to be at."""
+    n, steps, n_u = switching.value.shape
+    signs = _signs(switching).reshape(n, steps, n_u)
+    share = np.clip(np.linspace(0.0, 1.0, steps), 1e-9, 1 - 1e-9)
+    time = motion.breaks_s[:-1, None] + np.diff(motion.breaks_s)[:, None] * share
+    effort = motion.effort_at(time.ravel()).reshape(n, steps, n_u)
+    wanted = np.where(signs > 0, limit[:, 0], np.where(signs < 0, limit[:, 1], effort))
+    gain = (switching.value * (effort - wanted)).sum(axis=2)
+    return float(np.sum(np.trapezoid(gain, switching.time_s, axis=1)))
+
+
+def _cuts(switching: Switching) -> np.ndarray:
+    """Return the instants (n,) [s] at which a switching function changes its sign, in order."""
+    time, signs = switching.time_s.ravel(), _signs(switching)
+    flat, cuts = switching.value.reshape(signs.shape), []
+    for j in range(signs.shape[1]):
+        known = np.flatnonzero(signs[:, j])
+        for a, b in itertools.pairwise(known):
+            if signs[a, j] != signs[b, j]:
+                share = flat[a, j] / (flat[a, j] - flat[b, j])
+                cuts.append(float(time[a] + share * (time[b] - time[a])))
+    apart, kept = _APART * (time[-1] - time[0]), []
+    for at in sorted(cuts):
+        if min(at - time[0], time[-1] - at) > apart and (not kept or at - kept[-1] > apart):
+            kept.append(at)
+    return np.array(kept)
+
+
+def _pinned(switching: Switching, ends: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Return the limits (n_segments, n_u) that efforts are held at between ends (n_segments + 1,) [s]."""
+    time, n_u = switching.time_s.ravel(), switching.value.shape[2]
+    flat = switching.value.reshape(-1, n_u)
+    middle = 0.5 * (ends[1:] + ends[:-1])
+    value = np.column_stack([np.interp(middle, time, flat[:, j]) for j in range(n_u)])
+    return np.where(value > 0, limit[:, 0], limit[:, 1])

@@ -1,0 +1,100 @@
+"""Motions: the states that are asked at their ends and on the way, and how long they may take."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.errors import ProblemError
+
+KINDS = ("reach", "periodic", "track")
+
+
+def frozen(value: object) -> np.ndarray:
+    """Return an array of floats that cannot be written to."""
+    array = np.array(value, dtype=float)
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Waypoint:
+    """A state on the way: `position` and `speed` (n_s,) [rad or m, and per second], NaN where free.
+
+    `time_s` is its instant, None where that is free.
+    """
+
+    position: np.ndarray
+    speed: np.ndarray | None = None
+    time_s: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", frozen(self.position))
+        speed = np.full(self.position.shape, np.nan) if self.speed is None else self.speed
+        object.__setattr__(self, "speed", frozen(speed))
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Motion:
+    """Boundary conditions over the independent joints, (n_s,) each, [rad or m] and per second.
+
+    kind "reach" goes from start to goal; "periodic" returns to its own first state; "track" is the reference itself.
+    `duration_s` is None where it is free, then within `min_duration_s` and `max_duration_s`. `waypoints` are passed in
+    order.
+    """
+
+    kind: str
+    start: np.ndarray | None = None
+    goal: np.ndarray | None = None
+    start_speed: np.ndarray | None = None
+    goal_speed: np.ndarray | None = None
+    duration_s: float | None = None
+    min_duration_s: float | None = None
+    max_duration_s: float | None = None
+    waypoints: tuple[Waypoint, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise ProblemError(f"motion.kind is one of {', '.join(KINDS)}, got '{self.kind}'")
+        for name in ("start", "goal", "start_speed", "goal_speed"):
+            value = getattr(self, name)
+            if value is not None:
+                object.__setattr__(self, name, frozen(value))
+        object.__setattr__(self, "waypoints", tuple(self.waypoints))
+        if self.duration_s is not None and not (np.isfinite(self.duration_s) and self.duration_s > 0):
+            raise ProblemError(f'motion.duration_s is a positive number or "free", got {self.duration_s!r}')
+        low, high = self.min_duration_s, self.max_duration_s
+        if low is not None and high is not None and not low < high:
+            raise ProblemError(f"motion.min_duration_s is below motion.max_duration_s, got {low:g} and {high:g}")
+        if self.duration_s is not None and (low is not None or high is not None):
+            raise ProblemError(
+                'motion.min_duration_s and motion.max_duration_s bound a free duration (motion.duration_s = "free"),'
+                f" got motion.duration_s = {self.duration_s:g}"
+            )
+        self._check_waypoints()
+
+    @property
+    def stays(self) -> bool:
+        """Whether a reach ends in the state in which it begins, without having been anywhere."""
+        if self.kind != "reach" or self.start is None or self.goal is None or self.waypoints:
+            return False
+        speeds = [np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed)]
+        return np.array_equal(self.start, self.goal) and np.array_equal(*speeds)
+
+    def _check_waypoints(self) -> None:
+        if self.waypoints and self.kind == "track":
+            raise ProblemError(
+                "motion.waypoints belong to motion.kind 'reach' or 'periodic'; 'track' prescribes every instant"
+            )
+        last = 0.0
+        for k, waypoint in enumerate(self.waypoints):
+            time = waypoint.time_s
+            if np.all(np.isnan(waypoint.position)) and np.all(np.isnan(waypoint.speed)):
+                raise ProblemError(f"motion.waypoints[{k}] names no position and no speed: there is nothing to pass")
+            if time is None:
+                continue
+            if not (np.isfinite(time) and time > last):
+                raise ProblemError(f"motion.waypoints[{k}].time_s comes after {last:g} s, got {time!r}")
+            last = time
+        longest = self.duration_s or self.max_duration_s
+        if longest is not None and last >= longest:
+            raise ProblemError(f"motion.waypoints end at {last:g} s, beyond the motion's {longest:g} s")

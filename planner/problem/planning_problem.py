@@ -1,0 +1,254 @@
+"""The continuous problem: which motion of which mechanism, best in which sense, within which limits."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from linkplan.models.audit import audit
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import choose
+from linkplan.models.tree.joints import Joint
+from linkplan.planner.problem.limits import Limits, Motor
+from linkplan.planner.problem.motion import KINDS, Motion, Waypoint, frozen
+from linkplan.planner.problem.objective import Objective, objective_from
+from linkplan.planner.problem.reference import Sine
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.schemes import scheme
+
+__all__ = [
+    "COMPILE",
+    "CONTACTS",
+    "KINDS",
+    "REFINE",
+    "SOLVERS",
+    "Limits",
+    "MeshSettings",
+    "Motion",
+    "Motor",
+    "PlanningProblem",
+    "Sketch",
+    "SolverSettings",
+    "Tracking",
+    "Waypoint",
+]
+
+
+CONTACTS = ("refuse", "note")
+REFINE = ("both", "intervals", "degree")
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class MeshSettings:
+    """The transcription's name, the number of intervals to begin with, and what efforts are over an interval."""
+
+    scheme: str = "radau-3"
+    intervals: int = 40
+    effort: str = "polynomial"  # "constant", "linear" or "polynomial"
+    tolerance_deg: float | None = None  # on the integrated state; None: refined towards 1e-6 while the mesh stays small
+    refine: str = "both"  # what is added where a mesh is too coarse: "intervals", "degree", or "both", each where it pays
+    breaks: np.ndarray | None = None  # of the first mesh, from 0 to 1, in place of `intervals` equal ones
+
+    def __post_init__(self) -> None:
+        scheme(self.scheme, self.effort)  # refuses what it does not know
+        if not isinstance(self.intervals, int | np.integer) or self.intervals < 2:
+            raise ProblemError(f"mesh.intervals is a whole number from 2 on, got {self.intervals!r}")
+        if self.refine not in REFINE:
+            raise ProblemError(f"mesh.refine is one of {', '.join(REFINE)}, got {self.refine!r}")
+        if self.breaks is not None:
+            breaks = frozen(self.breaks)
+            if breaks.ndim != 1 or len(breaks) < 3 or breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) <= 0):
+                raise ProblemError(f"mesh.breaks is three or more increasing numbers from 0 to 1, got {self.breaks!r}")
+            object.__setattr__(self, "breaks", breaks)
+
+
+# Iterations for solves that only look for the reason.
+_HURRIED = 200
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class SolverSettings:
+    """How a program is solved: by which solver, compiled or not, in how many starts, and how long it may take [s].
+
+    `compile` is "auto" (compiled functions where the cache has them or the mesh is large), "always" or "never". Of
+    `starts` motions to start from, the best answer is kept.
+    """
+
+    name: str = "ipopt"
+    compile: str = "auto"
+    max_time_s: float = 600.0
+    starts: int = 1
+    max_iterations: int | None = None  # None: as many as a hard problem takes
+
+    def hurried(self) -> "SolverSettings":
+        """Return settings for solves that look for a reason: few iterations.
+
+        What the cache of compiled functions has is used as ever, but nothing is compiled for them: each is another program,
+        and compiling one costs more than its solve.
+        """
+        return replace(self, max_iterations=_HURRIED)
+
+
+SOLVERS = ("ipopt", "fatrop")
+COMPILE = ("auto", "always", "never")
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Tracking:
+    """How a plan is tracked: PD gains per actuated joint, sampling, delay, and LQR weights.
+
+    kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators. LQR weighs a
+    position error of `lqr_position` [rad], a velocity error of `lqr_velocity` and an effort of the whole limit alike; on a
+    slide of `lqr_position_m` [m] and `lqr_velocity_m_s`.
+    """
+
+    kp: float = 200.0
+    kd: float = 1.0
+    period_s: float = 1e-4
+    delay_periods: int = 0
+    duration_s: float | None = None  # of the tracking run; default: the plan and a rest after it, or eight periods
+    lqr_position: float = np.radians(1.0)
+    lqr_velocity: float = np.radians(100.0)
+    lqr_position_m: float = 0.01
+    lqr_velocity_m_s: float = 1.0
+
+    def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the position and velocity errors (n,) [rad or m, and per second] that weigh 1 on joints."""
+        hinge = np.array([joint.kind == "hinge" for joint in joints], dtype=bool)
+        position = np.where(hinge, self.lqr_position, self.lqr_position_m)
+        return position, np.where(hinge, self.lqr_velocity, self.lqr_velocity_m_s)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Sketch:
+    """A user's guess of a motion: independent positions (n, n_s) [rad or m] at equal times, and its duration or None."""
+
+    path: np.ndarray
+    duration_s: float | None = None
+
+    def __post_init__(self) -> None:
+        path = frozen(self.path)
+        if path.ndim != 2 or len(path) < 2 or not np.all(np.isfinite(path)):
+            raise ProblemError(f"a guess's path is two or more finite positions, got shape {path.shape}")
+        object.__setattr__(self, "path", path)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class PlanningProblem:
+    """A mechanism, a motion, an objective and limits: all that a planner needs, and how the plan will be tracked.
+
+    `source` is the problem as a file's tables, with every value that was set: what `plan.json` keeps.
+    """
+
+    name: str
+    mechanism: Mechanism
+    motion: Motion
+    objective: Objective  # a term's name or a mapping of weights will do
+    limits: Limits
+    motors: tuple[Motor | None, ...] = ()
+    reference: Sine | None = None
+    guess: Sketch | Trajectory | None = None
+    contacts: str = "refuse"  # a plan whose geoms meet on the way, or "note" them and plan without their forces
+    mesh: MeshSettings = field(default_factory=MeshSettings)
+    solver: SolverSettings = field(default_factory=SolverSettings)
+    tracking: Tracking = field(default_factory=Tracking)
+    source: dict = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "objective", objective_from(self.objective))
+        object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)
+        choose("limits.contacts", self.contacts, CONTACTS, ProblemError)
+        motion, objective = self.motion, self.objective
+        falsifying = [item.text for item in audit(self.mechanism.model) if item.falsifies]
+        if falsifying:
+            raise ProblemError(
+                f"mechanism '{self.mechanism.name}' cannot be planned truly, its model has what the planner does not honour:"
+                f" {'; '.join(falsifying)}"
+            )
+        if self.mechanism.n_u == 0:
+            raise ProblemError(f"mechanism '{self.mechanism.name}' has no usable actuator; a plan needs one")
+        self._check_objective()
+        if motion.kind == "reach" and (motion.start is None or motion.goal is None):
+            raise ProblemError("motion.kind 'reach' needs motion.start_deg and motion.goal_deg")
+        if motion.kind == "track" and self.reference is None:
+            raise ProblemError("motion.kind 'track' needs a [reference]")
+        if motion.kind == "track" and list(objective.weights) != ["tracking"]:
+            raise ProblemError(f"motion.kind 'track' prescribes the motion: minimize is 'tracking', got '{objective.name}'")
+        if motion.kind == "periodic" and motion.waypoints and motion.goal is not None:
+            raise ProblemError(
+                "motion.kind 'periodic' with motion.waypoints ends where it starts: it takes no motion.goal_deg"
+            )
+        if motion.kind == "periodic" and not motion.waypoints and (motion.start is None) != (motion.goal is None):
+            raise ProblemError("motion.kind 'periodic' takes motion.start_deg and motion.goal_deg together, or neither")
+        moves = motion.goal is not None or bool(motion.waypoints)
+        if motion.kind == "periodic" and self.reference is None and not moves:
+            raise ProblemError(
+                "motion.kind 'periodic' needs a [reference], or motion.start_deg and motion.goal_deg, or motion.waypoints"
+            )
+        if motion.kind == "periodic" and not objective.has("tracking") and not moves:
+            raise ProblemError(
+                f"motion.kind 'periodic' with minimize '{objective.name}' needs motion.start_deg and motion.goal_deg to move"
+                " between, or motion.waypoints: without them, standing still is best"
+            )
+        self._check_shapes()
+
+    def _check_objective(self) -> None:
+        """Refuse an objective that the motion or the actuators do not go with."""
+        motion, objective = self.motion, self.objective
+        if list(objective.weights) == ["time"] and not np.all(np.isfinite(self.limits.effort)):
+            raise ProblemError("objective.minimize 'time' needs finite limits.effort: without them no time is the least")
+        if objective.has("tracking") and self.reference is None:
+            raise ProblemError("objective.minimize 'tracking' needs a [reference]")
+        if list(objective.weights) == ["time"] and motion.stays:
+            raise ProblemError("motion.start_deg is motion.goal_deg: a motion of least time between them takes no time")
+        if objective.has("time") and motion.duration_s is not None:
+            raise ProblemError(f"objective.minimize 'time' needs motion.duration_s = \"free\", got {motion.duration_s:g}")
+        if objective.has("tracking") and motion.duration_s is None:
+            raise ProblemError("objective.minimize 'tracking' needs a fixed motion.duration_s, got 'free'")
+        lacking = [
+            actuator.name
+            for actuator, motor in zip(self.mechanism.actuators, self.motors, strict=False)
+            if motor is None or motor.torque_constant is None
+        ]
+        if objective.has("copper_loss") and lacking:
+            raise ProblemError(
+                "objective.minimize 'copper_loss' needs motors.NAME.torque_constant and resistance_ohm of every actuator;"
+                f" missing for {', '.join(lacking)}"
+            )
+        if objective.has("closure_force") and not self.mechanism.closure_names:
+            raise ProblemError(f"objective.minimize 'closure_force' needs a closure; '{self.mechanism.name}' has none")
+        rated = np.any(np.isfinite(self.limits.effort_rate))
+        if (objective.has("effort_rate") or rated) and self.mesh.effort == "constant":
+            raise ProblemError(
+                "limits.effort_rate and minimize 'effort_rate' need mesh.effort linear or polynomial, got constant"
+            )
+
+    def _check_shapes(self) -> None:
+        motion, mechanism = self.motion, self.mechanism
+        n_s = mechanism.dof
+        for name in ("start", "goal", "start_speed", "goal_speed"):
+            value = getattr(motion, name)
+            if value is not None and (value.shape != (n_s,) or not np.all(np.isfinite(value))):
+                raise ProblemError(f"motion.{name} has one finite value for each of {n_s} independent joints, got {value}")
+        for k, waypoint in enumerate(motion.waypoints):
+            if waypoint.position.shape != (n_s,) or waypoint.speed.shape != (n_s,):
+                raise ProblemError(f"motion.waypoints[{k}] has one value for each of {n_s} independent joints")
+        if len(self.limits.closure_force) == 0:
+            limits = replace(self.limits, closure_force=np.full(len(mechanism.closure_names), np.inf))
+            object.__setattr__(self, "limits", limits)
+        rows = {"effort": mechanism.n_u, "position": mechanism.n_q, "speed": mechanism.n_q}
+        rows |= {"effort_rate": mechanism.n_u, "power": mechanism.n_u, "closure_force": len(mechanism.closure_names)}
+        for name, n_rows in rows.items():
+            if len(getattr(self.limits, name)) != n_rows:
+                raise ProblemError(f"limits.{name} needs {n_rows} rows, got {len(getattr(self.limits, name))}")
+        guessed = self.guess.path.shape[1] if isinstance(self.guess, Sketch) else getattr(self.guess, "n_s", n_s)
+        if guessed != n_s:
+            raise ProblemError(f"the guess moves {guessed} joints, '{mechanism.name}' has {n_s} independent ones")
+        if len(self.motors) != mechanism.n_u:
+            raise ProblemError(f"motors needs one entry for each of {mechanism.n_u} actuators, got {len(self.motors)}")
+
+    @property
+    def not_honoured(self) -> tuple[str, ...]:
+        """What the model says that plans leave out without becoming false, each in a few words."""
+        return tuple(item.text for item in audit(self.mechanism.model))

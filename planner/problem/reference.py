@@ -1,0 +1,42 @@
+"""Reference motions that a plan follows or comes near to."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.errors import ProblemError
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Sine:
+    """s_ref(t) = bias + amplitude sin(2 pi f t + phase), per independent joint.
+
+    `amplitude` and `bias` (n_s,) [rad or m], `phase` (n_s,) [rad], `frequency_hz` common to all, so that one period is
+    the whole motion's.
+    """
+
+    amplitude: np.ndarray
+    bias: np.ndarray
+    phase: np.ndarray
+    frequency_hz: float
+
+    def __post_init__(self) -> None:
+        for name in ("amplitude", "bias", "phase"):
+            value = np.array(getattr(self, name), dtype=float)
+            if not np.all(np.isfinite(value)):
+                raise ProblemError(f"reference.{name} is finite numbers, got {getattr(self, name)!r}")
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+        if not (np.isfinite(self.frequency_hz) and self.frequency_hz > 0):
+            raise ProblemError(f"reference.frequency_hz is a positive number, got {self.frequency_hz!r}")
+
+    @property
+    def period_s(self) -> float:
+        """The period [s]."""
+        return 1.0 / self.frequency_hz
+
+    def derivative(self, time_s: np.ndarray, order: int = 0) -> np.ndarray:
+        """Return the reference's derivative of an order at times (n,), as (n, n_s) [rad/s^order or m/s^order]."""
+        omega = 2 * np.pi * self.frequency_hz
+        angle = omega * np.asarray(time_s, dtype=float)[:, None] + self.phase + order * np.pi / 2
+        return (self.bias if order == 0 else 0.0) + self.amplitude * omega**order * np.sin(angle)

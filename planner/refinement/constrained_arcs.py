@@ -1,0 +1,148 @@
+"""Arcs of a motion along path limits: where they begin and end, and which segments between cuts are held on them.
+
+An effort that follows a limit on power or on a dependent joint's speed is no more at its own limit, and a program with rows
+at nodes alone gains from leaving the limit between them, most of all next to a switch. Held on the limit at every node of a
+segment, as efforts at their limits are, the motion has nothing to gain there, and its cuts settle where they belong.
+"""
+
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+
+from linkplan.planner.transcription.collocation import Transcribed
+from linkplan.planner.transcription.schemes import bernstein_matrix
+
+# A path quantity within this share of its limit is at it; next to cuts (this share of a segment) nothing is looked at.
+_AT_LIMIT = 1e-3
+_BESIDE_CUTS = 0.15
+# Ends of an arc within so many intervals of a cut are that cut.
+_NEAR = 2.5
+# A curve further from a limit than this share of it, whose coefficients are at it, is kept away; looked at so many instants.
+_STANDS_OFF, _SAMPLES = 1e-7, 33
+
+
+def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
+    """Return on which intervals (n, n_path) path quantities are at their upper limit (1) or lower one (-1) at all nodes."""
+    program, interval = transcribed.program, transcribed.program.interval
+    n, m, n_path = program.mesh.n_intervals, interval.n_nodes, interval.n_path
+    limit = transcribed.formulation.path.reshape(-1, 2)
+    if n_path == 0:
+        return np.zeros((n, 0), dtype=int)
+    rows = _rows(transcribed, x)
+    n_f = interval.n_equations + n_path
+    values = rows[:, interval.n_own : interval.n_own + m * n_f].reshape(n, m, n_f)[:, :, interval.n_equations :]
+    # Of each of its two ends by itself: 900 W may stand beside a million.
+    size = np.where(np.isfinite(limit), np.abs(limit), 0.0)
+    slack = _AT_LIMIT * np.where(size > 0, size, np.abs(values).max(axis=(0, 1))[:, None])
+    may = (limit[:, 0] < limit[:, 1]) & np.array([kind != "work" for kind in interval.node_kinds[interval.n_equations :]])
+    upper = np.all(values > limit[:, 1] - slack[:, 1], axis=1) & may
+    lower = np.all(values < limit[:, 0] + slack[:, 0], axis=1) & may
+    return upper.astype(int) - lower.astype(int)
+
+
+def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
+    """Return on which intervals (n, n_limits) coefficients are all at their upper limit (1) or lower one (-1).
+
+    Args:
+        transcribed: a program.
+        x: its unknowns.
+        kinds: of an interval's own rows: "speed" of independent joints, "motor" for lines of torque and speed.
+    """
+    arcs = [np.zeros((transcribed.program.mesh.n_intervals, 0), dtype=int)]
+    for kind, values, (low, high) in _coefficients(transcribed, x):
+        if kind in kinds:
+            above = np.all(values > high - _AT_LIMIT * abs(high), axis=1).astype(int)
+            below = np.all(values < low + _AT_LIMIT * abs(low), axis=1).astype(int)
+            arcs.append((above - below)[:, None])
+    return np.hstack(arcs)
+
+
+def standing_off(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
+    """Return on which intervals (n,) a limit on Bernstein coefficients keeps a curve away from itself.
+
+    Coefficients enclose their polynomial: one that touches its limit in an instant may not, by an eighth of its bend. On
+    half the interval it is a quarter of that.
+    """
+    off = np.zeros(transcribed.program.mesh.n_intervals, dtype=bool)
+    for _, coefficients, limit in _coefficients(transcribed, x):
+        curve = coefficients @ bernstein_matrix(coefficients.shape[1] - 1, np.linspace(0.0, 1.0, _SAMPLES)).T
+        for bound, sign in zip(limit, (-1.0, 1.0), strict=True):
+            if np.isfinite(bound) and bound != 0:
+                room = _STANDS_OFF * abs(bound)
+                touching, away = ((sign * (bound - values)).min(axis=1) for values in (coefficients, curve))
+                off |= (touching < 0.5 * room) & (away > room)
+    return off
+
+
+def _rows(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
+    """Return the intervals' rows (n, n_rows) at unknowns x."""
+    program = transcribed.program
+    n, n_rows = program.mesh.n_intervals, program.interval.n_rows
+    return np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()[: n * n_rows].reshape(n, -1)
+
+
+def _coefficients(transcribed: Transcribed, x: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
+    """Yield what intervals limit by Bernstein coefficients: the kind, the coefficients (n, degree + 1), the limit (2,)."""
+    interval = transcribed.program.interval
+    what = list(zip(interval.own_kinds, interval.own_items, strict=True))
+    limited = sorted({(kind, item) for kind, item in what if kind != "continuity"})
+    rows = _rows(transcribed, x) if limited else np.empty((0, 0))
+    for kind, item in limited:
+        columns = [row for row, of in enumerate(what) if of == (kind, item)]
+        yield kind, rows[:, columns], transcribed.formulation.own[kind][item]
+
+
+def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, cuts_s: np.ndarray, knots_s: np.ndarray) -> np.ndarray:
+    """Return the instants (n,) [s] at which arcs (n_intervals, n_path) begin or end and no cut or knot is near."""
+    known = cuts_s
+    widths = np.diff(breaks_s)
+    found = []
+    for k in range(1, len(arcs)):
+        near = _NEAR * max(widths[k - 1], widths[k])
+        if (
+            np.any(arcs[k] != arcs[k - 1])
+            and np.abs(known - breaks_s[k]).min(initial=np.inf) > near
+            and np.all(np.abs(knots_s - breaks_s[k]) > 0.5 * min(widths[k - 1], widths[k]))
+        ):
+            found.append(float(breaks_s[k]))
+            known = np.append(known, breaks_s[k])
+    return np.array(found)
+
+
+def held_paths(arcs: np.ndarray, breaks_s: np.ndarray, ends_s: np.ndarray, pinned: np.ndarray) -> np.ndarray:
+    """Return which path quantities (n_segments, n_path) segments hold at their upper limit (1) or lower one (-1).
+
+    Args:
+        arcs: (n_intervals, n_path) from `path_arcs`.
+        breaks_s: (n_intervals + 1,) of that motion [s].
+        ends_s: (n_segments + 1,) [s] of the segments to be.
+        pinned: (n_segments, n_u) efforts that are held, NaN where they are free: no more paths are held than efforts free.
+    """
+    held = np.zeros((len(ends_s) - 1, arcs.shape[1]), dtype=int)
+    for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
+        beside = _BESIDE_CUTS * (end - begin)
+        inside = (breaks_s[1:] > begin + beside) & (breaks_s[:-1] < end - beside)
+        inner = inside & (breaks_s[:-1] >= begin) & (breaks_s[1:] <= end)
+        chosen = arcs[inner if inner.any() else inside]
+        if len(chosen):
+            held[k] = np.where(np.all(chosen == chosen[0], axis=0), chosen[0], 0)
+        free = int(np.isnan(pinned[k]).sum())
+        held[k, np.flatnonzero(held[k])[free:]] = 0
+    return held
+
+
+def free_ends(ends_s: np.ndarray, pinned: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return cuts (n,) [s] that split the ends off held arcs, and what is held then: nothing on those ends.
+
+    An effort may come to its limit on the way along an arc, in less than an interval, and end it there.
+    """
+    cuts, rows = [], []
+    for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
+        if held[k].any():
+            beside = _BESIDE_CUTS * (end - begin)
+            cuts += [begin + beside, end - beside]
+            rows += [(pinned[k], 0 * held[k]), (pinned[k], held[k]), (pinned[k], 0 * held[k])]
+        else:
+            rows.append((pinned[k], held[k]))
+    return np.array(cuts), {"pinned": np.array([row[0] for row in rows]), "held": np.array([row[1] for row in rows])}

@@ -1,0 +1,5 @@
+"""Where to start from, and which motions to try next.
+
+In: a `PlanningProblem`. Out: initial guesses (smooth paths, the phase plane, swings, random bends), continuation from one
+motion to the next, and the plans they lead to.
+"""

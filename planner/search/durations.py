@@ -1,0 +1,76 @@
+"""How long motions may take: those held back by their guess are begun again longer, what has no end is said."""
+
+import numpy as np
+
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.search.phase_plane import least_time_guess, stretched
+from linkplan.planner.solvers.solve import Solution
+from linkplan.planner.transcription.mesh import Mesh
+
+# A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth; along
+# speed limits, where joints fly, to half a hundredth.
+SURELY, SURELY_LIMITED = 1.001, 1.01
+# A duration within this share of where it may end is there.
+_AT_END = 0.01
+# A motion whose duration ended where its guess held it is begun so many times again, so many times longer; it has no end
+# where its objective falls to this share at once.
+_LONGER, _LONGER_BY, _FALLS = 2, 30.0, 1e-3
+
+
+def longer(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say):
+    """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
+    away = runs_away(problem, found[1])
+    for _ in range(_LONGER):
+        if away is None:
+            break
+        duration = min(_LONGER_BY * found[0].duration_s, problem.motion.max_duration_s or np.inf)
+        guess = stretched(motion_of(found[0]), duration)
+        durations = found[1].x[found[1].transcribed.program.layout.durations()]
+        what = "from a longer motion"
+        further = attempt(case_of(problem), guess, mesh, duration * durations / durations.sum(), what, history, say)
+        if further is None:
+            break
+        falls = further[1].objective < _FALLS * found[1].objective and problem.motion.max_duration_s is None
+        found, away = further, away if falls else runs_away(problem, further[1])
+    return found, away
+
+
+def runs_away(problem: PlanningProblem, solution: Solution) -> str | None:
+    """Return the sentence on a free duration that grew to the end of what its guess allows; None elsewhere.
+
+    That end is a hundred times the guess and not the user's: there the objective still falls, and no best motion is found.
+    """
+    motion, transcribed = problem.motion, solution.transcribed
+    place = transcribed.program.layout.durations()
+    if motion.duration_s is not None or np.any(np.bincount(transcribed.program.mesh.leg) > 1):
+        return None
+    duration = float(solution.x[place].sum()) * transcribed.units.time_s
+    longest = motion.max_duration_s or np.inf
+    if duration >= (1 - _AT_END) * longest or not np.any(solution.x[place] >= (1 - _AT_END) * transcribed.upper[place]):
+        return None
+    what = problem.objective.name.replace("_", " ")
+    without = f"failed: the longer the motion the less its {what}, without end"
+    return f"{without}: still at {duration:.4g} s; set motion.max_duration_s"
+
+
+def known_motion(problem: PlanningProblem, guess: Guess) -> float | None:
+    """Return the duration of a motion that is known to keep the effort limits, in no more time than is given; or None."""
+    known = least_time_guess(problem, guess.start_pose)
+    return None if known is None or longest(problem) < SURELY * known.duration_s else known.duration_s
+
+
+def longest(problem: PlanningProblem) -> float:
+    """Return the longest that a motion may take [s]."""
+    return problem.motion.duration_s or problem.motion.max_duration_s or np.inf
+
+
+def may_swing(problem: PlanningProblem) -> bool:
+    """Return whether a motion may gather way over a time without end, by ways that no start has tried.
+
+    With one degree of freedom the phase plane has tried them all.
+    """
+    return problem.mechanism.dof > 1 and not np.isfinite(longest(problem))

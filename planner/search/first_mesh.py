@@ -1,0 +1,54 @@
+"""The first mesh of a problem: as fine as it asks for, and fine enough for the swings of a start."""
+
+import itertools
+
+import numpy as np
+
+from linkplan.planner.closed_chain.guess import Guess
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
+
+# Samples of a guess at which its pace is looked at.
+_SAMPLES = 4001
+# Intervals that each swing of a start is given at least.
+PER_LEG = 40
+# And each segment between cuts.
+_LEAST_IN_SEGMENT = 3
+
+
+def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
+    """Return the first mesh of a problem and its segments' durations [s] in a guess."""
+    n = n_intervals or max(problem.mesh.intervals, PER_LEG * guess.legs if guess.legs > 1 else 0)
+    if guess.knots_s is not None:
+        durations = np.diff(guess.knots_s)
+        return segmented(durations, n, leg=np.arange(len(durations))), durations
+    if problem.mesh.breaks is not None and n_intervals is None:
+        return broken(problem.mesh.breaks), np.array([guess.duration_s])
+    return uniform(n), np.array([guess.duration_s])
+
+
+def graded_mesh(guess: Guess, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh with movable cuts (n_cuts,) [s] between a guess's knots, and its segments' durations [s].
+
+    It is finer where the guess is quick: next to a singular pose a motion does in a hundredth of its time what elsewhere
+    takes a half. Every interval has an equal share of time, way and change of speed together.
+    """
+    knots = np.array([0.0, guess.duration_s]) if guess.knots_s is None else guess.knots_s
+    ends = np.sort(np.concatenate([knots, cuts_s]))
+    times = np.linspace(0.0, guess.duration_s, _SAMPLES)
+    position, velocity = guess.position(times), guess.velocity(times)
+    pace = np.diff(times)[:, None] / guess.duration_s
+    for values in (position, velocity):
+        steps = np.abs(np.diff(values, axis=0))
+        pace = np.hstack([pace, steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)])
+    progress = np.concatenate([[0.0], np.cumsum(pace.mean(axis=1))])
+    at_ends = np.interp(ends, times, progress)
+    fraction, segment = [], []
+    for k, (begin, end) in enumerate(itertools.pairwise(at_ends)):
+        count = max(_LEAST_IN_SEGMENT, int(np.round(n_intervals * (end - begin) / progress[-1])))
+        breaks = np.interp(np.linspace(begin, end, count + 1), progress, times)
+        breaks[[0, -1]] = ends[k], ends[k + 1]
+        fraction.append(np.diff(breaks) / (ends[k + 1] - ends[k]))
+        segment += [k] * count
+    leg = np.searchsorted(knots, ends[:-1], side="right") - 1
+    return Mesh(fraction=np.concatenate(fraction), segment=np.array(segment), leg=leg), np.diff(ends)

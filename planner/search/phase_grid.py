@@ -1,0 +1,191 @@
+"""The phase plane's grid over one degree of freedom: where a motion may go, and what its energy gains on the way.
+
+Next to a singular pose joints fly while the crank creeps: cells are closer together there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import follow, reach
+from linkplan.planner.problem.planning_problem import PlanningProblem
+
+# Cells of the grid over s; two poses a cell.
+_CELLS = 1600
+# The share of a grid's progress that is even in s; the rest goes where joints or the inertia change most.
+_EVEN = 0.5
+# A crank that turns fully may go so far beyond start and goal [rad].
+_TURNS = 2.0 * np.pi
+# And anything without an end, so many times the way between start and goal.
+_SPANS = 1.5
+# Room kept to the ends of the reach, as a share of it.
+_ROOM = 1e-3
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Plane:
+    """A grid over s: positions (n,) of cell ends, and there the reduced inertia and its energy's gains.
+
+    d(M w)/ds = dW[direction]/ds + drag v, exact but for dampers that are not linear.
+    """
+
+    s: np.ndarray
+    inertia: list[float]  # M
+    work: dict[int, list[float]]  # W of weight, springs and full effort in direction +1 or -1, from the first position
+    force: dict[int, list[float]]  # dW/ds
+    drag: list[float]  # M da/dv
+    top: dict[int, list[float]]  # largest w in either direction from which full effort keeps the speed limits further on
+    effort: dict[int, np.ndarray]  # (2 n - 1, n_u) that pushes so, at ends and middles in turn
+
+    def at(self, place: float) -> int:
+        """Return the cell end at a place."""
+        return int(np.argmin(np.abs(self.s - place)))
+
+    def leg(
+        self, start: int, w: float, step: int, effort: int, *, backwards: bool = False, below: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return w at cell ends from `start` on, index by index in steps of +-1, until it would fall to zero or below.
+
+        `effort` is the direction of the push. Backwards, the motion runs against the steps: a braking leg from its end. It
+        stays `below` w at cell ends (n,).
+        """
+        sign, work, at = (-step if backwards else step), self.work[effort], start
+        top = self.top[sign]
+        values, energy = [w], self.inertia[start] * w
+        if not w and step * self.force[effort][start] <= 0:
+            return np.array(values)  # rest is not left that way, however soon the way would be open again
+        while 0 <= at + step < len(self.s):
+            over = at + step
+            h, free = self.s[over] - self.s[at], energy + work[over] - work[at]
+            drag = sign * self.drag[at] * (2 * values[-1]) ** 0.5
+            ahead = max(free + h * drag, 0.0) / self.inertia[over]
+            energy = free + 0.5 * h * (drag + sign * self.drag[over] * (2 * ahead) ** 0.5)
+            if energy <= 0 or top[over] <= 0:
+                break
+            at, w = over, min(energy / self.inertia[over], top[over], np.inf if below is None else below[over])
+            energy = self.inertia[at] * w
+            values.append(float(w))
+        return np.array(values)
+
+
+def plane_of(problem: PlanningProblem, places: np.ndarray, start_pose: np.ndarray, share: float) -> Plane | None:
+    """Return the plane around places (n,) that a motion passes, within the ranges that hold from its start on.
+
+    None where they are not all within reach on one side of what is out of range.
+
+    Args:
+        problem: of one degree of freedom.
+        places: positions that are cell ends, the start first.
+        start_pose: closed, at the start.
+        share: of the effort limits that legs push with.
+    """
+    mechanism, limits = problem.mechanism, problem.limits
+    ends = np.array([places.min(), places.max()])
+    can = reach(mechanism)
+    low, high = limits.position[mechanism.independent[0]]
+    if can.turns_fully:
+        beyond = max(_TURNS, _SPANS * float(ends[1] - ends[0]))
+        low, high = max(low, ends[0] - beyond), min(high, ends[1] + beyond)
+    else:
+        low, high = max(low, can.lower.position), min(high, can.upper.position)
+    room = _ROOM * (high - low)
+    s = np.linspace(min(low + room, ends[0]), max(high - room, ends[1]), _CELLS + 1)
+    gridded = _followed(problem, s, places, start_pose)
+    if gridded is None:
+        return None
+    s, poses = gridded
+    # The part around the start in which every joint keeps its range.
+    inside = np.all((poses >= limits.position[:, 0]) & (poses <= limits.position[:, 1]), axis=1)
+    begin, out = 2 * int(np.argmin(np.abs(s - places[0]))), np.flatnonzero(~inside)
+    first = int(out[out < begin].max(initial=-1)) + 1
+    last = int(out[out > begin].min(initial=len(poses))) - 1
+    first, last = (first + 1) // 2, last // 2
+    s, poses = s[first : last + 1], poses[2 * first : 2 * last + 1]
+    if len(s) < 3 or not s[0] <= ends[0] <= ends[1] <= s[-1]:
+        return None
+    gridded = _followed(problem, _graded(problem, s, poses[::2]), places, start_pose)
+    return None if gridded is None else _gridded(problem, *gridded, share * limits.effort)
+
+
+def _followed(problem: PlanningProblem, s: np.ndarray, places: np.ndarray, start_pose: np.ndarray):
+    """Return positions (n,) with the places among them, and the poses (2 n - 1, n_q) at and between them.
+
+    None where the loops open on the way.
+    """
+    room = 1e-9 * (s[-1] - s[0])
+    apart = np.all(np.abs(s[:, None] - places) > room, axis=1)
+    s = np.unique(np.concatenate([s[apart], places]))
+    fine = np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s)
+    begin = int(np.argmin(np.abs(fine - places[0])))
+    try:
+        after = follow(problem.mechanism, fine[begin:, None], start_pose)
+        before = follow(problem.mechanism, fine[begin::-1, None], start_pose)[::-1]
+    except AssemblyError:
+        return None
+    return s, np.vstack([before[:-1], after])
+
+
+def _graded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray) -> np.ndarray:
+    """Return positions (n,) between the same ends, closer together where joints move or the inertia changes quickly."""
+    inertia = sampled(problem.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
+    steps = np.abs(np.diff(np.column_stack([poses, np.log(inertia)]), axis=0))
+    share = (steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)).mean(axis=1)
+    share = (1 - _EVEN) * share / share.sum() + _EVEN * np.diff(s) / (s[-1] - s[0])
+    progress = np.concatenate([[0.0], np.cumsum(share)])
+    return np.interp(np.linspace(0.0, progress[-1], len(s)), progress, s)
+
+
+def _gridded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> Plane:
+    """Return the plane over positions (n,) with poses (2 n - 1, n_q) and effort limits (n_u, 2)."""
+    dynamics, n = problem.mechanism.dynamics, len(poses)
+
+    def acceleration(v: float, u: np.ndarray) -> np.ndarray:
+        return sampled(dynamics.acceleration, poses, np.full((n, 1), v), u)[:, 0, 0]
+
+    inertia = sampled(dynamics.reduced_inertia, poses)[:, 0, 0]
+    none = np.zeros((n, len(limit)))
+    ahead, back = (acceleration(v, none) for v in (1.0, -1.0))
+    maps = sampled(dynamics.effort_map, poses)[:, 0]
+    effort = {way: np.where(way * maps > 0, limit[:, 1], limit[:, 0]) for way in (+1, -1)}
+    force = {way: inertia * acceleration(0.0, u) for way, u in effort.items()}
+    gains = {way: np.diff(s) * (f[:-2:2] + 4 * f[1::2] + f[2::2]) / 6 for way, f in force.items()}
+    works = {way: np.concatenate([[0.0], np.cumsum(gain)]) for way, gain in gains.items()}
+    fastest = _top(problem, poses[::2])
+    return Plane(
+        s=s,
+        inertia=inertia[::2].tolist(),
+        work={way: work.tolist() for way, work in works.items()},
+        force={way: f[::2].tolist() for way, f in force.items()},
+        drag=(0.5 * inertia * (ahead - back))[::2].tolist(),
+        top={way: _kept(fastest, inertia[::2], works[-way], way) for way in effort},
+        effort=effort,
+    )
+
+
+def _top(problem: PlanningProblem, poses: np.ndarray) -> np.ndarray:
+    """Return the largest w = v^2 / 2 at poses (n, n_q) that every joint's speed limit admits."""
+    mechanism, speed = problem.mechanism, np.abs(problem.limits.speed).min(axis=1)
+    ratio = np.array([np.abs(np.array(mechanism.dynamics.velocity_map(q))[:, 0]) for q in poses])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fastest = np.where(ratio > 0, speed / ratio, np.inf).min(axis=1)
+    return 0.5 * fastest**2
+
+
+def _kept(fastest: np.ndarray, inertia: np.ndarray, braking: np.ndarray, way: int) -> list[float]:
+    """Return the largest w (n,) from which a motion can keep what is fastest (n,) further on, by braking in time.
+
+    Args:
+        fastest: largest w at every place.
+        inertia: (n,) there.
+        braking: (n,) the work up to there of weight and full effort against the way.
+        way: +1 or -1.
+    """
+    energy = inertia * fastest
+    if np.all(np.isinf(energy)):
+        return energy.tolist()
+    order = range(len(energy) - 2, -1, -1) if way > 0 else range(1, len(energy))
+    for k in order:
+        energy[k] = max(min(energy[k], energy[k + way] - (braking[k + way] - braking[k])), 0.0)
+    return (energy / inertia).tolist()

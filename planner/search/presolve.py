@@ -1,0 +1,124 @@
+"""Before any solving: is the problem within what the mechanism can do at all, and is there a plain contradiction in it?"""
+
+import functools
+
+import numpy as np
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.assembly import Reach, close_at, reach
+from linkplan.planner.certificate.margins import singularity_ratios
+from linkplan.planner.problem.planning_problem import PlanningProblem
+
+
+@functools.lru_cache(maxsize=16)
+def _reach(mechanism: Mechanism) -> Reach:
+    """Return what a mechanism reaches: walked once, as planning again and again asks for it each time."""
+    return reach(mechanism)
+
+
+def start_pose_of(problem: PlanningProblem) -> np.ndarray:
+    """Return the closed pose at the start.
+
+    Raises:
+        ProblemError: when start, goal or reference lie outside what the mechanism reaches, with the interval.
+    """
+    mechanism, motion = problem.mechanism, problem.motion
+    can = _reach(mechanism) if mechanism.dof == 1 else None
+    for name in ("start", "goal"):
+        value = getattr(motion, name)
+        if value is not None:
+            _check_reach(problem, f"motion.{name}_deg", value, can)
+    for k, waypoint in enumerate(motion.waypoints):
+        if not np.any(np.isnan(waypoint.position)):
+            _check_reach(problem, f"motion.waypoints[{k}].at_deg", waypoint.position, can)
+    if motion.start is not None:
+        return close_at(mechanism, motion.start)
+    if problem.reference is None:
+        return np.array(mechanism.home)
+    first = problem.reference.derivative(np.zeros(1))[0]
+    period = np.linspace(0.0, problem.reference.period_s, 181)
+    values = problem.reference.derivative(period)
+    for extreme in (np.argmin, np.argmax):
+        for column in range(mechanism.dof):
+            _check_reach(problem, "reference", values[int(extreme(values[:, column]))], can, ranges=False)
+    return close_at(mechanism, first)
+
+
+def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, can: Reach | None, ranges: bool = True) -> None:
+    mechanism = problem.mechanism
+    for column, joint in enumerate(mechanism.independent_joints):
+        index = int(mechanism.independent[column])
+        low, high = problem.limits.position[index]
+        interval, reason = (low, high), f"range of {joint.name}"
+        inside = low <= s[column] <= high
+        if inside or not ranges:
+            if can is None or can.turns_fully:
+                continue
+            interval = (can.lower.position, can.upper.position)
+            inside = interval[0] <= s[column] <= interval[1]
+            reason = can.lower.reason if s[column] < interval[0] else can.upper.reason
+        if not inside:
+            raise ProblemError(
+                f"{what} {joint.name} = {joint.shown(s[column]):.6g} {joint.unit} is beyond reach:"
+                f" {joint.name} reaches from {joint.shown(interval[0]):.6g} to {joint.shown(interval[1]):.6g} {joint.unit}"
+                f" ({reason}"
+                f"{'; another joint as mechanism.independent may pass it' if reason == 'singular pose' else ''})"
+            )
+
+
+def plain_contradiction(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a limit that no motion can keep, found without solving, or None."""
+    mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
+    for name in ("start_speed", "goal_speed"):
+        value = getattr(motion, name)
+        for column, joint in enumerate(mechanism.independent_joints):
+            low, high = limits.speed[mechanism.independent[column]]
+            if value is not None and not low <= value[column] <= high:
+                return (
+                    f"infeasible: motion.{name} of joint {joint.name} is {joint.shown(value[column]):.4g} {joint.unit}/s,"
+                    f" beyond its speed limit of {joint.shown(high if value[column] > 0 else low):.4g} {joint.unit}/s"
+                )
+    for name in ("start", "goal"):
+        if getattr(motion, name) is None:
+            continue
+        pose = close_at(mechanism, getattr(motion, name))
+        for joint, x, (low, high) in zip(mechanism.joints, pose, limits.position, strict=True):
+            if not low <= x <= high:
+                return (
+                    f"infeasible: joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at the {name},"
+                    f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
+                    f" {joint.shown(min(max(x, low), high)):.4g}"
+                )
+    contradiction = _singular(problem)
+    if contradiction is not None:
+        return contradiction
+    if motion.kind == "reach" and motion.duration_s is not None:
+        for column, joint in enumerate(mechanism.independent_joints):
+            mean = (motion.goal[column] - motion.start[column]) / motion.duration_s
+            low, high = limits.speed[mechanism.independent[column]]
+            if not low <= mean <= high:
+                bound = high if mean > 0 else low
+                shortest = (motion.goal[column] - motion.start[column]) / bound if bound else np.inf
+                return (
+                    f"infeasible: joint {joint.name} would have to move at {joint.shown(mean):.4g} {joint.unit}/s on average"
+                    f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.shown(bound):.4g} {joint.unit}/s;"
+                    f" that limit alone asks for {shortest:.4g} s"
+                )
+    return None
+
+
+def _singular(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a start or goal that is nearer to a singular pose than the problem admits, or None."""
+    margin, motion = problem.limits.singular_margin, problem.motion
+    for name in ("start", "goal"):
+        s = getattr(motion, name)
+        if s is None or not margin:
+            continue
+        ratio = float(singularity_ratios(problem, close_at(problem.mechanism, s)[None])[0])
+        if ratio < margin:
+            return (
+                f"infeasible: the {name} is at {ratio:.4g} of the distance from a singular pose that the home pose has,"
+                f" {margin - ratio:.3g} short of limits.singular_margin = {margin:g}"
+            )
+    return None

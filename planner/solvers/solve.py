@@ -1,0 +1,221 @@
+"""Solving a program with IPOPT, or with FATROP where that is asked for."""
+
+import contextlib
+import io
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.errors import ProblemError, one_line
+from linkplan.planner.problem.planning_problem import SOLVERS, SolverSettings
+from linkplan.planner.solvers.fatrop import FatropSolver
+from linkplan.planner.solvers.outcome import ACCEPTABLE, INVALID, MAX_ITERATIONS, OUT_OF_TIME, TOLERANCE, Solver
+from linkplan.planner.transcription.collocation import Transcribed
+from linkplan.planner.transcription.program import Program
+from linkplan.planner.transcription.system import Endpoint
+
+__all__ = ["INVALID", "OUT_OF_TIME", "Solution", "build_solver", "run_solver", "solve"]
+
+# From this many intervals on MUMPS does without its matching of rows to columns, whose time grows with the square of their
+# number: measured at 2,000 intervals, three quarters of a solve. Smaller programs keep it for its better pivots.
+_LARGE = 200
+# How near its end a warm solve begins, and how far its point is pushed off bounds that hold it: next to an answer with its
+# multipliers, four iterations do where a barrier of 1e-4 took five; nearer yet, limits that come to bind take twice as long.
+_WARM_BARRIER, _WARM_PUSH = 1e-6, 1e-9
+# The same without multipliers: near an answer, and at one but for its mesh, from which a larger barrier leads away.
+_NEAR_BARRIER, _AT_BARRIER = 1e-4, 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Solution:
+    """What a solver answered to which program: unknowns, whether a local optimum, its words, the time it took [s].
+
+    `multipliers` (n_rows,) are the rows', of f + multipliers g; None from a solver that does not tell.
+    """
+
+    transcribed: Transcribed
+    x: np.ndarray
+    objective: float
+    converged: bool
+    status: str
+    iterations: int
+    build_s: float
+    solve_s: float
+    multipliers: np.ndarray | None = None
+
+
+def build_solver(
+    program: Program,
+    settings: SolverSettings | None = None,
+    *,
+    warm: bool = False,
+    close: bool = False,
+    endpoint: Endpoint | None = None,
+) -> Solver:
+    """Return the solver that settings ask for; a warm one begins next to the point that it is given.
+
+    Args:
+        program: what to solve.
+        settings: by which solver, and how long.
+        warm: whether it begins next to an answer.
+        close: whether that is the answer itself but for another mesh; IPOPT alone makes a difference.
+        endpoint: the program's, where it has one.
+
+    Raises:
+        ProblemError: when the solver cannot be set up for the program.
+    """
+    settings = settings or SolverSettings()
+    if settings.name not in SOLVERS:
+        raise ProblemError(f"solver.name is one of {', '.join(SOLVERS)}, got '{settings.name}'")
+    iterations = MAX_ITERATIONS if settings.max_iterations is None else settings.max_iterations
+    try:
+        if settings.name == "fatrop":
+            return FatropSolver(program, endpoint, max_iterations=iterations, max_time_s=settings.max_time_s, warm=warm)
+        return _ipopt(program, iterations, settings.max_time_s, warm=warm, close=close)
+    except RuntimeError as error:
+        raise ProblemError(f"solver '{settings.name}' cannot be set up: {one_line(error)}") from error
+
+
+def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool, close: bool) -> Solver:
+    functions = program.functions
+    options = {
+        "print_time": False,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.tol": TOLERANCE,
+        "ipopt.constr_viol_tol": TOLERANCE,
+        # What it calls acceptable where it can do no better must be a motion all the same: by default a row may be off
+        # by 0.01.
+        "ipopt.acceptable_constr_viol_tol": ACCEPTABLE,
+        "ipopt.acceptable_compl_inf_tol": ACCEPTABLE,
+        "ipopt.max_iter": iterations,
+        "ipopt.max_wall_time": max_time_s,
+        # Limits are promises: IPOPT may not relax them by its customary 1e-8.
+        "ipopt.bound_relax_factor": 0.0,
+        "ipopt.honor_original_bounds": "yes",
+        "grad_f": functions["grad_f"],
+        "jac_g": functions["jac_g"],
+        "hess_lag": functions["hess_lag"],
+        # Derivatives are all given; CasADi is not to look for more of them through compiled functions.
+        "no_nlp_grad": True,
+        # A function that gives NaN ends in a status; what CasADi has to say to it belongs nowhere.
+        "show_eval_warnings": False,
+        "calc_lam_p": False,
+    }
+    if program.mesh.n_intervals >= _LARGE:
+        options["ipopt.mumps_permuting_scaling"] = 0
+    if not warm:
+        return ca.nlpsol("solver", "ipopt", functions["nlp"], options)
+    barrier = _AT_BARRIER if close else _NEAR_BARRIER
+    near = options | {"ipopt.mu_init": barrier}
+    near |= {f"ipopt.{push}": 0.01 * barrier for push in ("bound_push", "bound_frac")}
+    pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+    again = options | {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": _WARM_BARRIER}
+    again |= {f"ipopt.warm_start_{push}": _WARM_PUSH for push in pushes}
+    return _WarmIpopt(functions["nlp"], near, again)
+
+
+class _WarmIpopt:
+    """IPOPT that begins next to the point that it is given, and from its second answer on from the last multipliers."""
+
+    def __init__(self, nlp: ca.Function, near: dict[str, Any], again: dict[str, Any]) -> None:
+        self._solver = self._near = ca.nlpsol("solver", "ipopt", nlp, near)
+        self._build = lambda: ca.nlpsol("solver", "ipopt", nlp, again)
+        self._again: ca.Function | None = None
+        self._multipliers: dict[str, ca.DM] = {}
+
+    def __call__(self, **numbers: Any) -> Any:
+        """Return the answer, "x" and "f"."""
+        if self._multipliers and self._again is None:
+            self._again = self._build()
+        self._solver = self._again if self._multipliers and self._again is not None else self._near
+        result = self._solver(**numbers, **self._multipliers)
+        good = self._solver.stats()["success"]
+        self._multipliers = {"lam_x0": result["lam_x"], "lam_g0": result["lam_g"]} if good else {}
+        return result
+
+    def stats(self) -> dict[str, Any]:
+        """Return what there is to say of the last answer."""
+        return self._solver.stats()
+
+
+def solve(
+    transcribed: Transcribed, settings: SolverSettings | None = None, *, warm: bool = False, close: bool = False
+) -> Solution:
+    """Return the solver's answer, begun as in `build_solver`; never raises for a problem that has none."""
+    begin, endpoint = time.perf_counter(), transcribed.formulation.endpoint
+    solver = build_solver(transcribed.program, settings, warm=warm or close, close=close, endpoint=endpoint)
+    return run_solver(solver, transcribed, build_s=time.perf_counter() - begin)
+
+
+def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0) -> Solution:
+    """Return a built solver's answer to a program's numbers, from its starting point."""
+    begin = time.perf_counter()
+    with (
+        _interruptible() as interrupted,
+        contextlib.redirect_stderr(io.StringIO()),
+    ):  # what CasADi says there, the status says too
+        if isinstance(solver, FatropSolver):
+            solver.watch(interrupted)
+        try:
+            result = solver(
+                x0=transcribed.start,
+                p=transcribed.parameters,
+                lbx=transcribed.lower,
+                ubx=transcribed.upper,
+                lbg=transcribed.row_lower,
+                ubg=transcribed.row_upper,
+            )
+        except RuntimeError:  # bounds that contradict each other, or are not numbers
+            result = None
+    if result is None:
+        return Solution(
+            transcribed=transcribed,
+            x=np.array(transcribed.start),
+            objective=np.nan,
+            converged=False,
+            status=INVALID,
+            iterations=0,
+            build_s=build_s,
+            solve_s=time.perf_counter() - begin,
+        )
+    stats = solver.stats()
+    return Solution(
+        transcribed=transcribed,
+        x=np.array(result["x"]).ravel(),
+        objective=float(result["f"]) * transcribed.objective_scale,
+        converged=bool(stats["success"]),
+        status=str(stats["return_status"]),
+        iterations=int(stats["iter_count"]),
+        build_s=build_s,
+        solve_s=time.perf_counter() - begin,
+        multipliers=np.array(result["lam_g"]).ravel() if "lam_g" in result else None,
+    )
+
+
+@contextlib.contextmanager
+def _interruptible() -> Iterator[list[int]]:
+    """Raise KeyboardInterrupt at the end of a solve that Ctrl-C cut short: CasADi only stops the solver for it."""
+    interrupted: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield interrupted
+        return
+
+    def remember(number: int, frame: object) -> None:
+        del frame
+        interrupted.append(number)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, remember)
+    try:
+        yield interrupted
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if interrupted:
+        raise KeyboardInterrupt

@@ -1,0 +1,186 @@
+"""Bounds and linear rows of a program: what a formulation's limits and knots are on a mesh."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import scipy.sparse as sp
+
+from linkplan.planner.transcription.formulation import Formulation
+from linkplan.planner.transcription.interval import IntervalFunctions
+from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.mesh import Mesh
+
+# Free segments may shrink to this share of their guessed duration, or grow by that factor of the whole, and no further.
+_SHORTEST_SEGMENT = 0.02
+_LONGEST = 100.0
+# A segment between cuts may shrink or stretch by this factor, and by half a mean interval beyond it.
+_CUT_ROOM = 1.1
+
+
+def held_efforts(pinned: np.ndarray | None, mesh: Mesh, layout: Layout) -> np.ndarray | None:
+    """Return what efforts are held at (n_intervals, n_coefficients, n_u), NaN where they are free."""
+    if pinned is None:
+        return None
+    return np.repeat(pinned[mesh.segment][:, None, :], layout.effort_coefficients, axis=1)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Rows:
+    """Rows that are linear in the unknowns, in blocks: columns and coefficients (n, k), lower and upper bound (n,)."""
+
+    columns: list[np.ndarray] = field(default_factory=list)
+    values: list[np.ndarray] = field(default_factory=list)
+    lower: list[np.ndarray] = field(default_factory=list)
+    upper: list[np.ndarray] = field(default_factory=list)
+
+    def add(self, columns: np.ndarray, values: np.ndarray, lower: float, upper: float) -> None:
+        self.columns.append(columns)
+        self.values.append(values)
+        self.lower.append(np.full(len(columns), lower))
+        self.upper.append(np.full(len(columns), upper))
+
+    def stacked(self, size: int):
+        if not self.columns:
+            return sp.csr_matrix((0, size)), np.zeros(0), np.zeros(0)
+        matrices = []
+        for columns, values in zip(self.columns, self.values, strict=True):
+            row = np.repeat(np.arange(len(columns)), columns.shape[1])
+            matrices.append(sp.csr_matrix((values.ravel(), (row, columns.ravel())), shape=(len(columns), size)))
+        return sp.vstack(matrices).tocsr(), np.concatenate(self.lower), np.concatenate(self.upper)
+
+
+def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, held: np.ndarray | None):
+    """Return rows (n, size) with their lower and upper values.
+
+    States that return, efforts without jumps, the instants of knots where several segments lead to them, and efforts
+    within a factor of their limits where that factor is sought.
+    """
+    rows, effort = _Rows(), layout.effort()
+    if formulation.returns:
+        of = list(formulation.returns)
+        ends = np.stack([layout.state(layout.n_intervals)[of], layout.state(0)[of]], axis=1)
+        rows.add(ends, np.tile([1.0, -1.0], (len(of), 1)), 0.0, 0.0)
+    if formulation.smooth and layout.effort_coefficients > 1:
+        following = effort[(np.arange(layout.n_intervals) + 1) % layout.n_intervals, 0]
+        pairs = np.stack([effort[:, -1], following], axis=-1)[: None if formulation.periodic else -1].reshape(-1, 2)
+        rows.add(pairs, np.tile([1.0, -1.0], (len(pairs), 1)), 0.0, 0.0)
+    for group, low, high, weight in _knot_groups(formulation, mesh):
+        if len(group) > 1:
+            rows.add(layout.durations()[group][None, :], weight[None, :], low, high)
+    if layout.n_extra:
+        limit, unit = formulation.effort, formulation.units.effort
+        for j in range(layout.n_u):
+            place = effort[:, :, j].reshape(-1, 1)
+            columns = np.hstack([place, np.full_like(place, layout.extra()[0])])
+            for bound, low, high in ((limit[j, 0], 0.0, np.inf), (limit[j, 1], -np.inf, 0.0)):
+                if np.isfinite(bound):
+                    factor = np.tile([1.0, -bound / unit[j]], (len(place), 1))
+                    at = np.zeros(len(place), dtype=bool) if held is None else held[:, :, j].ravel() == bound
+                    rows.add(columns[~at], factor[~at], low, high)
+                    rows.add(columns[at], factor[at], 0.0, 0.0)  # held at the limit, whatever its factor
+    return rows.stacked(layout.size)
+
+
+def _knot_groups(formulation: Formulation, mesh: Mesh):
+    """Yield what knots ask of segments: which of them, the bounds on their weighted sum, the weights; all scaled."""
+    begun, at = 0, 0.0
+    for k, knot in enumerate(formulation.knots[1:]):
+        if knot.share is not None:
+            before = np.flatnonzero(mesh.leg <= k)
+            weight = np.full(mesh.n_segments, -knot.share)
+            weight[before] += 1.0
+            yield np.arange(mesh.n_segments), 0.0, 0.0, weight
+        elif knot.fixed:
+            group = np.flatnonzero((mesh.leg >= begun) & (mesh.leg <= k))
+            yield group, knot.time[0] - at, knot.time[0] - at, np.ones(len(group))
+            begun, at = k + 1, knot.time[0]
+        elif knot.time[0] > 0 or np.isfinite(knot.time[1]):
+            group = np.flatnonzero((mesh.leg >= begun) & (mesh.leg <= k))
+            yield group, knot.time[0] - at, knot.time[1] - at, np.ones(len(group))
+
+
+def bounds(
+    formulation: Formulation,
+    layout: Layout,
+    mesh: Mesh,
+    durations: np.ndarray,
+    pinned: np.ndarray | None,
+    look_z: tuple[int, ...] = (),
+):
+    """Return the unknowns' bounds: limits, knots, durations guessed at (n_segments,) [s], efforts that are held.
+
+    `look_z` are the algebraic unknowns of ends that are looked at.
+    """
+    lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
+    states = layout.states()
+    lower[states], upper[states] = formulation.state.T
+    lower[layout.dependent()], upper[layout.dependent()] = formulation.algebraic.T
+    lower[layout.looked()], upper[layout.looked()] = formulation.algebraic[list(look_z)].T
+    unit = formulation.units.effort
+    if not layout.n_extra:
+        lower[layout.effort()] = formulation.effort[:, 0] / unit
+        upper[layout.effort()] = formulation.effort[:, 1] / unit
+    lower[layout.extra()] = 0.0
+    held = held_efforts(pinned, mesh, layout)
+    if held is not None:
+        place = layout.effort()[~np.isnan(held)]
+        lower[place] = upper[place] = (held / unit)[~np.isnan(held)]
+    for k, knot in zip(mesh.knots(), formulation.knots, strict=True):
+        lower[states[k]] = np.maximum(lower[states[k]], knot.state[:, 0])
+        upper[states[k]] = np.minimum(upper[states[k]], knot.state[:, 1])
+        fixed = knot.state[:, 0] == knot.state[:, 1]  # what is asked exactly is asked, whatever a limit says
+        lower[states[k][fixed]] = upper[states[k][fixed]] = knot.state[fixed, 0]
+    scaled = np.asarray(durations) / formulation.units.time_s
+    place = layout.durations()
+    lower[place], upper[place] = _SHORTEST_SEGMENT * scaled, _LONGEST * scaled.sum()
+    cut = np.bincount(mesh.leg)[mesh.leg] > 1
+    # Cuts begin next to their switches: kept from wandering off, they settle there.
+    room = _CUT_ROOM + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
+    lower[place[cut]], upper[place[cut]] = (scaled / room)[cut], (room * scaled)[cut]
+    for group, low, high, _ in _knot_groups(formulation, mesh):
+        if len(group) == 1:
+            one = place[group[0]]
+            lower[one], upper[one] = (low, high) if low == high else (max(lower[one], low), min(upper[one], high))
+    return lower, upper
+
+
+def row_bounds(
+    formulation: Formulation,
+    interval: IntervalFunctions,
+    breaks_s: np.ndarray,
+    held: np.ndarray | None = None,
+    *,
+    node_at_end: bool = False,
+):
+    """Return the bounds of the intervals' rows in turn: an interval's own, each node's, those of ends looked at.
+
+    Args:
+        formulation: whose limits.
+        interval: the rows.
+        breaks_s: (n + 1,) of the mesh [s].
+        held: which path quantities (n, n_path) nodes hold at their upper limit (1) or lower one (-1).
+        node_at_end: whether a node stands at an interval's end.
+    """
+    n, m = len(breaks_s) - 1, interval.n_nodes
+    own = np.zeros((interval.n_own, 2))
+    for row, (kind, item) in enumerate(zip(interval.own_kinds, interval.own_items, strict=True)):
+        if kind != "continuity":
+            own[row] = formulation.own[kind][item]
+    path = np.broadcast_to(formulation.path.reshape(-1, 2), (n, interval.n_path, 2))
+    if formulation.inset is not None:
+        path = path + formulation.inset(breaks_s)[:, :, None] * np.array([1.0, -1.0])
+    looked, at_nodes = np.array(path), np.repeat(path[:, None], m, axis=1)
+    if held is not None:
+        for k, i in zip(*np.nonzero(held), strict=True):
+            # Drawn in evenly, and as far as anywhere: an arc is smooth, and what follows it begins where it ends.
+            limit = path[:, i, 1].min() if held[k, i] > 0 else path[:, i, 0].max()
+            at_nodes[k, :, i] = limit
+            looked[k, i] = -np.inf, np.inf  # the nodes say all there is to say
+            if k and held[k - 1, i] == 0 and node_at_end and i not in formulation.rows.looked:
+                at_nodes[k - 1, -1, i] = limit  # what does not jump is at its limit when the arc begins
+    equations = np.zeros((n, m, interval.n_equations, 2))
+    at_nodes = np.concatenate([equations, at_nodes], axis=2).reshape(n, -1, 2)
+    looked = np.concatenate([equations[:, 0], looked], axis=1)[:, list(interval.look_rows)]
+    own = np.broadcast_to(own, (n, *own.shape))
+    both = np.concatenate([own, at_nodes, np.tile(looked, (1, interval.n_looks, 1))], axis=1)
+    return both[:, :, 0].ravel(), both[:, :, 1].ravel()

@@ -1,0 +1,268 @@
+"""Direct collocation: from a formulation on a mesh to numbers for a solver, and from its numbers back to curves."""
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from linkplan.planner.transcription.bounds import bounds, held_efforts, linear_rows, row_bounds
+from linkplan.planner.transcription.compiled import cached, compiled, key_of
+from linkplan.planner.transcription.formulation import Formulation, Start, Units, fitted
+from linkplan.planner.transcription.interval import IntervalFunctions, build_interval
+from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.transcription.program import Program, build_program
+from linkplan.planner.transcription.schemes import Scheme
+
+# Efforts stay this share inside their limits, so that no rounding in evaluating the polynomial carries them outside.
+_ROUNDING = 4e-15
+# From this many intervals on, compiling (about a second) costs less than a dozen interpreted iterations.
+_WORTH_COMPILING = 400
+# Share of a limit that a guessed effort may use: interior-point methods want room.
+_GUESS_ROOM = 0.95
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Transcribed:
+    """A program with the numbers that one problem puts into it.
+
+    `pinned` (n_segments, n_u) are efforts held over whole segments, `held` (n_segments, n_path) path quantities held at
+    their upper limit (1) or lower one (-1); `least_limit` says that the smallest common factor
+    on the effort limits is sought in place of the objective. `origin` is what a client
+    wants to find again beside its program.
+    """
+
+    program: Program
+    scheme: Scheme
+    formulation: Formulation
+    parameters: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    row_lower: np.ndarray
+    row_upper: np.ndarray
+    start: np.ndarray
+    pinned: np.ndarray | None
+    held: np.ndarray | None
+    least_limit: bool
+    build_s: float  # time that building took [s]
+    origin: Any = None
+
+    @property
+    def units(self) -> Units:
+        """What the scaled unknowns are multiplied by."""
+        return self.formulation.units
+
+    @property
+    def objective_scale(self) -> float:
+        """The objective in SI over the program's value."""
+        return 1.0 if self.least_limit else self.units.objective
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Curves:
+    """Bernstein coefficients (degree + 1, n, k) of a solution's polynomials on its intervals, in SI units.
+
+    `position` and `velocity` of the second-order coordinates, `state` of the first-order ones, `effort`; `breaks_s` (n +
+    1,).
+    """
+
+    breaks_s: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    state: np.ndarray
+    effort: np.ndarray
+
+
+def collocate(
+    formulation: Formulation,
+    chosen: Scheme,
+    mesh: Mesh,
+    durations: np.ndarray,
+    start: Start,
+    *,
+    compile_mode: str = "auto",
+    least_limit: bool = False,
+    pinned: np.ndarray | None = None,
+    held: np.ndarray | None = None,
+) -> Transcribed:
+    """Return the program of a formulation on a mesh, with bounds and a starting point.
+
+    Args:
+        formulation: the continuous problem.
+        chosen: the transcription.
+        mesh: intervals; its legs lie between the formulation's knots.
+        durations: guessed durations (n_segments,) [s] of its segments.
+        start: the motion to start from.
+        compile_mode: "auto", "always" or "never".
+        least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
+        pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
+        held: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole segments.
+    """
+    begin = time.perf_counter()
+    interval = _interval(formulation, chosen, mesh.n_intervals, compile_mode)
+    layout = Layout(
+        n_s=formulation.n_s,
+        n_x=formulation.n_x,
+        n_z=formulation.n_z,
+        n_u=formulation.n_u,
+        n_nodes=chosen.n_nodes,
+        n_effort=chosen.effort_at.shape[1],
+        n_intervals=mesh.n_intervals,
+        n_segments=mesh.n_segments,
+        n_extra=int(least_limit),
+        n_looks=interval.n_looks,
+        n_z_looked=len(interval.look_z),
+    )
+    durations = fitted(durations, formulation.knots, mesh.leg, formulation.units.time_s)
+    linear, linear_lower, linear_upper = linear_rows(
+        formulation, layout, mesh, held_efforts(pinned, mesh, layout) if least_limit else None
+    )
+    cost = np.zeros(layout.size)
+    cost[layout.extra()] = 1.0
+    lower, upper = bounds(formulation, layout, mesh, durations, None if least_limit else pinned, interval.look_z)
+    breaks = mesh.breaks(durations)
+    row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, held)
+    return Transcribed(
+        program=build_program(layout, mesh, interval, linear, cost, formulation.endpoint),
+        scheme=chosen,
+        formulation=formulation,
+        parameters=_parameters(formulation, chosen, interval.n_looks, mesh, breaks),
+        lower=lower,
+        upper=upper,
+        row_lower=np.concatenate([row_lower, linear_lower, formulation.endpoint_bounds[:, 0]]),
+        row_upper=np.concatenate([row_upper, linear_upper, formulation.endpoint_bounds[:, 1]]),
+        start=_start(formulation, start, chosen, interval, layout, breaks, durations),
+        pinned=pinned,
+        held=held,
+        least_limit=least_limit,
+        build_s=time.perf_counter() - begin,
+    )
+
+
+def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.ndarray) -> Transcribed:
+    """Return a program with another formulation's numbers in it; nothing is built.
+
+    Args:
+        transcribed: of a formulation of the same structure.
+        formulation: whose numbers to take, in the same units.
+        x: unknowns to start from, as a rule the last solution; given instants are the new formulation's.
+    """
+    begin = time.perf_counter()
+    program = transcribed.program
+    layout, mesh, unit = program.layout, program.mesh, formulation.units.time_s
+    durations = fitted(x[layout.durations()] * unit, formulation.knots, mesh.leg, unit)
+    start = np.array(x)
+    start[layout.durations()] = durations / unit
+    lower, upper = bounds(formulation, layout, mesh, durations, transcribed.pinned, program.interval.look_z)
+    _, linear_lower, linear_upper = linear_rows(formulation, layout, mesh, None)
+    breaks = mesh.breaks(durations)
+    row_lower, row_upper = _row_bounds(formulation, transcribed.scheme, program.interval, mesh, breaks, transcribed.held)
+    return replace(
+        transcribed,
+        formulation=formulation,
+        parameters=_parameters(formulation, transcribed.scheme, program.interval.n_looks, mesh, mesh.breaks(durations)),
+        lower=lower,
+        upper=upper,
+        row_lower=np.concatenate([row_lower, linear_lower, formulation.endpoint_bounds[:, 0]]),
+        row_upper=np.concatenate([row_upper, linear_upper, formulation.endpoint_bounds[:, 1]]),
+        start=np.clip(start, lower, upper),
+        build_s=time.perf_counter() - begin,
+    )
+
+
+def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: str) -> IntervalFunctions:
+    """Return the functions of one interval: compiled ones where they are wanted or at hand."""
+    system = formulation.build_system()
+
+    def build() -> IntervalFunctions:
+        return build_interval(system, chosen, formulation.rows)
+
+    if mode == "never":
+        return build()
+    key = key_of(system, chosen, formulation.rows)
+    if mode == "always" or n_intervals >= _WORTH_COMPILING:
+        return compiled(key, build)
+    return cached(key) or build()
+
+
+def _row_bounds(formulation: Formulation, chosen: Scheme, interval: IntervalFunctions, mesh: Mesh, breaks, held):
+    of_intervals = None if held is None else held[mesh.segment]
+    return row_bounds(formulation, interval, breaks, of_intervals, node_at_end=1 not in chosen.open_ends)
+
+
+def _parameters(formulation: Formulation, chosen: Scheme, n_looks: int, mesh: Mesh, breaks: np.ndarray) -> np.ndarray:
+    """Return the parameter vector: per interval its share, its own parameters, those of nodes and looks; the endpoint's."""
+    at = np.concatenate([chosen.nodes, chosen.open_ends[:n_looks]])
+    times = breaks[:-1, None] + np.diff(breaks)[:, None] * at
+    n = mesh.n_intervals
+    theta = formulation.theta(times).reshape(n, -1)
+    per_interval = np.hstack([mesh.fraction[:, None], np.tile(formulation.eta, (n, 1)), theta])
+    return np.concatenate([per_interval.ravel(), formulation.endpoint_parameters])
+
+
+def _start(
+    formulation: Formulation,
+    start: Start,
+    chosen: Scheme,
+    interval: IntervalFunctions,
+    layout: Layout,
+    breaks: np.ndarray,
+    durations: np.ndarray,
+) -> np.ndarray:
+    """Return the starting point (n,): a motion sampled at breaks and nodes, efforts inside their limits."""
+    x = np.zeros(layout.size)
+    x[layout.states()] = start.states(breaks)
+    n, m = layout.n_intervals, layout.n_nodes
+    # The right end of an interval belongs to the next one; step a hair inside, where accelerations may jump.
+    nodes = np.clip(chosen.nodes, 0.0, 1.0 - 1e-9)
+    times = (breaks[:-1, None] + np.diff(breaks)[:, None] * nodes).ravel()
+    acceleration, rate, algebraic, effort = start.nodes(times)
+    x[layout.acceleration().ravel()] = acceleration.ravel()
+    x[layout.rate().ravel()] = rate.ravel()
+    x[layout.dependent().ravel()] = algebraic.ravel()
+    if layout.n_looks and layout.n_z_looked:
+        ends = np.clip(np.array(chosen.open_ends, dtype=float), 0.0, 1.0 - 1e-9)
+        times = (breaks[:-1, None] + np.diff(breaks)[:, None] * ends).ravel()
+        x[layout.looked().ravel()] = start.nodes(times)[2][:, list(interval.look_z)].ravel()
+    coefficients = np.einsum("ij,kju->kiu", np.linalg.pinv(chosen.effort_at), effort.reshape(n, m, -1))
+    x[layout.durations()] = np.asarray(durations) / formulation.units.time_s
+    limit, unit = formulation.effort, formulation.units.effort
+    if layout.n_extra:
+        x[layout.effort()] = coefficients / unit
+        x[layout.extra()] = 1.1 * np.max(np.abs(coefficients) / np.abs(limit).max(axis=1))
+        return x
+    finite = np.all(np.isfinite(limit), axis=1)
+    both = np.where(finite[:, None], limit, 0.0)
+    middle, half = 0.5 * both.sum(axis=1), 0.5 * np.diff(both, axis=1).ravel()
+    low = np.where(finite, middle - _GUESS_ROOM * half, limit[:, 0])
+    high = np.where(finite, middle + _GUESS_ROOM * half, limit[:, 1])
+    x[layout.effort()] = np.clip(coefficients, low, high) / unit
+    return x
+
+
+def curves_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) -> Curves:
+    """Return the polynomials that a program's unknowns x (n,) are; efforts are cut at `limit` (n_u, 2) against rounding."""
+    program, chosen, units = transcribed.program, transcribed.scheme, transcribed.units
+    layout, n_s, T = program.layout, program.layout.n_s, transcribed.units.time_s
+    breaks = program.mesh.breaks(x[layout.durations()] * T)
+    h = np.diff(breaks)[:, None]
+    states = x[layout.states()][:-1] * units.state
+    s, v, first = states[:, :n_s], states[:, n_s : 2 * n_s], states[:, 2 * n_s :]
+    a = x[layout.acceleration()] * units.state[:n_s] / T**2
+    r = x[layout.rate()] * units.state[2 * n_s :] / T
+    degree = len(chosen.position_coefficients) - 1
+    tau = (np.arange(degree + 1) / degree)[:, None, None]
+
+    def integrated(coefficients: np.ndarray, values: np.ndarray) -> np.ndarray:
+        return np.einsum("pj,kjs->pks", coefficients, values)
+
+    inside = np.where(np.isfinite(limit), _ROUNDING * np.abs(limit), 0.0)
+    effort = np.clip(x[layout.effort()] * units.effort, limit[:, 0] + inside[:, 0], limit[:, 1] - inside[:, 1])
+    return Curves(
+        breaks_s=breaks,
+        position=s + tau * h * v + h**2 * integrated(chosen.position_coefficients, a),
+        velocity=v + h * integrated(chosen.velocity_coefficients, a),
+        state=first + h * integrated(chosen.velocity_coefficients, r),
+        effort=effort.transpose(1, 0, 2),
+    )

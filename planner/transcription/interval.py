@@ -1,0 +1,356 @@
+"""One interval of a transcription: from its unknowns to its nodes, its own rows, and the chain rule back.
+
+The unknowns of an interval, all scaled, are w = [left state (s, v, x); nodal accelerations, nodal rates, nodal algebraic
+unknowns; Bernstein coefficients of the effort; right state; duration of its segment], and h = share * duration its width.
+Nodes are polynomials in w (linear but for h), so that the expensive functions, those of the system at a node, are
+differentiated once and for one node, and the interval's derivatives follow by matrix products:
+
+    J = [J_own; J_i T_i],   H = H_own + sum_i T_i^T H_i T_i + sum_k g_ik d2 xi_ik / dw2,   T_i = d xi_i / dw.
+
+An end at which no node stands (Radau's left one) is looked at where a path quantity may jump with the effort: closure and
+that quantity are rows there, dynamics and costs are not.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.schemes import Scheme, bernstein_elevation, bernstein_gram
+from linkplan.planner.transcription.system import System
+
+# Costs that an interval adds itself, exact for the effort's polynomial: its duration, int u_j^2, int u_j'^2.
+COSTS = ("time", "effort", "effort_rate")
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class IntervalRows:
+    """What an interval adds of its own: costs, and rows on Bernstein coefficients, which hold at every instant.
+
+    `costs` are names out of `COSTS`. `speed_columns` and `position_columns` are second-order coordinates, `state_columns`
+    first-order states, `rate_columns` efforts whose rate is bounded. `motor_columns` are pairs (effort, coordinate) whose
+    line alpha u + beta v is bounded. Weights, alpha and beta are numbers of the program (eta), not of its structure.
+    `looked` are path quantities that jump with the effort: they are bounded at an interval's ends too.
+    """
+
+    costs: tuple[str, ...] = ()
+    speed_columns: tuple[int, ...] = ()
+    position_columns: tuple[int, ...] = ()
+    state_columns: tuple[int, ...] = ()
+    rate_columns: tuple[int, ...] = ()
+    motor_columns: tuple[tuple[int, int], ...] = ()
+    looked: tuple[int, ...] = ()
+
+    def n_eta(self, n_u: int) -> int:
+        """Return the number of an interval's own parameters: weights of its costs, then alpha and beta of each motor."""
+        return sum({"time": 1}.get(cost, n_u) for cost in self.costs) + 2 * len(self.motor_columns)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class IntervalFunctions:
+    """CasADi functions of one node and one interval, nonzeros as dense columns, and where the nonzeros stand.
+
+    Node: `node_value` (xi, theta); `node_jacobian` (xi, theta), with the running cost's gradient; `node_hessian` (xi, theta,
+    lambda), gradient and upper triangle. `look_value`, `look_jacobian` and `look_hessian` are the same of the rows that are
+    looked at where no node stands, without a cost; None where none are. Interval: `nodes` (w, share), xi of nodes and looks
+    side by side; `own` (w, share, eta), own rows and own cost; `chain_jacobian` (w, share, eta, node Jacobians, look
+    Jacobians), `chain_gradient` (w, share, eta, running costs, their gradients), `chain_hessian` (w, share, eta, lambda_own,
+    sigma, gradients of nodes and looks, node Hessians, look Hessians, gradients of the running costs).
+    """
+
+    node_value: ca.Function
+    node_jacobian: ca.Function
+    node_hessian: ca.Function
+    look_value: ca.Function | None
+    look_jacobian: ca.Function | None
+    look_hessian: ca.Function | None
+    nodes: ca.Function
+    own: ca.Function
+    chain_jacobian: ca.Function
+    chain_gradient: ca.Function
+    chain_hessian: ca.Function
+    jacobian_pattern: tuple[np.ndarray, np.ndarray]
+    hessian_pattern: tuple[np.ndarray, np.ndarray]
+    n_own: int
+    n_equations: int
+    n_path: int
+    n_nodes: int
+    weights: np.ndarray
+    own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position", "state", "effort_rate", "motor"
+    own_items: tuple[int, ...]  # per own row: of which of its kind's columns
+    node_kinds: tuple[str, ...]  # per row of a node: "closure", "dynamics", "speed", or what the system calls it
+    n_looks: int  # ends that are looked at though no node stands there
+    look_rows: tuple[int, ...]  # rows of a node that are rows there
+    look_z: tuple[int, ...]  # algebraic unknowns that those need
+
+    @property
+    def n_rows(self) -> int:
+        """The number of an interval's rows: its own, each node's equations and path quantities, what is looked at."""
+        return self.n_own + self.n_nodes * (self.n_equations + self.n_path) + self.n_looks * len(self.look_rows)
+
+    @property
+    def row_kinds(self) -> tuple[str, ...]:
+        """What each of an interval's rows is."""
+        looked = tuple(self.node_kinds[i] for i in self.look_rows)
+        return self.own_kinds + self.n_nodes * self.node_kinds + self.n_looks * looked
+
+
+LOOKS = ("look_value", "look_jacobian", "look_hessian")
+NAMES = ("node_value", "node_jacobian", "node_hessian", "nodes", "own", "chain_jacobian", "chain_gradient", "chain_hessian")
+
+
+def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> IntervalFunctions:
+    """Return the functions of one interval of a system under a transcription."""
+    node = _node_functions(system, "node", system.node, system.n_equations + system.n_path)
+    m, n_looks, look_rows, look_z = scheme.n_nodes, 0, (), ()
+    look: dict = {"value": None, "jacobian": None, "hessian": None}
+    if rows.looked and scheme.open_ends:
+        n_looks, look_rows = len(scheme.open_ends), _look_rows(system, rows)
+        looked = _looked(system, look_rows)
+        look, look_z = _node_functions(system, "look", looked, len(look_rows)), _look_z(system, looked)
+    layout = Layout(
+        n_s=system.n_s,
+        n_x=system.n_x,
+        n_z=system.n_z,
+        n_u=system.n_u,
+        n_nodes=m,
+        n_effort=scheme.effort_at.shape[1],
+        n_intervals=1,
+        n_segments=1,
+        n_looks=n_looks,
+        n_z_looked=len(look_z),
+    )
+    w, share, eta = ca.SX.sym("w", layout.size), ca.SX.sym("share"), ca.SX.sym("eta", rows.n_eta(system.n_u))
+    parts = _Parts(layout, scheme, w, share)
+    xi = parts.node_columns()  # (n_xi, m + n_looks)
+    if n_looks:
+        xi = ca.horzcat(xi, parts.look_columns(scheme, look_z))
+    own, kinds, items = _own_rows(parts, scheme, system, rows, eta)
+    cost = _own_cost(parts, scheme, rows, eta)
+    stacked = ca.vec(xi)
+    T = ca.jacobian(stacked, w)
+    blocks = [T[i * system.n_xi : (i + 1) * system.n_xi, :] for i in range(m + n_looks)]
+
+    def sized(name: str, which: str, count: int) -> tuple[ca.SX, list[ca.SX]]:
+        patterns = {"node": node, "look": look}[which]
+        pattern = patterns[f"{name}_sparsity"] if count else ca.Sparsity(0, 0)
+        nonzeros = ca.SX.sym(name, pattern.nnz(), count)
+        return nonzeros, [ca.SX(pattern, nonzeros[:, i]) for i in range(count)]
+
+    J_nodes, J_at_nodes = sized("jacobian", "node", m)
+    J_looks, J_at_looks = sized("jacobian", "look", n_looks)
+    placed = [J @ block for J, block in zip(J_at_nodes + J_at_looks, blocks, strict=True)]
+    jacobian = ca.vertcat(ca.jacobian(own, w), *placed)
+
+    values, value_gradients = ca.SX.sym("L", 1, m), ca.SX.sym("dL", system.n_xi, m)
+    weights = scheme.weights
+    h = parts.h
+    f = cost + h * sum((weights[i] * values[0, i] for i in range(m)), start=ca.SX(0))
+    gradient = ca.gradient(f, w)
+    for i in range(m):
+        gradient += h * weights[i] * (blocks[i].T @ value_gradients[:, i])
+
+    lam, sigma = ca.SX.sym("lam", own.numel()), ca.SX.sym("sigma")
+    g = ca.SX.sym("g", system.n_xi, m + n_looks)
+    H_nodes, H_at_nodes = sized("hessian", "node", m)
+    H_looks, H_at_looks = sized("hessian", "look", n_looks)
+    hessian = ca.hessian(sigma * cost + ca.dot(lam, own) + ca.dot(ca.vec(g), stacked), w)[0]
+    dh = ca.gradient(h, w)
+    for upper, block in zip(H_at_nodes + H_at_looks, blocks, strict=True):
+        hessian += block.T @ (upper + ca.triu(upper, False).T) @ block
+    for i in range(m):
+        cross = sigma * weights[i] * (dh @ (blocks[i].T @ value_gradients[:, i]).T)
+        hessian += cross + cross.T
+    hessian = ca.triu(ca.sparsify(hessian))
+
+    def function(name: str, inputs: list, outputs: list) -> ca.Function:
+        return ca.Function(name, inputs, outputs, {"cse": True})
+
+    return IntervalFunctions(
+        node_value=node["value"],
+        node_jacobian=node["jacobian"],
+        node_hessian=node["hessian"],
+        look_value=look["value"],
+        look_jacobian=look["jacobian"],
+        look_hessian=look["hessian"],
+        nodes=function("nodes", [w, share], [ca.densify(xi)]),
+        own=function("own", [w, share, eta], [ca.densify(own), ca.densify(cost)]),
+        chain_jacobian=function("chain_jacobian", [w, share, eta, J_nodes, J_looks], [_nonzeros(jacobian)]),
+        chain_gradient=function("chain_gradient", [w, share, eta, values, value_gradients], [ca.densify(gradient)]),
+        chain_hessian=function(
+            "chain_hessian", [w, share, eta, lam, sigma, g, H_nodes, H_looks, value_gradients], [_nonzeros(hessian)]
+        ),
+        jacobian_pattern=_triplets(jacobian),
+        hessian_pattern=_triplets(hessian),
+        n_own=own.numel(),
+        n_equations=system.n_equations,
+        n_path=system.n_path,
+        n_nodes=m,
+        weights=np.array(weights),
+        own_kinds=tuple(kinds),
+        own_items=tuple(items),
+        node_kinds=system.kinds,
+        n_looks=n_looks,
+        look_rows=look_rows,
+        look_z=look_z,
+    )
+
+
+def _node_functions(system: System, name: str, at: ca.Function, n_f: int) -> dict:
+    """Return the value, Jacobian and Hessian functions of rows (n_f,) and a cost, and the latter two's patterns."""
+    xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
+    F = ca.densify(at(xi, theta))
+    jacobian, running = ca.jacobian(F[:n_f], xi), ca.densify(ca.gradient(F[n_f], xi))
+    lam = ca.SX.sym("lam", F.numel())
+    hessian, gradient = ca.hessian(ca.dot(lam, F), xi)
+    hessian = ca.triu(hessian)
+
+    def function(what: str, inputs: list, outputs: list) -> ca.Function:
+        return ca.Function(f"{name}_{what}", inputs, outputs, {"cse": True})
+
+    return {
+        "value": function("value", [xi, theta], [F]),
+        "jacobian": function("jacobian", [xi, theta], [_nonzeros(jacobian), running]),
+        "hessian": function("hessian", [xi, theta, lam], [ca.densify(gradient), _nonzeros(hessian)]),
+        "jacobian_sparsity": jacobian.sparsity(),
+        "hessian_sparsity": hessian.sparsity(),
+    }
+
+
+def _look_rows(system: System, rows: IntervalRows) -> tuple[int, ...]:
+    """Return the rows of a node that hold where none stands: closure, and the path quantities that are looked at."""
+    closure = tuple(i for i in range(system.n_equations) if system.kinds[i] == "closure")
+    return closure + tuple(system.n_equations + i for i in rows.looked)
+
+
+def _looked(system: System, look_rows: tuple[int, ...]) -> ca.Function:
+    """Return a node's function with those rows alone, and a cost of zero."""
+    xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
+    return ca.Function("look", [xi, theta], [ca.vertcat(system.node(xi, theta)[list(look_rows)], 0)])
+
+
+def _look_z(system: System, looked: ca.Function) -> tuple[int, ...]:
+    """Return the algebraic unknowns on which a function of a node depends."""
+    first = system.n_xi - system.n_u - system.n_z
+    columns = np.unique(np.array(looked.jac_sparsity(0, 0).get_triplet()[1], dtype=int)) - first
+    return tuple(int(i) for i in columns if 0 <= i < system.n_z)
+
+
+class _Parts:
+    """An interval's unknowns taken apart: rows are nodes or coefficients."""
+
+    def __init__(self, layout: Layout, scheme: Scheme, w: ca.SX, share: ca.SX) -> None:
+        n_s = layout.n_s
+        left, right = w[: layout.n_state], w[layout.block : layout.block + layout.n_state]
+
+        def row(values: ca.SX) -> ca.SX:
+            return ca.reshape(values, 1, values.numel())  # CasADi makes a row of an empty slice of one value
+
+        self.s0, self.v0, self.x0 = row(left[:n_s]), row(left[n_s : 2 * n_s]), row(left[2 * n_s :])
+        self.s1, self.v1, self.x1 = row(right[:n_s]), row(right[n_s : 2 * n_s]), row(right[2 * n_s :])
+
+        def rows(indices: np.ndarray) -> ca.SX:
+            return ca.reshape(w[[int(i) for i in indices.ravel()]], indices.shape[-1], indices.shape[-2]).T
+
+        self.a, self.r = rows(layout.acceleration()), rows(layout.rate())
+        self.z, self.u = rows(layout.dependent()), rows(layout.effort())
+        self.looked = rows(layout.looked())
+        self.h = share * w[int(layout.durations()[0])]
+        self.matrix = {n: ca.SX(ca.DM(getattr(scheme, n))) for n in scheme.__slots__ if n not in ("name", "consistent")}
+
+    def node_columns(self) -> ca.SX:
+        """Return xi (n_xi, m) of the interval's nodes."""
+        matrix, h = self.matrix, self.h
+        m = matrix["nodes"].numel()
+        s = ca.repmat(self.s0, m, 1) + h * matrix["nodes"] @ self.v0 + h**2 * matrix["position"] @ self.a
+        v = ca.repmat(self.v0, m, 1) + h * matrix["velocity"] @ self.a
+        x = ca.repmat(self.x0, m, 1) + h * matrix["velocity"] @ self.r
+        u = matrix["effort_at"] @ self.u
+        return ca.horzcat(s, v, self.a, x, self.r, self.z, u).T
+
+    def look_columns(self, scheme: Scheme, look_z: tuple[int, ...]) -> ca.SX:
+        """Return xi (n_xi, n_looks) of the interval's ends at which no node stands."""
+        extrapolate, columns = ca.SX(ca.DM(scheme.at_open_ends)), []
+        for i, end in enumerate(scheme.open_ends):
+            z = ca.SX.zeros(1, self.z.shape[1])
+            for k, j in enumerate(look_z):
+                z[0, j] = self.looked[i, k]
+            s, v, x = (self.s1, self.v1, self.x1) if end else (self.s0, self.v0, self.x0)
+            a, r = extrapolate[i, :] @ self.a, extrapolate[i, :] @ self.r
+            columns.append(ca.horzcat(s, v, a, x, r, z, self.u[-1 if end else 0, :]).T)
+        return ca.horzcat(*columns)
+
+
+def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows, eta: ca.SX):
+    """Return the interval's own rows, the kind of each and its item: continuity, then bounded Bernstein coefficients."""
+    h, matrix = parts.h, parts.matrix
+    continuity = ca.horzcat(
+        parts.s1 - parts.s0 - h * parts.v0 - h**2 * matrix["position_end"].T @ parts.a,
+        parts.v1 - parts.v0 - h * matrix["velocity_end"].T @ parts.a,
+        parts.x1 - parts.x0 - h * matrix["velocity_end"].T @ parts.r,
+    ).T
+    own, kinds, items = [continuity], ["continuity"] * system.n_state, list(range(system.n_state))
+
+    def add(kind: str, item: int, coefficients: ca.SX) -> None:
+        own.append(coefficients)
+        kinds.extend([kind] * coefficients.numel())
+        items.extend([item] * coefficients.numel())
+
+    def speed(column: int) -> ca.SX:
+        return parts.v0[column] + h * (matrix["velocity_coefficients"] @ parts.a)[:, column]
+
+    for item, column in enumerate(rows.speed_columns):
+        add("speed", item, speed(column))
+    n = scheme.position_coefficients.shape[0]
+    tau = ca.DM(np.arange(n) / (n - 1))  # Bernstein coefficients of tau itself
+    for item, column in enumerate(rows.position_columns):
+        travelled = h * tau * parts.v0[column] + h**2 * (matrix["position_coefficients"] @ parts.a)[:, column]
+        add("position", item, parts.s0[column] + travelled)
+    for item, column in enumerate(rows.state_columns):
+        add("state", item, parts.x0[column] + h * (matrix["velocity_coefficients"] @ parts.r)[:, column])
+    degree = scheme.effort_at.shape[1] - 1
+    for item, column in enumerate(rows.rate_columns):
+        add("effort_rate", item, degree * (parts.u[1:, column] - parts.u[:-1, column]) / h)
+    lift = ca.DM(bernstein_elevation(degree, scheme.velocity_coefficients.shape[0] - 1))
+    first = eta.numel() - 2 * len(rows.motor_columns)
+    for item, (effort, column) in enumerate(rows.motor_columns):
+        alpha, beta = eta[first + 2 * item], eta[first + 2 * item + 1]
+        add("motor", item, alpha * (lift @ parts.u[:, effort]) + beta * speed(column))
+    return ca.densify(ca.vertcat(*own)), kinds, items
+
+
+def _own_cost(parts: _Parts, scheme: Scheme, rows: IntervalRows, eta: ca.SX) -> ca.SX:
+    """Return the interval's weighted costs, integrals of its effort's polynomial being exact."""
+    degree, n_u = scheme.effort_at.shape[1] - 1, parts.u.shape[1]
+    cost, at = ca.SX(0), 0
+    for name in rows.costs:
+        if name == "time":
+            cost += eta[at] * parts.h
+            at += 1
+            continue
+        if name == "effort":
+            gram, values, factor = ca.DM(bernstein_gram(degree)), parts.u, parts.h
+        elif degree > 0:
+            gram, values, factor = (
+                ca.DM(bernstein_gram(degree - 1)),
+                degree * (parts.u[1:, :] - parts.u[:-1, :]),
+                1 / parts.h,
+            )
+        else:
+            at += n_u
+            continue
+        for j in range(n_u):
+            cost += eta[at + j] * factor * (values[:, j].T @ gram @ values[:, j])
+        at += n_u
+    return cost
+
+
+def _nonzeros(matrix: ca.SX) -> ca.SX:
+    """Return a matrix's nonzeros as a column (CasADi gives a row for a row)."""
+    return ca.vec(matrix.nz[:])
+
+
+def _triplets(matrix: ca.SX) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = matrix.sparsity().get_triplet()
+    return np.array(rows, dtype=int), np.array(columns, dtype=int)

@@ -1,0 +1,175 @@
+"""Transcriptions: how a motion is written on one interval, as validated constants.
+
+On an interval of width h, with tau in [0, 1] and collocation nodes c_1..c_m, the acceleration is the polynomial through
+its values a_i at the nodes; velocity and position are its exact integrals,
+
+    v(tau) = v_0 + h sum_j a_j int_0^tau l_j,      s(tau) = s_0 + h tau v_0 + h^2 sum_j a_j int_0^tau int l_j,
+
+so that s' = v at every instant and not only at the nodes (the second-order-consistent form of Moreno-Martin, Ros &
+Celaya, arXiv 2302.09056: applied to q'' = f, first-order schemes let the interpolated velocity differ from the
+derivative of the interpolated position). Radau nodes give order 2m-1, Lobatto's three nodes are Hermite-Simpson's.
+
+The first-order form of a scheme integrates the nodal velocities instead, s' being the polynomial through them; it is kept
+for comparison ("trapezoid", "hermite-simpson" beside their "-consistent" forms).
+
+The effort is a polynomial held by its Bernstein coefficients: the curve stays in their convex hull (Farouki, CAGD 29, 2012),
+so coefficients within a limit keep the effort within it at every instant. Its degree is m-1 unless a lower one is asked for.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+import numpy as np
+from scipy.special import comb
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.names import nearest
+
+MAX_DEGREE = 9
+LOBATTO = {"trapezoid": (0.0, 1.0), "hermite-simpson": (0.0, 0.5, 1.0)}
+NAMES = (
+    *(f"{name}{form}" for name in LOBATTO for form in ("", "-consistent")),
+    *(f"{family}-{degree}" for family in ("radau", "gauss") for degree in range(1, MAX_DEGREE + 1)),
+)
+EFFORTS = {"constant": 0, "linear": 1, "polynomial": MAX_DEGREE}
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Scheme:
+    """A transcription's constants on the unit interval, for m nodes.
+
+    `nodes` (m,); `velocity` (m, m) and `position` (m, m) integrate nodal accelerations once and twice up to each node;
+    `velocity_end` and `position_end` (m,) up to 1; `weights` (m,) are the quadrature's. `effort_at` (m, n_effort) takes
+    Bernstein coefficients to values at the nodes; `velocity_coefficients` (m + 1, m) and `position_coefficients` (m + 2, m;
+    m + 1 in first-order form) take nodal accelerations to Bernstein coefficients of v - v_0 and s - s_0 - h tau v_0.
+    """
+
+    name: str
+    nodes: np.ndarray
+    velocity: np.ndarray
+    position: np.ndarray
+    velocity_end: np.ndarray
+    position_end: np.ndarray
+    weights: np.ndarray
+    effort_at: np.ndarray
+    velocity_coefficients: np.ndarray
+    position_coefficients: np.ndarray
+
+    def __post_init__(self) -> None:
+        m = len(self.nodes)
+        tolerance = 1e-10  # conditioning of nine Radau nodes costs five digits of the machine's sixteen
+        ones = np.ones(m)
+        checks = (
+            np.all(np.diff(self.nodes) > 0) and self.nodes[0] >= 0 and self.nodes[-1] <= 1,
+            np.allclose(self.velocity @ ones, self.nodes, atol=tolerance),
+            m == 1 or np.allclose(self.position @ ones, self.nodes**2 / 2, atol=tolerance),
+            abs(self.weights.sum() - 1) < tolerance,
+            m == 1 or abs(self.position_end.sum() - 0.5) < tolerance,
+            np.allclose(self.effort_at.sum(axis=1), 1, atol=tolerance),
+            np.allclose(bernstein_matrix(m, self.nodes) @ self.velocity_coefficients, self.velocity, atol=tolerance),
+            np.allclose(self.velocity_coefficients[-1], self.velocity_end, atol=tolerance),
+            np.allclose(self.velocity_coefficients[-1], self.weights, atol=tolerance),
+            np.allclose(
+                bernstein_matrix(len(self.position_coefficients) - 1, self.nodes) @ self.position_coefficients,
+                self.position,
+                atol=tolerance,
+            ),
+            np.allclose(self.position_coefficients[-1], self.position_end, atol=tolerance),
+        )
+        if not all(checks):
+            raise ValueError(f"scheme '{self.name}' is inconsistent: {checks}")
+        for field in self.__slots__:
+            value = getattr(self, field)
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    @property
+    def n_nodes(self) -> int:
+        """The number m of collocation nodes in an interval."""
+        return len(self.nodes)
+
+    @property
+    def open_ends(self) -> tuple[int, ...]:
+        """The ends of an interval, 0 or 1, at which no node stands: 0 of Radau's, both of Gauss's."""
+        return (0,) * bool(self.nodes[0] > 0) + (1,) * bool(self.nodes[-1] < 1)
+
+    @property
+    def at_open_ends(self) -> np.ndarray:
+        """The matrix (n_open, m) from nodal accelerations to those at the open ends."""
+        m = self.n_nodes
+        to_coefficients = np.linalg.inv(bernstein_matrix(m - 1, self.nodes))
+        return bernstein_matrix(m - 1, np.array(self.open_ends, dtype=float)) @ to_coefficients
+
+
+def scheme(name: str, effort: str = "polynomial") -> Scheme:
+    """Return the transcription called `name`, with efforts "constant", "linear" or "polynomial" over an interval.
+
+    Raises:
+        ProblemError: for any other name.
+    """
+    if not isinstance(name, str) or name not in NAMES:
+        raise ProblemError(
+            f"unknown mesh.scheme '{name}'{nearest(str(name), NAMES)}; schemes are {', '.join(NAMES[:4])},"
+            f" radau-1 to radau-{MAX_DEGREE} and gauss-1 to gauss-{MAX_DEGREE}"
+        )
+    if not isinstance(effort, str) or effort not in EFFORTS:
+        raise ProblemError(
+            f"unknown mesh.effort '{effort}'{nearest(str(effort), EFFORTS)}; efforts are {', '.join(EFFORTS)}"
+        )
+    return _scheme(name, effort)
+
+
+@cache
+def _scheme(name: str, effort: str) -> Scheme:
+    family = name.removesuffix("-consistent")
+    if family in LOBATTO:
+        return _build(name, np.array(LOBATTO[family]), effort, consistent=name != family)
+    family, degree = name.split("-")
+    points = ca.collocation_points(int(degree), {"radau": "radau", "gauss": "legendre"}[family])
+    return _build(name, np.array(points), effort, consistent=True)
+
+
+def _build(name: str, nodes: np.ndarray, effort: str, *, consistent: bool) -> Scheme:
+    m = len(nodes)
+    to_velocity = bernstein_integral(m - 1) @ np.linalg.inv(bernstein_matrix(m - 1, nodes))
+    velocity = bernstein_matrix(m, nodes) @ to_velocity
+    # In first-order form the position integrates the polynomial through the nodal velocities.
+    to_position = bernstein_integral(m) @ to_velocity if consistent else to_velocity @ velocity
+    return Scheme(
+        name=name,
+        nodes=nodes,
+        velocity=velocity,
+        position=bernstein_matrix(len(to_position) - 1, nodes) @ to_position,
+        velocity_end=to_velocity[-1].copy(),
+        position_end=to_position[-1].copy(),
+        weights=to_velocity[-1].copy(),
+        effort_at=bernstein_matrix(min(EFFORTS[effort], m - 1), nodes),
+        velocity_coefficients=to_velocity,
+        position_coefficients=to_position,
+    )
+
+
+def bernstein_matrix(degree: int, points: np.ndarray) -> np.ndarray:
+    """Return the Bernstein polynomials (n_points, degree + 1) of a degree at points of [0, 1]."""
+    t = np.asarray(points, dtype=float)[:, None]
+    k = np.arange(degree + 1)
+    return comb(degree, k) * t**k * (1 - t) ** (degree - k)
+
+
+def bernstein_gram(degree: int) -> np.ndarray:
+    """Return int_0^1 B_i B_j (degree + 1, degree + 1), which makes integrals of squared polynomials exact."""
+    k = np.arange(degree + 1)
+    i, j = np.meshgrid(k, k, indexing="ij")
+    return np.asarray(comb(degree, i) * comb(degree, j) / ((2 * degree + 1) * comb(2 * degree, i + j)))
+
+
+def bernstein_integral(degree: int) -> np.ndarray:
+    """Return the matrix (degree + 2, degree + 1) from Bernstein coefficients to those of the integral from 0."""
+    return np.tril(np.ones((degree + 2, degree + 1)), -1) / (degree + 1)
+
+
+def bernstein_elevation(degree: int, higher: int) -> np.ndarray:
+    """Return the matrix (higher + 1, degree + 1) from a curve's Bernstein coefficients to those at a higher degree."""
+    i, k = np.meshgrid(np.arange(degree + 1), np.arange(higher + 1))
+    return np.asarray(comb(degree, i) * comb(higher - degree, k - i) / comb(higher, k))

@@ -1,0 +1,104 @@
+"""The study behind `linkplan bode --along`: the loop frozen along a plan, and Floquet multipliers where it repeats."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.controllers.reference import SampledReference, sample
+from linkplan.controllers.sampling import Sampling, sampling
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import silent
+from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.studies.compare.compare import build_tracker
+from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, floquet_text, frozen_radii, tracker_gains
+from linkplan.studies.frequency.loops import LAW_NAMES, FeedbackLoop, OperatingPoint, feedback_loop
+from linkplan.studies.frequency.margins import Margins, margins
+
+# Instants along the motion whose margins are worked out.
+_INSTANTS = 25
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class AlongMotion:
+    """A tracker along a plan: frozen margins at instants (m,), the largest frozen pole at all (n,), the multipliers."""
+
+    plan: Plan
+    law: str
+    reference: SampledReference
+    timing: Sampling
+    instants: np.ndarray
+    margins: tuple[Margins, ...]
+    radius: np.ndarray
+    floquet: Floquet | None
+
+    @property
+    def worst(self) -> int:
+        """The index, of the instants, with the least disk margin, unstable ones first."""
+        values = [-1.0 if not m.stable else m.disk_margin for m in self.margins]
+        return int(np.argmin(values))
+
+
+def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], None] = silent) -> AlongMotion:
+    """Return a tracker's loop along a plan, with the plan's own gains replaced by `settings`."""
+    plan = replace(plan, problem=replace(plan.problem, tracking=settings))
+    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
+    reference = sample(mechanism, trajectory, settings.period_s, trajectory.duration_s)
+    tracker = build_tracker(law, plan, reference)
+    timing = sampling(mechanism, settings.period_s, settings.delay_periods)
+    gains = tracker_gains(tracker)
+    say(f"{law} frozen along {plan.problem.name}: {reference.n} control instants")
+    radius = frozen_radii(mechanism, reference, tracker, timing)
+    instants = np.unique(np.linspace(0, reference.n - 1, _INSTANTS).astype(int))
+    found = [margins(frozen_loop(mechanism, reference, gains, timing, int(k)), refine=False) for k in instants]
+    cycle = None
+    if reference.cycle is not None:
+        say("Floquet multipliers, predicted and measured")
+        cycle = floquet(mechanism, reference, tracker, timing, plan.problem.limits.effort)
+    return AlongMotion(
+        plan=plan,
+        law=law,
+        reference=reference,
+        timing=timing,
+        instants=instants,
+        margins=tuple(found),
+        radius=radius,
+        floquet=cycle,
+    )
+
+
+def frozen_loop(mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling, k: int) -> FeedbackLoop:
+    """Return the loop of the gain of instant k about the motion's state then, as if both stayed."""
+    point = OperatingPoint(
+        mechanism=mechanism, pose=reference.pose[k], velocity=reference.velocity[k], hold=reference.effort[k]
+    )
+    return feedback_loop(point, gains[k], timing)
+
+
+def along_record(found: AlongMotion) -> dict:
+    """Return what files say of the loop along the motion."""
+    reference = found.reference
+    return {
+        "plan": found.plan.problem.name,
+        "tracker": found.law,
+        "frozen": [
+            {"time_s": float(reference.time_s[k]), **bounds.record()}
+            for k, bounds in zip(found.instants, found.margins, strict=True)
+        ],
+        "largest_frozen_pole": float(found.radius.max()),
+        "floquet": None if found.floquet is None else floquet_record(found.floquet),
+    }
+
+
+def along_text(found: AlongMotion) -> str:
+    """Return the worst instant and the multipliers."""
+    k, bounds = found.instants[found.worst], found.margins[found.worst]
+    said = (
+        f"disk margin {bounds.disk_margin:.3g}" if bounds.stable else f"unstable, largest pole {bounds.spectral_radius:.4g}"
+    )
+    lines = [
+        f"{LAW_NAMES[found.law]} frozen along {found.plan.problem.name}: the worst instant is"
+        f" {1e3 * found.reference.time_s[k]:.4g} ms ({said}); the largest frozen pole is {found.radius.max():.5g}"
+    ]
+    lines.append("the motion does not repeat: no multipliers" if found.floquet is None else floquet_text(found.floquet))
+    return "\n".join(lines)

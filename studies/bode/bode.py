@@ -1,0 +1,329 @@
+"""The study behind `linkplan bode`: a tracker's loop over joint angles, predicted and measured, with its worst case."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.sampling import Sampling, sampling
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.assembly import reach
+from linkplan.planner.planning import silent
+from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.studies.frequency.excitation import Setup
+from linkplan.studies.frequency.loops import (
+    CONTINUOUS,
+    QUANTITIES,
+    SIMULATED,
+    FeedbackLoop,
+    OperatingPoint,
+    feedback_loop,
+    law_gain,
+    operating_point,
+)
+from linkplan.studies.frequency.margins import Margins, frequency_grid, margins
+from linkplan.studies.frequency.measure import measure
+from linkplan.studies.frequency.response import Response
+from linkplan.studies.frequency.trial import settle_trials
+
+POINTS = 5
+# Over a reach, five evenly and the two next to its ends, where gains are extreme (a singular end itself has none): as
+# shares of it.
+_OVER_THE_REACH = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
+SCANNED = 41
+# What an actuator is to have left beside what holds a default pose, of its range: room for a loop to answer in.
+_ROOM = 0.05
+# Positions tried for whether the actuators hold them.
+_LOOKED = 81
+FREQUENCIES = 20
+# Where to measure by default, from and to, in units of the crossover, and never beyond this share of the sampling rate.
+_FROM, _TO, _SHARE = 1 / 20, 40.0, 0.45
+_SLOWEST_HZ = 1.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class BodePoint:
+    """The loop of one joint at one pose: predicted, tried and, where it is stable and was asked for, measured.
+
+    `measured` and `predicted` hold the responses of `loops.QUANTITIES` at the same frequencies.
+    """
+
+    sampled: FeedbackLoop
+    continuous: FeedbackLoop
+    channel: int
+    margins: Margins
+    continuous_margins: Margins
+    settles_in_mujoco: bool
+    measured: dict[str, Response]
+    predicted: dict[str, Response]
+
+    @property
+    def point(self) -> OperatingPoint:
+        """Where."""
+        return self.sampled.point
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Scan:
+    """Margins of one joint's loop over its reach: positions (n,) [rad or m], the margins at each."""
+
+    channel: int
+    positions: np.ndarray
+    margins: tuple[Margins, ...]
+
+    def column(self, name: str) -> np.ndarray:
+        """Return a figure (n,) of the margins, not a number where it is none."""
+        return np.array([np.nan if getattr(m, name) is None else getattr(m, name) for m in self.margins], dtype=float)
+
+    @property
+    def worst(self) -> int:
+        """The index of the worst margins: unstable before stable, then by the disk margin."""
+        unstable = [i for i, m in enumerate(self.margins) if not m.stable]
+        if unstable:
+            return max(unstable, key=lambda i: self.margins[i].spectral_radius or np.inf)
+        return int(np.nanargmin(self.column("disk_margin")))
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class BodeStudy:
+    """A tracker's loops over several poses, and the margins over the whole reach."""
+
+    mechanism: Mechanism
+    law: str
+    settings: Tracking
+    timing: Sampling
+    effort_limit: np.ndarray
+    points: tuple[BodePoint, ...]
+    scans: tuple[Scan, ...]
+    method: str | None
+    simulated_steps: int
+    conditions: dict
+
+    @property
+    def stable(self) -> bool:
+        """Whether the sampled loop is stable at every pose looked at."""
+        return all(point.margins.stable for point in self.points)
+
+    @property
+    def loop_name(self) -> str:
+        """The loop in words."""
+        settings = self.settings
+        name = self.law if self.law == "lqr" else f"kp = {settings.kp:g}, kd = {settings.kd:g}"
+        name += f" sampled every {settings.period_s:g} s"
+        if self.timing.delay_steps:
+            name += f" with a delay of {self.timing.delay_s / settings.period_s:g} period(s)"
+        return name
+
+    @property
+    def worst_deviation(self) -> tuple[float, float] | None:
+        """The largest difference between measured and predicted closed loops, where coherent: [dB], [deg]."""
+        worst = []
+        for point in self.points:
+            for name in ("complementary", "reference"):
+                if name in point.measured:
+                    measured = point.measured[name]
+                    db, deg = measured.against(point.predicted[name])
+                    seen = measured.coherence > 0.99
+                    worst.append((np.abs(db[seen]).max(initial=0.0), np.abs(deg[seen]).max(initial=0.0)))
+        return None if not worst else (float(max(w[0] for w in worst)), float(max(w[1] for w in worst)))
+
+    @property
+    def message(self) -> str:
+        """The verdict in a sentence."""
+        bad = list(dict.fromkeys(p.point.name for p in self.points if not p.margins.stable))
+        poses = list(dict.fromkeys(p.point.name for p in self.points))
+        if bad:
+            where = ", ".join(name.split(" = ", 1)[1].removesuffix(f" {self._unit}") for name in bad)
+            if self.mechanism.dof == 1:
+                where = f"{self.mechanism.independent_joints[0].name} = {where} {self._unit}"
+            else:
+                where = "; ".join(bad)
+            return f"unstable at {where} ({len(bad)} of {len(poses)} poses): {self.loop_name}"
+        text = f"stable at all {len(poses)} poses: {self.loop_name}"
+        known = [p for p in self.points if p.margins.phase_margin_deg is not None]
+        if known:
+            least = min(known, key=lambda p: p.margins.phase_margin_deg)
+            text += f", phase margin {least.margins.phase_margin_deg:.1f} deg at the worst ({least.point.name})"
+        return text
+
+    @property
+    def _unit(self) -> str:
+        return self.mechanism.independent_joints[0].unit
+
+
+def default_poses(
+    mechanism: Mechanism, positions: np.ndarray | None = None, effort_limit: np.ndarray | None = None
+) -> tuple[np.ndarray, str | None]:
+    """Return positions (n, n_s) to look at, and a sentence where the actuators cannot hold all that was to be looked at.
+
+    For a single freedom five over given ones (m,), or seven over its reach, next to its ends too, of those that the efforts'
+    limits (n_u, 2) hold at rest; of several freedoms home.
+    """
+    if mechanism.dof != 1:
+        return mechanism.home[mechanism.independent][None], None
+    if positions is not None and len(positions):
+        low, high, shares = float(np.min(positions)), float(np.max(positions)), np.linspace(0.0, 1.0, POINTS)
+    else:
+        low, high = _most_of_reach(mechanism, 0)
+        shares = (np.array(_OVER_THE_REACH) - _OVER_THE_REACH[0]) / (_OVER_THE_REACH[-1] - _OVER_THE_REACH[0])
+    looked = np.linspace(low, high, _LOOKED)
+    held = np.array([_is_held(mechanism, position, effort_limit) for position in looked])
+    if held.all() or not held.any():  # where none is held, the first one's refusal says why
+        return (low + shares * (high - low))[:, None], None
+    kept, unheld, joint = looked[held], looked[~held], mechanism.independent_joints[0]
+    return kept[(shares * (len(kept) - 1)).round().astype(int)][:, None], (
+        f"poses are taken from {joint.name} = {joint.shown(kept[0]):.4g} to {joint.shown(kept[-1]):.4g} {joint.unit}; of"
+        f" {len(looked)} from {joint.shown(low):.4g} to {joint.shown(high):.4g}, the actuators cannot hold {len(unheld)} at"
+        f" rest, between {joint.shown(unheld[0]):.4g} and {joint.shown(unheld[-1]):.4g}"
+    )
+
+
+def _is_held(mechanism: Mechanism, position: float, effort_limit: np.ndarray | None) -> bool:
+    """Return whether the actuators hold a position with some of their limits' range left to either side."""
+    limit = np.array(mechanism.effort_limit if effort_limit is None else effort_limit)
+    room = _ROOM * np.diff(limit, axis=1).ravel()
+    inside = np.where(np.isfinite(limit), limit + np.outer(room, [1.0, -1.0]), limit) if np.isfinite(room).all() else limit
+    try:
+        operating_point(mechanism, np.array([position]), inside)
+    except LinkplanError:
+        return False
+    return True
+
+
+def _most_of_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
+    """Return what lies next to the ends of a joint's reach; of one that nothing stops, half a turn about home."""
+    can = reach(mechanism, coordinate)
+    low, high = can.lower.position, can.upper.position
+    home = float(mechanism.home[mechanism.independent[coordinate]])
+    if can.turns_fully or not np.isfinite(high - low):
+        half = 0.5 * np.pi if mechanism.independent_joints[coordinate].kind == "hinge" else 0.5 * mechanism.model.stat.extent
+        low, high = home - half, home + half
+    return low + _OVER_THE_REACH[0] * (high - low), low + _OVER_THE_REACH[-1] * (high - low)
+
+
+def bode_study(
+    mechanism: Mechanism,
+    positions: np.ndarray,
+    settings: Tracking,
+    effort_limit: np.ndarray,
+    say: Callable[[str], None] = silent,
+    *,
+    law: str = "pd",
+    setup: Setup | None = None,
+    frequency_hz: np.ndarray | None = None,
+    scanned: int = SCANNED,
+) -> BodeStudy:
+    """Return a tracker's loops at independent positions (n, n_s) [rad or m].
+
+    Args:
+        mechanism: of which every freedom has its actuator.
+        positions: where to look.
+        settings: gains, period and delay.
+        effort_limit: (n_u, 2) [N.m or N].
+        say: hears about progress.
+        law: pd, pd+ff or lqr.
+        setup: how to measure; None measures nothing.
+        frequency_hz: where to measure; None for twenty about the crossover.
+        scanned: positions of the scan over the reach of a single freedom; 0 for none.
+
+    Raises:
+        LinkplanError: for a pose that cannot be held, or frequencies beyond Nyquist.
+    """
+    timing = sampling(mechanism, settings.period_s, settings.delay_periods)
+    where = [operating_point(mechanism, position, effort_limit) for position in np.atleast_2d(positions)]
+    if frequency_hz is not None:
+        _refuse_frequencies(frequency_hz, timing)
+    loops, ideal = [], []
+    for point in where:
+        say(f"predicted at {point.name}")
+        gain = law_gain(point, law, settings, effort_limit)
+        loops.append(feedback_loop(point, gain, timing, SIMULATED))
+        ideal.append(feedback_loop(point, gain, timing, CONTINUOUS))
+    trials = settle_trials(loops, effort_limit).settles
+    points, steps, conditions = [], 0, {}
+    for channel in range(mechanism.dof):
+        bounds = [margins(loop, channel) for loop in loops]
+        measured: list[dict[str, Response]] = [{} for _ in loops]
+        stable = [i for i, loop in enumerate(loops) if loop.stable]
+        if setup is not None and stable:
+            at = default_frequencies([bounds[i] for i in stable], timing) if frequency_hz is None else frequency_hz
+            taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
+            steps, conditions = steps + taken.simulated_steps, taken.conditions
+            for i, responses in zip(stable, taken.responses, strict=True):
+                measured[i] = responses
+        for i, (loop, line) in enumerate(zip(loops, ideal, strict=True)):
+            points.append(
+                BodePoint(
+                    sampled=loop,
+                    continuous=line,
+                    channel=channel,
+                    margins=bounds[i],
+                    continuous_margins=margins(line, channel),
+                    settles_in_mujoco=bool(trials[i]),
+                    measured=measured[i],
+                    predicted={q: loop.response(q, r.frequency_hz, channel) for q, r in measured[i].items()},
+                )
+            )
+    scans = tuple(_scans(mechanism, where, settings, effort_limit, timing, law, scanned, say)) if scanned else ()
+    return BodeStudy(
+        mechanism=mechanism,
+        law=law,
+        settings=settings,
+        timing=timing,
+        effort_limit=np.array(effort_limit),
+        points=tuple(points),
+        scans=scans,
+        method=None if setup is None else setup.method,
+        simulated_steps=steps,
+        conditions=conditions,
+    )
+
+
+def _scans(mechanism, where: Sequence[OperatingPoint], settings, effort_limit, timing, law: str, count: int, say):
+    """Yield the margins of each joint over its reach, the others as at the first pose."""
+    for channel, joint in enumerate(mechanism.independent_joints):
+        low, high = _most_of_reach(mechanism, channel)
+        asked = [float(point.state[channel]) for point in where]
+        positions = np.linspace(min(low, *asked), max(high, *asked), count)
+        ends = f"{joint.shown(positions[0]):.4g} to {joint.shown(positions[-1]):.4g} {joint.unit}"
+        say(f"margins over {joint.name} from {ends}")
+        kept, found = [], []
+        for position in positions:
+            s = where[0].state[: mechanism.dof].copy()
+            s[channel] = position
+            try:
+                point = operating_point(mechanism, s, effort_limit)
+                gain = law_gain(point, law, settings, effort_limit)
+            except LinkplanError:  # a stretch that cannot be held, or not be stabilised, has no margins
+                continue
+            kept.append(position)
+            found.append(margins(feedback_loop(point, gain, timing), channel, refine=False))
+        if found:
+            yield Scan(channel=channel, positions=np.array(kept), margins=tuple(found))
+
+
+def default_frequencies(bounds: Sequence[Margins], timing: Sampling, count: int = FREQUENCIES) -> np.ndarray:
+    """Return frequencies (n,) [Hz] about the loops' crossovers, up to 0.45 of the sampling rate."""
+    crossings = [m.crossover_hz for m in bounds if m.crossover_hz] or [0.05 / timing.period_s]
+    high = min(_SHARE / timing.period_s, _TO * max(crossings))
+    low = min(crossings) * _FROM
+    low = min(max(low, min(_SLOWEST_HZ, min(crossings) / 4)), 0.1 * high)
+    return np.geomspace(low, high, count)
+
+
+def _refuse_frequencies(frequency_hz: np.ndarray, timing: Sampling) -> None:
+    frequency = np.asarray(frequency_hz, dtype=float)
+    if not (frequency.size and np.all(np.isfinite(frequency)) and frequency.min() > 0):
+        raise LinkplanError("frequencies are positive numbers of hertz")
+    if frequency.max() > timing.nyquist_hz * (1 + 1e-9):
+        raise LinkplanError(
+            f"{frequency.max():.6g} Hz is above the Nyquist frequency: a loop sampled every {timing.period_s:g} s has none"
+            f" above {timing.nyquist_hz:.6g} Hz"
+        )
+
+
+def response_curves(loop: FeedbackLoop, channel: int, quantities: Sequence[str] = tuple(QUANTITIES)) -> dict[str, Response]:
+    """Return a loop's predicted responses on the dense grid, for figures."""
+    grid = frequency_grid(loop.timing.period_s)[::2]
+    return {quantity: loop.response(quantity, grid, channel) for quantity in quantities}

@@ -1,0 +1,235 @@
+"""Figures of loops' frequency responses: prediction and measurement on one plot, with what is between them below."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.studies.bode.bode import BodePoint, BodeStudy, Scan, response_curves
+from linkplan.studies.frequency.loops import SIMULATED, feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.margins import frequency_grid
+from linkplan.studies.frequency.response import Response
+from linkplan.studies.output.drawing import BLACK, BLUE, GREY, ORANGE, RED, SERIES, page
+
+# Curves begin this many times below the lowest frequency measured.
+_BELOW = 5.0
+# What is drawn of a Nyquist curve: the square about the origin, in units of the critical point's distance.
+_NYQUIST, _FAR = 2.5, 30.0
+
+
+def save_bode(study: BodeStudy, place: Path) -> None:
+    """Draw every figure of a study into a folder: bode.png, nyquist.png, sensitivity.png and margins.png."""
+    for channel, joint in enumerate(study.mechanism.independent_joints):
+        suffix = "" if study.mechanism.dof == 1 else f"-{joint.name}"
+        entries = [entry for entry in study.points if entry.channel == channel]
+        bode_figure(study, entries, place / f"bode{suffix}.png")
+        nyquist_figure(study, entries, place / f"nyquist{suffix}.png")
+        sensitivity_figure(study, entries, place / f"sensitivity{suffix}.png")
+    for scan in study.scans:
+        suffix = "" if study.mechanism.dof == 1 else f"-{study.mechanism.independent_joints[scan.channel].name}"
+        margin_figure(study, scan, place / f"margins{suffix}.png")
+
+
+def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -> None:
+    """Draw open and closed loop at every pose, predicted as lines and measured as dots, and their differences below."""
+    reference = "reference" if study.law == "pd" else "reference+ff"
+    titles = {"loop": "open loop L", reference: f"{reference.replace('+', ' with ')} to angle"}
+    measured = any(entry.measured for entry in entries)
+    rows = 4 if measured else 2
+    ratios = {"height_ratios": [2, 1.6, 1, 1][:rows]}
+    with page(path, rows=rows, columns=2, size=(11.0, 9.0 if measured else 6.5), sharex=True, gridspec_kw=ratios) as axes:
+        for column, (quantity, title) in enumerate(titles.items()):
+            axes[0, column].set_title(title)
+            for colour, entry in zip(SERIES * len(entries), entries, strict=False):
+                draw_response(axes[:2, column], entry, quantity, colour)
+                if measured:
+                    draw_difference(axes[2:, column], entry, quantity, colour)
+            axes[-1, column].set_xlabel("frequency [Hz]")
+            axes[0, column].axhline(0.0 if column == 0 else -3.0, color=GREY, linewidth=1.0, linestyle=":")
+        axes[1, 0].axhline(-180.0, color=GREY, linewidth=1.0, linestyle=":")
+        axes[0, 1].set_ylim(-40, 20)
+        for row, label in enumerate(["gain [dB]", "phase [deg]", "measured less\npredicted [dB]", "[deg]"][:rows]):
+            axes[row, 0].set_ylabel(label)
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        figure = axes[0, 0].figure
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(handles)), frameon=False)
+        how = "line: predicted, sampled; dotted: continuous" + (f"; dots: MuJoCo, {study.method}" if measured else "")
+        figure.suptitle(f"{study.mechanism.name}, {study.law}: {study.message}\n{how}", fontsize=10.5, wrap=True)
+
+
+def draw_response(axes, entry: BodePoint, quantity: str, colour: str) -> None:
+    """Draw gain (axes[0]) and phase (axes[1]) of a quantity at a pose."""
+    name = entry.point.name + ("" if entry.margins.stable else " (unstable)")
+    lowest = _lowest(entry)
+    phases = {}
+    for loop, style, width in ((entry.sampled, "-", 1.3), (entry.continuous, ":", 0.9)):
+        curve = response_curves(loop, entry.channel, [quantity])[quantity]
+        shown = curve.frequency_hz >= lowest
+        frequency, phase = curve.frequency_hz[shown], _turned(curve.phase_deg[shown], curve.gain[shown], quantity)
+        label = name if style == "-" else None
+        axes[0].semilogx(frequency, curve.db[shown], color=colour, linestyle=style, linewidth=width, label=label)
+        axes[1].semilogx(frequency, phase, color=colour, linestyle=style, linewidth=width)
+        phases[style] = frequency, phase
+    if quantity in entry.measured:
+        response = entry.measured[quantity]
+        near = np.interp(np.log(response.frequency_hz), np.log(phases["-"][0]), phases["-"][1])
+        phase = np.degrees(np.angle(response.gain))
+        phase += 360.0 * np.round((near - phase) / 360.0)
+        axes[0].semilogx(response.frequency_hz, response.db, "o", color=colour, markersize=3.5)
+        axes[1].semilogx(response.frequency_hz, phase, "o", color=colour, markersize=3.5)
+
+
+def draw_difference(axes, entry: BodePoint, quantity: str, colour: str) -> None:
+    """Draw measured less predicted, in dB (axes[0]) and degrees (axes[1]); open marks where the coherence is below 0.99."""
+    if quantity not in entry.measured:
+        return
+    response = entry.measured[quantity]
+    for cell, values in zip(axes, response.against(entry.predicted[quantity]), strict=True):
+        seen = response.coherence > 0.99
+        cell.semilogx(response.frequency_hz[seen], values[seen], "o-", color=colour, markersize=3.0, linewidth=0.8)
+        cell.semilogx(response.frequency_hz[~seen], values[~seen], "o", color=colour, markersize=3.0, fillstyle="none")
+
+
+def nyquist_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -> None:
+    """Draw the open loop in the complex plane, with the critical point, the unit circle and the least disk margin's disk."""
+    with page(path, size=(6.4, 6.4)) as axes:
+        cell = axes[0, 0]
+        turn = np.exp(1j * np.linspace(0, 2 * np.pi, 361))
+        cell.plot(turn.real, turn.imag, color=GREY, linestyle=":", linewidth=1.0)
+        cell.plot([-1], [0], "+", color=BLACK, markersize=11, markeredgewidth=2)
+        for colour, entry in zip(SERIES * len(entries), entries, strict=False):
+            gain = entry.sampled.gains("loop", frequency_grid(study.timing.period_s), entry.channel)
+            gain = np.where(np.abs(gain) < _FAR, gain, np.nan)  # no chord across a resonance
+            cell.plot(gain.real, gain.imag, color=colour, linewidth=1.2, label=entry.point.name)
+            if "loop" in entry.measured:
+                points = entry.measured["loop"].gain
+                cell.plot(points.real, points.imag, "o", color=colour, markersize=3.5)
+        known = [entry for entry in entries if entry.margins.disk_margin is not None]
+        if known:
+            least = min(known, key=lambda entry: entry.margins.disk_margin)
+            alpha = least.margins.disk_margin
+            disk = _disk(alpha, turn)
+            cell.fill(disk.real, disk.imag, color=GREY, alpha=0.2, linewidth=0)
+            bounds = least.margins
+            cell.set_title(
+                f"{study.mechanism.name}, {study.law}: least disk margin {alpha:.3g} at {least.point.name}\n"
+                f"(gain +-{bounds.disk_gain_margin_db or np.inf:.3g} dB or phase {bounds.disk_phase_margin_deg:.3g} deg)"
+                f"; dots: MuJoCo",
+                fontsize=10,
+            )
+        cell.set_xlim(-_NYQUIST, _NYQUIST)
+        cell.set_ylim(-_NYQUIST, _NYQUIST)
+        cell.set_aspect("equal")
+        cell.set_xlabel("real part of L")
+        cell.set_ylabel("imaginary part of L")
+        cell.legend(loc="upper right", fontsize=8)
+
+
+def _disk(alpha: float, turn: np.ndarray) -> np.ndarray:
+    """Return the edge of the disk that L keeps out of: |S - 1/2| = 1 / alpha, S = 1 / (1 + L)."""
+    if alpha >= 2:
+        alpha = 1.999
+    return 1.0 / (0.5 + turn / alpha) - 1.0
+
+
+def sensitivity_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -> None:
+    """Draw sensitivity and complementary sensitivity with their peaks, and the control sensitivity."""
+    titles = {"sensitivity": "|S| [dB]", "complementary": "|T| [dB]", "control": "reference to effort"}
+    with page(path, rows=1, columns=3, size=(13.0, 4.3), sharex=True) as axes:
+        for cell, (quantity, label) in zip(axes[0], titles.items(), strict=True):
+            unit = ""
+            for colour, entry in zip(SERIES * len(entries), entries, strict=False):
+                curve = response_curves(entry.sampled, entry.channel, [quantity])[quantity]
+                unit = curve.unit
+                shown = curve.frequency_hz >= _lowest(entry)
+                cell.semilogx(
+                    curve.frequency_hz[shown], curve.db[shown], color=colour, linewidth=1.3, label=entry.point.name
+                )
+                _mark_peak(cell, curve, quantity, colour)
+                if quantity in entry.measured:
+                    response = entry.measured[quantity]
+                    cell.semilogx(response.frequency_hz, response.db, "o", color=colour, markersize=3.5)
+            cell.set_ylabel(label if quantity != "control" else f"{label} [dB of {unit}]")
+            cell.set_xlabel("frequency [Hz]")
+            cell.axhline(0.0, color=GREY, linewidth=1.0, linestyle=":")
+            if quantity != "control":
+                cell.set_ylim(-50, 25)
+        axes[0, 0].set_title("sensitivity, peaks marked")
+        axes[0, 1].set_title("complementary sensitivity")
+        axes[0, 2].set_title("control sensitivity")
+        axes[0, 2].set_ylim(bottom=axes[0, 2].get_ylim()[1] - 80)
+        figure = axes[0, 0].figure
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(handles)), frameon=False)
+        figure.suptitle(
+            f"{study.mechanism.name}, {study.law}: {study.loop_name}; lines predicted, dots MuJoCo", fontsize=10.5
+        )
+
+
+def _mark_peak(cell, curve: Response, quantity: str, colour: str) -> None:
+    if quantity == "sensitivity":
+        k = int(np.argmax(curve.db))
+        cell.plot([curve.frequency_hz[k]], [curve.db[k]], "v", color=colour, markersize=6)
+
+
+def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
+    """Draw the sensitivity over position and frequency as a heat map, and the margins over position, the worst marked."""
+    joint = study.mechanism.independent_joints[scan.channel]
+    positions = np.array([joint.shown(x) for x in scan.positions])
+    grid = frequency_grid(study.timing.period_s)[::4]
+    grid = grid[grid >= min((_lowest(entry) for entry in study.points), default=grid[0])]
+    limit = study.effort_limit
+    heat = np.full((len(grid), len(positions)), np.nan)
+    base = study.points[0].point
+    for column, (position, bounds) in enumerate(zip(scan.positions, scan.margins, strict=True)):
+        if not bounds.stable:  # an unstable loop has no sensitivity
+            continue
+        s = base.state[: study.mechanism.dof].copy()
+        s[scan.channel] = position
+        point = operating_point(study.mechanism, s, np.array([[-np.inf, np.inf]] * len(limit)))
+        loop = feedback_loop(point, law_gain(point, study.law, study.settings, limit), study.timing, SIMULATED)
+        heat[:, column] = 20 * np.log10(np.abs(loop.gains("sensitivity", grid, scan.channel)))
+    with page(path, rows=2, columns=1, size=(8.0, 7.2), sharex=True) as axes:
+        upper, lower = axes[:, 0]
+        image = upper.pcolormesh(positions, grid, heat, shading="nearest", cmap="RdBu_r", vmin=-12, vmax=12)
+        upper.set_yscale("log")
+        upper.set_ylabel("frequency [Hz]")
+        upper.set_ylim(grid[0], grid[-1])
+        upper.figure.colorbar(image, ax=upper, label="|S| [dB]: red amplifies")
+        crossover = scan.column("crossover_hz")
+        if np.any(np.isfinite(crossover)):
+            upper.plot(positions, crossover, color=BLACK, linewidth=1.2, label="crossover")
+            upper.legend(loc="lower left")
+        for name, label, colour in (
+            ("phase_margin_deg", "phase margin", BLUE),
+            ("disk_phase_margin_deg", "disk phase margin", ORANGE),
+        ):
+            lower.plot(positions, scan.column(name), color=colour, label=label)
+        worst = scan.worst
+        lower.axvline(
+            positions[worst], color=RED, linestyle="--", linewidth=1.0, label=f"worst: {positions[worst]:.4g} {joint.unit}"
+        )
+        lost = positions[[not bounds.stable for bounds in scan.margins]]
+        if lost.size:
+            lower.plot(lost, np.zeros(lost.size), "x", color=RED, label="unstable", clip_on=False)
+        lower.set_ylim(0.0, max(10.0, lower.get_ylim()[1]))
+        lower.set_ylabel("margin [deg]")
+        lower.set_xlabel(f"{joint.name} [{joint.unit}]")
+        lower.legend(loc="best")
+        upper.set_title(f"{study.mechanism.name}, {study.law}: {study.loop_name}")
+
+
+def _lowest(entry: BodePoint) -> float:
+    """Return the lowest frequency worth drawing [Hz]."""
+    if entry.measured:
+        return float(next(iter(entry.measured.values())).frequency_hz[0]) / _BELOW
+    crossing = entry.margins.crossover_hz or entry.continuous_margins.crossover_hz
+    return (crossing or 0.05 / entry.sampled.timing.period_s) / 100.0
+
+
+def _turned(phase: np.ndarray, gain: np.ndarray, quantity: str) -> np.ndarray:
+    """Return a phase [deg] by whole turns: an open loop's to half a turn about -180 deg where its gain crosses one."""
+    if quantity != "loop":
+        return phase - 360.0 * np.round(phase[0] / 360.0)
+    crossing = int(np.argmin(np.abs(np.log(np.abs(gain)))))
+    return phase - 360.0 * np.round((phase[crossing] + 180.0) / 360.0)

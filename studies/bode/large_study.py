@@ -1,0 +1,89 @@
+"""The study behind `linkplan bode --large`: a loop past its effort limit, and what can be followed at all."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.errors import LinkplanError
+from linkplan.planner.planning import silent
+from linkplan.planner.problem.planning_problem import Limits
+from linkplan.studies.bode.bode import BodeStudy
+from linkplan.studies.frequency.describing import LargeSignals, default_large_frequencies, large_record, large_signals
+from linkplan.studies.frequency.feasible import FeasibleCurve, curve_rows, default_amplitudes, feasible_curve
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class LargeStudy:
+    """Large signals about one pose, and the feasible-amplitude curve about it."""
+
+    signals: LargeSignals
+    curve: FeasibleCurve
+
+
+def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], None] = silent) -> LargeStudy:
+    """Return the large signals of a bode study's middle pose.
+
+    Args:
+        study: of which a stable pose is taken, the one nearest to the middle.
+        limits: of the planner, for the curve; the model's where there are none.
+        say: hears about progress.
+
+    Raises:
+        LinkplanError: where no pose is stable, or the actuator has no limit.
+    """
+    stable = [entry for entry in study.points if entry.margins.stable and entry.channel == 0]
+    if not stable:
+        raise LinkplanError("--large needs a stable loop, and none of the poses has one")
+    entry = stable[len(stable) // 2]
+    curve = feasible_curve(
+        entry.point,
+        default_amplitudes(entry.point),
+        study.effort_limit,
+        position_limit=None if limits is None else limits.position,
+        speed_limit=None if limits is None else limits.speed,
+    )
+    within = curve.amplitude[curve.frequency_hz > 0]
+    say(f"large signals at {entry.point.name}")
+    signals = large_signals(
+        entry.sampled,
+        study.effort_limit,
+        default_large_frequencies(entry.sampled, entry.margins.crossover_hz),
+        quantity="reference" if study.law == "pd" else "reference+ff",
+        farthest=float(within.max()) if within.size else None,
+        say=say,
+    )
+    return LargeStudy(signals=signals, curve=curve)
+
+
+def large_study_record(study: LargeStudy) -> dict:
+    """Return what files say of the large signals."""
+    record = large_record(study.signals)
+    clean = {k: _none(v) if isinstance(v, np.ndarray) and v.ndim == 2 else v for k, v in record.items()}
+    return clean | {"feasible": list(curve_rows(study.curve))}
+
+
+def _none(values: np.ndarray) -> list:
+    """Return a table with None where nothing was tried."""
+    return [[float(x) if np.isfinite(x) else None for x in row] for row in values]
+
+
+def large_text(study: LargeStudy) -> str:
+    """Return how the describing function does, and points of the feasible curve."""
+    signals, curve = study.signals, study.curve
+    joint = curve.point.mechanism.independent_joints[curve.channel]
+    cut = signals.saturated > 0.05
+    lines = [f"large signals at {curve.point.name}:"]
+    if np.any(cut):
+        off = np.abs(np.abs(signals.describing[cut]) / signals.describing_predicted[cut] - 1).max()
+        gain = np.abs(20 * np.log10(np.abs(signals.measured[cut] / signals.predicted[cut]))).max()
+        lines.append(
+            f"past the limit ({int(cut.sum())} points) the measured describing function is within {100 * off:.2g} % of the"
+            f" saturation's, and the closed loop within {gain:.2g} dB of harmonic balance"
+        )
+    for a, f, reason in list(zip(curve.amplitude, curve.frequency_hz, curve.reason, strict=True))[
+        :: max(1, len(curve.amplitude) // 6)
+    ]:
+        said = f"can be followed up to {f:.4g} Hz" if f > 0 else "cannot be followed however slowly"
+        lines.append(f"amplitude {joint.shown(a):.3g} {joint.unit} {said} ({reason})")
+    return "\n".join(lines)

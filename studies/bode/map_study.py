@@ -1,0 +1,163 @@
+"""The study behind `linkplan bode --map`: stable gains over all angles, borders tried in MuJoCo, the longest period."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.errors import LinkplanError
+from linkplan.planner.planning import silent
+from linkplan.studies.bode.bode import BodeStudy
+from linkplan.studies.frequency.loops import OperatingPoint, operating_point, pd_gain
+from linkplan.studies.frequency.stability_map import (
+    StabilityMap,
+    critical_kd,
+    effort_map,
+    longest_period,
+    pd_loop,
+    stability_map,
+)
+from linkplan.studies.frequency.trial import settle_trials
+from linkplan.studies.output.tables import table
+
+ANGLES = 9
+# Gains tried in MuJoCo lie this share to either side of the border.
+BESIDE = 0.02
+_GRID = 48
+# The map reaches from a thousandth of the largest stable gain to a few times it, so that the border runs through it.
+_BELOW, _BEYOND = 1e-3, 4.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class MapStudy:
+    """A stability map, the stable kd (low, high) at the study's kp for each angle (n, 2), the longest control period [s].
+
+    `longest_s` is None where the gains are unstable however short the period, and infinite where none is too long.
+    """
+
+    found: StabilityMap
+    beside: np.ndarray  # (n, 2) whether MuJoCo settles a share below and above the largest stable kd of each angle
+    kp: float
+    kd: float
+    critical: np.ndarray
+    longest_s: float | None
+    longest_at: OperatingPoint | None
+    delay_periods: float
+
+
+def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy:
+    """Return the map about a bode study's gains, over nine angles from its first pose to its last.
+
+    Raises:
+        LinkplanError: for a mechanism of more than one degree of freedom.
+    """
+    mechanism, settings = study.mechanism, study.settings
+    if mechanism.dof != 1:
+        raise LinkplanError(
+            f"a stability map needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}"
+        )
+    at = [float(entry.point.state[0]) for entry in study.points]
+    positions = np.linspace(min(at), max(at), ANGLES if len(at) > 1 else 1)
+    points = [operating_point(mechanism, np.array([x]), study.effort_limit) for x in positions]
+    critical = np.array([_critical(point, settings.kp, study.timing) for point in points])
+    inertia = np.array([float(point.inertia[0, 0]) for point in points])
+    bearable = 2 * inertia.max() / settings.period_s
+    most = _BEYOND * max(bearable, settings.kd)
+    kd = np.geomspace(_BELOW * bearable, most, _GRID)
+    stiff = inertia / settings.period_s**2  # what kp is to be compared with
+    asked = [settings.kp] if settings.kp > 0 else []
+    kp = np.geomspace(min(*asked, 1e-4 * stiff.min(), stiff.min()) / 3, max(*asked, 5 * stiff.max(), stiff.max()) * 2, _GRID)
+    found = stability_map(points, study.timing, kp, kd, study.effort_limit, say)
+    delay = study.timing.delay_steps / study.timing.substeps
+    try:
+        longest, where = longest_period(
+            points, lambda point, _: pd_gain(effort_map(point), settings.kp, settings.kd), delay, settings.period_s
+        )
+    except LinkplanError:
+        longest, where = None, None
+    say("both sides of the border at every angle in MuJoCo")
+    return MapStudy(
+        found=found,
+        beside=_beside(points, settings.kp, critical[:, 1], study.timing, study.effort_limit),
+        kp=settings.kp,
+        kd=settings.kd,
+        critical=critical,
+        longest_s=longest,
+        longest_at=where,
+        delay_periods=delay,
+    )
+
+
+def _critical(point: OperatingPoint, kp: float, timing) -> tuple[float, float]:
+    try:
+        return critical_kd(point, kp, timing)
+    except LinkplanError:
+        return np.nan, np.nan
+
+
+def _beside(points, kp: float, critical: np.ndarray, timing, effort_limit: np.ndarray) -> np.ndarray:
+    """Return whether MuJoCo settles (n, 2) at a share below and above critical gains (n,); above all where there is none."""
+    kd = np.where(np.isfinite(critical), critical, 1.0)[:, None] * np.array([1 - BESIDE, 1 + BESIDE])
+    loops = [pd_loop(point, kp, value, timing) for point, pair in zip(points, kd, strict=True) for value in pair]
+    return settle_trials(loops, effort_limit).settles.reshape(-1, 2)
+
+
+def agreement(found: StabilityMap) -> tuple[int, int]:
+    """Return how many gains tried in MuJoCo do as the sampled model says, and how many were tried."""
+    if found.trials is None:
+        return 0, 0
+    said = [pd_loop(found.points[i], kp, kd, found.timing).stable for kp, kd, i in found.tried]
+    return int(np.sum(np.array(said) == found.trials.settles)), len(said)
+
+
+def map_record(study: MapStudy) -> dict:
+    """Return what files say of the map."""
+    found = study.found
+    joint = found.points[0].mechanism.independent_joints[0]
+    right, tried = agreement(found)
+    return {
+        "kp": found.kp,
+        "kd": found.kd,
+        "radius": found.radius,
+        "critical_kd": [
+            {
+                f"position_{joint.unit}": joint.shown(p.state[0]),
+                "least": float(low),
+                "largest": float(high) if np.isfinite(high) else None,
+                "settles_below_in_mujoco": bool(below),
+                "settles_above_in_mujoco": bool(above),
+            }
+            for p, (low, high), (below, above) in zip(
+                found.points, np.nan_to_num(study.critical, nan=0.0), study.beside, strict=True
+            )
+        ],
+        "longest_period_s": study.longest_s if study.longest_s is not None and np.isfinite(study.longest_s) else None,
+        "tried": [
+            {"kp": kp, "kd": kd, "pose": found.points[i].name, "settles_in_mujoco": bool(settles)}
+            for (kp, kd, i), settles in zip(found.tried, [] if found.trials is None else found.trials.settles, strict=True)
+        ],
+        "as_predicted": right,
+        "tried_count": tried,
+    }
+
+
+def map_text(study: MapStudy) -> str:
+    """Return the critical damping gains, the longest period, and what MuJoCo says."""
+    found = study.found
+    joint = found.points[0].mechanism.independent_joints[0]
+    rows = [
+        [f"{joint.shown(p.state[0]):.4g}", float(p.inertia[0, 0]), float(low), float(high)]
+        for p, (low, high) in zip(found.points, study.critical, strict=True)
+    ]
+    head = [f"{joint.name} [{joint.unit}]", "inertia", "least kd", "largest kd"]
+    right, tried = agreement(found)
+    lines = [f"stable kd at kp = {study.kp:g}, sampled every {found.timing.period_s:g} s", table(head, rows), ""]
+    if study.longest_s is None:
+        lines.append(f"kp = {study.kp:g}, kd = {study.kd:g} is unstable however short the control period")
+    elif np.isfinite(study.longest_s):
+        lines.append(
+            f"kp = {study.kp:g}, kd = {study.kd:g} needs a control period below {1e3 * study.longest_s:.4g} ms"
+            f" ({1e-3 / study.longest_s:.4g} kHz), for {study.longest_at.name}"
+        )
+    lines.append(f"{right} of {tried} gains beside the border do in MuJoCo as predicted")
+    return "\n".join(lines)

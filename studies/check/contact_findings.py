@@ -1,0 +1,62 @@
+"""What `linkplan check` says of contacts: those that make a plan false are problems, the others are notes."""
+
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.contacts import ContactPair, Meeting, meetings
+from linkplan.planner.certificate.collisions import who
+from linkplan.studies.check.loop_report import LoopPath
+
+
+def reach_sentence(pair: ContactPair, n_poses: int) -> str:
+    """Return the sentence on geoms that touch somewhere within reach."""
+    return (
+        f"geoms {pair.first} and {pair.second} touch in {len(pair.poses)} of {n_poses} poses within reach, up to"
+        f" {1e3 * pair.depth_m:.2g} mm deep"
+    )
+
+
+def contact_findings(
+    mechanism: Mechanism, pairs: tuple[ContactPair, ...], n_poses: int, path: LoopPath | None, treatment: str
+) -> tuple[list[str], list[str]]:
+    """Return the problems and notes on contacts, each a sentence.
+
+    Args:
+        mechanism: whose geoms they are.
+        pairs: that touch at some of the poses within reach.
+        n_poses: how many poses within reach were looked at.
+        path: a problem's motion; None where a mechanism alone is checked, every contact of which is a problem.
+        treatment: the problem's `contacts`, "refuse" or "note".
+    """
+    if path is None:
+        return [f"{reach_sentence(pair, n_poses)}: contact forces are not planned for" for pair in pairs], []
+    way = np.arange(float(len(path.poses)))
+
+    def position_at(at: np.ndarray) -> np.ndarray:
+        return np.array([np.interp(at, way, column) for column in path.positions.T]).T
+
+    problems, notes, named = [], [], set()
+    for meeting in meetings(mechanism, way, path.poses, position_at):
+        named.add((meeting.first, meeting.second))
+        if meeting.since is None:
+            depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
+            notes.append(
+                f"{who(meeting)} touch as at home, all along, or on a pin that they share, {depth}: contact forces are not"
+                " planned for"
+            )
+        elif treatment == "note":
+            notes.append(f"{_on_the_way(mechanism, meeting, path, position_at)}: contact forces are not planned for")
+        else:
+            said = _on_the_way(mechanism, meeting, path, position_at)
+            problems.append(f'{said}: a plan through it is refused, but for limits.contacts = "note"')
+    for pair in pairs:
+        if (pair.first, pair.second) not in named:
+            notes.append(f"{reach_sentence(pair, n_poses)}, off the way of {path.title}")
+    return problems, notes
+
+
+def _on_the_way(mechanism: Mechanism, meeting: Meeting, path: LoopPath, position_at) -> str:
+    at = position_at(np.array([meeting.since]))[0]
+    where = ", ".join(f"{j.name} = {j.shown(x):.5g} {j.unit}" for j, x in zip(mechanism.independent_joints, at, strict=True))
+    depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
+    return f"{who(meeting)} meet at {where} on {path.title}, {depth}"

@@ -1,0 +1,116 @@
+"""What `linkplan check` says of drives that do not do what a model's author may think: one-sided ones, and feeble ones."""
+
+import numpy as np
+
+from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.equilibrium import sprung_freedoms
+from linkplan.studies.check.check_report import effort_unit
+
+# An actuator does not drive a coordinate on which its effort is below this share of the largest: rounding.
+NO_ARM = 1e-9
+# A joint stands at the end of its range within this [rad or m]: what assembly leaves.
+AT_THE_END = 1e-8
+# A weight below this share of what pushes a joint does not bring it back.
+_LIGHT = 0.01
+# An actuator that has less than this share of what the others give every coordinate it acts on does next to nothing.
+_FEEBLE = 1e-3
+
+
+def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
+    """Return the sentence on an independent joint that actuators only push to one side, with nothing to bring it back."""
+    index = int(mechanism.independent[column])
+    joint, model = mechanism.joints[index], mechanism.model
+    acting = [(a, ends) for a, ends in _efforts(mechanism, column) if ends.any()]
+    ends = np.array([ends for _, ends in acting]).reshape(-1, 2)
+    if not len(ends) or (np.any(ends[:, 0] < 0) and np.any(ends[:, 1] > 0)):
+        return None
+    weight = np.abs(np.array(mechanism.dynamics.gravity_effort(mechanism.home))[column]).item()
+    if np.any(model.jnt_stiffness) or weight > _LIGHT * np.abs(ends).max():
+        return None
+    unit, damped = effort_unit(joint), float(model.dof_damping[index]) > 0
+    pushes = " and ".join(
+        f"{a.name}, on {a.target}, only turns it one way, by {_ends(found)} {unit} at home"
+        if joint.kind == "hinge"
+        else f"{a.name}, on {a.target}, only pushes it one way, by {_ends(found)} {unit} at home"
+        for a, found in acting
+    )
+    return (
+        f"joint {joint.name} moves freely: no actuator is on it{'' if damped else ', nothing damps it'}, no spring or weight"
+        f" brings it back; {pushes}"
+        if all(a.joint != index for a, _ in acting)
+        else f"joint {joint.name} moves freely: {pushes}, and no spring or weight brings it back"
+    )
+
+
+def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str, bool]:
+    """Return the sentence on an independent joint that no actuator drives, and whether it is a fault: nothing moves it."""
+    joint = mechanism.independent_joints[column]
+    if steerable:
+        return f"joint {joint.name} has no actuator: it is moved through the others only (underactuated)", False
+    if column in sprung_freedoms(mechanism):
+        return f"joint {joint.name} has no actuator and is not steered by the others: springs hold it", False
+    along = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, column]
+    still = np.zeros(mechanism.n_q)
+    drag = [np.array(mechanism.dynamics.passive(mechanism.home, speed)).ravel() @ along for speed in (along, still)]
+    damped = abs(drag[0] - drag[1]) > 0
+    return f"joint {joint.name} moves freely: no actuator drives it{'' if damped else ' and nothing damps it'}", True
+
+
+def pressed_stops(mechanism: Mechanism) -> str | None:
+    """Return the sentence on joints that weight and springs press onto their stops at home, or None.
+
+    As the fingers of an adaptive gripper lie on theirs. The actuators hold the coordinates that they drive, as far as their
+    limits allow.
+    """
+    dynamics, home, still = mechanism.dynamics, mechanism.home, np.zeros(mechanism.dof)
+    limit, arms = mechanism.effort_limit, np.array(dynamics.effort_map(home))
+    mobility = np.linalg.solve(np.array(dynamics.reduced_inertia(home)), arms)
+    falling = np.array(dynamics.acceleration(home, still, np.zeros(mechanism.n_u))).ravel()
+    driven = np.abs(arms).max(axis=1, initial=0.0) > NO_ARM * np.abs(arms).max(initial=0.0)
+    hold = np.clip(np.linalg.pinv(mobility[driven]) @ -falling[driven], limit[:, 0], limit[:, 1])
+    gained = falling + mobility @ hold
+    rates = np.array(dynamics.velocity_map(home)) @ gained
+    least = NO_ARM * np.abs(falling).max(initial=0.0)
+    pressed = [
+        (joint, x)
+        for joint, x, rate in zip(mechanism.joints, home, rates, strict=True)
+        if (abs(x - joint.upper) <= AT_THE_END and rate > least) or (abs(x - joint.lower) <= AT_THE_END and rate < -least)
+    ]
+    if not pressed:
+        return None
+    names = ", ".join(f"{joint.name} ({joint.shown(x):.4g} {joint.unit})" for joint, x in pressed)
+    return (
+        f"at home weight and springs press {names} onto {'its stop' if len(pressed) == 1 else 'their stops'}, against which"
+        " no actuator holds: a stop's force is not planned for, an equality's that locks the joint is"
+        f' (<joint joint1="{pressed[0][0].name}" polycoef="..."/>)'
+    )
+
+
+def feeble_drives(mechanism: Mechanism) -> list[str]:
+    """Return a sentence on each actuator that, at its limit, adds next to nothing to what others give its coordinates."""
+    said = []
+    for column, joint in enumerate(mechanism.independent_joints):
+        largest = [(a, float(np.abs(ends).max())) for a, ends in _efforts(mechanism, column)]
+        strongest, most = max(largest, key=lambda item: item[1], default=(None, 0.0))
+        for actuator, own in largest:
+            if strongest is not None and np.isfinite(most) and 0 < own < _FEEBLE * most:
+                said.append(
+                    f"actuator {actuator.name} does next to nothing on joint {joint.name}: at its limit"
+                    f" {own:.3g} {effort_unit(joint)} at home, beside {most:.3g} of {strongest.name}"
+                )
+    return said
+
+
+def _efforts(mechanism: Mechanism, column: int) -> list[tuple[Actuator, np.ndarray]]:
+    """Return each actuator with the least and most effort (2,) that it gives an independent joint at home."""
+    arms = np.array(mechanism.dynamics.effort_map(mechanism.home))[column]
+    found = []
+    for actuator, arm in zip(mechanism.actuators, arms, strict=True):
+        acts = abs(arm) > NO_ARM * np.abs(arms).max()
+        found.append((actuator, np.sort(arm * np.array([actuator.lower, actuator.upper])) if acts else np.zeros(2)))
+    return found
+
+
+def _ends(ends: np.ndarray) -> str:
+    return f"{ends[0] + 0.0:.3g} to {ends[1] + 0.0:.3g}"

@@ -1,0 +1,277 @@
+"""The study behind `linkplan check`: what a mechanism is, how far it reaches, and what is wrong with it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.audit import audit
+from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.mechanism import Joint, Mechanism
+from linkplan.models.poses.assembly import Reach, close_at, reach
+from linkplan.models.poses.contacts import ContactPair, contact_pairs
+from linkplan.studies.check.contact_findings import contact_findings
+from linkplan.studies.check.drives import AT_THE_END, NO_ARM, feeble_drives, pressed_stops, pushed_one_way, undriven
+from linkplan.studies.check.loop_report import LoopPath
+from linkplan.studies.check.softness import softness_note
+
+# A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
+OPEN_M = 1e-6
+# A stop that takes less than this share of a joint's own range from it is meant: the two ranges say the same.
+_SHORT = 0.01
+# A direction of motion that the actuators reach by less than this share of the best-reached one is beyond them.
+_UNREACHED = 1e-9
+# Toggle poses a turn apart are found to this [rad], and so many of a joint are listed; all are in the record.
+_SAME_POSE = 1e-6
+_TOGGLES = 4
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class PoseReport:
+    """The mechanism at one pose: inertia (n_s, n_s), the effort of gravity and of all that rests (n_s,), actuators' map."""
+
+    pose: np.ndarray
+    reduced_inertia: np.ndarray
+    gravity_effort: np.ndarray
+    holding_effort: np.ndarray
+    effort_map: np.ndarray
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Inspection:
+    """What `check` found; `problems` are sentences, empty for a mechanism that is fit to plan with."""
+
+    mechanism: Mechanism
+    closure_gap_m: float
+    reaches: tuple[Reach, ...]
+    contacts: tuple[ContactPair, ...]
+    points: tuple[PoseReport, ...]
+    problems: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def inspect(
+    mechanism: Mechanism,
+    positions: list[dict[str, float]],
+    *,
+    motion: LoopPath | None = None,
+    contacts: str = "refuse",
+) -> Inspection:
+    """Return the inspection of a mechanism, with a report at each of `positions` (joint name to position [rad or m]).
+
+    Contacts are judged along a problem's `motion` where there is one, by its `contacts`.
+    """
+    reaches = tuple(reach(mechanism, column) for column in range(mechanism.dof))
+    poses = np.vstack([can.poses for can in reaches])
+    touching = contact_pairs(mechanism, poses)
+    gap = max(mechanism.gap_m(mechanism.home), mechanism.home_gap_m if mechanism.home_gap_m > OPEN_M else 0.0)
+    problems, notes = _findings(mechanism, reaches)
+    refused, noted = contact_findings(mechanism, touching, len(poses), motion, contacts)
+    return Inspection(
+        mechanism=mechanism,
+        closure_gap_m=gap,
+        reaches=reaches,
+        contacts=touching,
+        points=tuple(pose_report(mechanism, asked) for asked in positions),
+        problems=tuple(dict.fromkeys([*problems, *refused])),
+        notes=(*notes, *noted),
+    )
+
+
+def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
+    """Return the report at the pose where the named joints stand at given positions, on the home branch.
+
+    Raises:
+        ProblemError: when the named joints do not fix the pose, or it is out of reach.
+    """
+    indices = {mechanism.joint_index(name, ProblemError): value for name, value in asked.items()}
+    s = mechanism.home[mechanism.independent].copy()
+    for index, value in indices.items():
+        if index not in mechanism.independent:
+            names = ", ".join(joint.name for joint in mechanism.independent_joints)
+            raise ProblemError(
+                f"--at-deg names independent joints ({names}); {mechanism.joints[index].name} follows from them"
+            )
+        s[list(mechanism.independent).index(index)] = value
+    try:
+        pose = close_at(mechanism, s)
+    except AssemblyError as error:
+        raise ProblemError(f"--at-deg is beyond reach: {error}") from error
+    dynamics, still = mechanism.dynamics, np.zeros(mechanism.dof)
+    return PoseReport(
+        pose=pose,
+        reduced_inertia=np.array(dynamics.reduced_inertia(pose)),
+        gravity_effort=np.array(dynamics.gravity_effort(pose)).ravel(),
+        holding_effort=np.array(dynamics.inverse_dynamics(pose, still, still)).ravel(),
+        effort_map=np.array(dynamics.effort_map(pose)),
+    )
+
+
+def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
+    """Return the problems, and the notes on what is worth knowing but no fault, each a sentence."""
+    problems, notes = [], []
+    if mechanism.home_gap_m > OPEN_M:
+        problems.append(
+            f"loop {', '.join(mechanism.closure_names)} stands open by {1e3 * mechanism.home_gap_m:.3g} mm at the model's"
+            " reference pose: the simulator snaps it shut, on whichever branch"
+        )
+    for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
+        if not joint.lower - AT_THE_END <= x <= joint.upper + AT_THE_END:
+            problems.append(
+                f"joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at home, outside its range {_range(joint)}"
+            )
+    pressed = pressed_stops(mechanism)
+    problems += [] if pressed is None else [pressed]
+    if not mechanism.closure_names:
+        notes.append("the model has no active loop closure: it is an open tree")
+    soft = softness_note(mechanism)
+    notes += [] if soft is None else [soft]
+    if mechanism.n_u == 0:
+        problems.append("no actuator is one that a plan can use: nothing can be planned")
+    notes += mechanism.notes
+    reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
+    driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > NO_ARM * reached.max()}
+    steerable = bool(driven) and _steerable(mechanism)
+    for column, can in enumerate(reaches):
+        index = int(mechanism.independent[column])
+        joint = mechanism.joints[index]
+        if driven and index not in driven and index not in mechanism.idle and mechanism.n_u < mechanism.dof:
+            sentence, fault = undriven(mechanism, column, steerable=steerable)
+            (problems if fault else notes).append(sentence)
+        one_sided = pushed_one_way(mechanism, column)
+        if one_sided is not None:
+            problems.append(one_sided)
+        for end in (can.lower, can.upper):
+            if end.joint is not None and end.joint != index:
+                other = mechanism.joints[end.joint]
+                stop = f"joint {other.name}'s range {_range(other)} stops the loop at {joint.name} ="
+                stop += f" {joint.shown(end.position):.4g} {joint.unit}"
+                own = joint.lower if end is can.lower else joint.upper
+                if np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
+                    joint.upper - joint.lower
+                ):
+                    problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
+                else:  # the coordinate has no range of its own that says otherwise: the stop is meant
+                    notes.append(stop)
+        for position in can.singular:
+            notes.append(
+                f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: there the loop ends or branches"
+            )
+        notes += _toggle_notes(mechanism, can) if index not in mechanism.idle else []
+    notes += feeble_drives(mechanism)
+    for item in audit(mechanism.model):
+        (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
+    return problems, notes
+
+
+def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
+    """Return the sentence on a coordinate's toggle poses, if it has any: for each dependent joint, where it turns back."""
+    joint = mechanism.joints[mechanism.independent[can.coordinate]]
+    turn = 2 * np.pi if can.turns_fully and joint.kind == "hinge" else np.inf
+    by_joint: dict[int, list[float]] = {}
+    for other, position in can.toggles:  # of a joint that turns fully, those of one turn
+        found = by_joint.setdefault(other, [])
+        known = [abs((position - one + turn / 2) % turn - turn / 2) if np.isfinite(turn) else np.inf for one in found]
+        if min(known, default=np.inf) > _SAME_POSE:
+            found.append(position)
+    said = []
+    for other, positions in by_joint.items():
+        first = ", ".join(f"{joint.shown(x):.5g}" for x in positions[:_TOGGLES])
+        more = f" and {len(positions) - _TOGGLES} more" if len(positions) > _TOGGLES else ""
+        said.append(f"joint {mechanism.joints[other].name} turns back at {joint.name} = {first}{more} {joint.unit}")
+    again = ", and again every turn" if np.isfinite(turn) else ""
+    return [f"toggle poses: {'; '.join(said)}{again}"] if said else []
+
+
+def _steerable(mechanism: Mechanism) -> bool:
+    """Return whether the actuators together reach every degree of freedom next to home.
+
+    Controllability of the linearised motion at home under the effort nearest to holding it: the rank of
+    [B, A B, A^2 B, ...] with time in units of the fastest mode (Kailath, Linear Systems, 1980, 2.3).
+    """
+    n_s, still = mechanism.dof, np.zeros(mechanism.dof)
+    dynamics, pose = mechanism.dynamics, mechanism.home
+    holding = np.array(dynamics.inverse_dynamics(pose, still, still)).ravel()
+    effort = np.linalg.pinv(np.array(dynamics.effort_map(pose))) @ holding
+    by_s, by_v, by_u = (np.array(x) for x in dynamics.linearisation(pose, still, effort))
+    A = np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [by_s, by_v]])
+    rate = max(float(np.abs(np.linalg.eigvals(A)).max()), 1.0)
+    scale = np.concatenate([np.ones(n_s), np.full(n_s, rate)])
+    A = A * scale / (scale[:, None] * rate)
+    B = np.vstack([np.zeros_like(by_u), by_u]) / max(float(np.abs(by_u).max()), np.finfo(float).tiny)
+    reached = [B]
+    for _ in range(2 * n_s - 1):
+        reached.append(A @ reached[-1])
+    return int(np.linalg.matrix_rank(np.hstack(reached), tol=_UNREACHED)) == 2 * n_s
+
+
+def _range(joint: Joint) -> str:
+    return f"[{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}] {joint.unit}"
+
+
+def branch(mechanism: Mechanism) -> list[float]:
+    """Return the determinants of J_z's blocks at home, whose signs no motion along the branch changes."""
+    return np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel().tolist() if mechanism.closures else []
+
+
+def inspection_record(found: Inspection) -> dict:
+    """Return what `linkplan check --json` says."""
+    mechanism = found.mechanism
+    independent = mechanism.independent_joints
+    hinges = [(joint, can) for joint, can in zip(independent, found.reaches, strict=True) if joint.kind == "hinge"]
+    slides = [(joint, can) for joint, can in zip(independent, found.reaches, strict=True) if joint.kind == "slide"]
+
+    def interval(joint, can: Reach) -> list[float]:
+        return [joint.shown(can.lower.position), joint.shown(can.upper.position)]
+
+    return {
+        "model": mechanism.name,
+        "dof": mechanism.dof,
+        "independent": [joint.name for joint in independent],
+        "dependent": [mechanism.joints[i].name for i in mechanism.dependent],
+        "closures": list(mechanism.closure_names),
+        "closure_rows": mechanism.n_closure_rows,
+        "closure_rank": len(mechanism.closure_rows),
+        "closure_gap_m": found.closure_gap_m,
+        "branch": branch(mechanism),
+        "home_deg": {j.name: j.shown(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "hinge"},
+        "home_m": {j.name: float(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "slide"},
+        "reach_deg": {joint.name: interval(joint, can) for joint, can in hinges},
+        "reach_m": {joint.name: interval(joint, can) for joint, can in slides},
+        "reach_ends": {
+            joint.name: [can.lower.reason, can.upper.reason] for joint, can in zip(independent, found.reaches, strict=True)
+        },
+        "singular_deg": [joint.shown(position) for joint, can in hinges for position in can.singular],
+        "toggle_deg": [joint.shown(position) for joint, can in hinges for _, position in can.toggles],
+        "actuators": {
+            a.name: {
+                "joint": None if a.joint is None else mechanism.joints[a.joint].name,
+                "on": a.target,
+                "limit": [a.lower, a.upper],
+                "unit": a.unit,
+            }
+            for a in mechanism.actuators
+        },
+        "contacts": [
+            {"geoms": [pair.first, pair.second], "poses": len(pair.poses), "depth_m": pair.depth_m}
+            for pair in found.contacts
+        ],
+        "problems": list(found.problems),
+        "notes": list(found.notes),
+        "points": [_point_record(mechanism, point) for point in found.points],
+    }
+
+
+def _point_record(mechanism: Mechanism, point: PoseReport) -> dict:
+    joints = list(zip(mechanism.joints, point.pose, strict=True))
+    names = [joint.name for joint in mechanism.independent_joints]
+    return {
+        "q_deg": {joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"},
+        "q_m": {joint.name: float(x) for joint, x in joints if joint.kind == "slide"},
+        "reduced_inertia_kgm2": point.reduced_inertia,
+        "gravity_effort": dict(zip(names, point.gravity_effort, strict=True)),
+        "holding_effort": dict(zip(names, point.holding_effort, strict=True)),
+        "effort_map": {
+            actuator.name: dict(zip(names, point.effort_map[:, column], strict=True))
+            for column, actuator in enumerate(mechanism.actuators)
+        },
+    }

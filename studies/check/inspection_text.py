@@ -1,0 +1,50 @@
+"""What `linkplan check` prints of a mechanism as it was assembled."""
+
+import numpy as np
+
+from linkplan.studies.check.inspection import Inspection, branch
+from linkplan.studies.output.tables import table
+
+
+def inspection_text(found: Inspection) -> str:
+    """Return the loop report of a mechanism."""
+    mechanism = found.mechanism
+    n_rows = mechanism.n_closure_rows
+    lines = [
+        f"{mechanism.name}: {mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
+        f" ({', '.join(j.name for j in mechanism.independent_joints)} independent of {mechanism.n_q} joints)",
+        f"closure: {', '.join(mechanism.closure_names) or 'none'}: {n_rows} rows, rank {len(mechanism.closure_rows)},"
+        f" gap {found.closure_gap_m:.3g} m",
+        "home: "
+        + ", ".join(f"{j.name} = {j.shown(x):.5g} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)),
+    ]
+    if found.mechanism.closures:
+        lines.append(f"branch: that of home, where det J_z is {', '.join(f'{x:.4g}' for x in branch(mechanism))}")
+    for joint, can in zip(mechanism.independent_joints, found.reaches, strict=True):
+        lines.append(
+            f"reach: {joint.name} from {joint.shown(can.lower.position):.5g} ({can.lower.reason})"
+            f" to {joint.shown(can.upper.position):.5g} {joint.unit} ({can.upper.reason})"
+        )
+    lines += [f"actuator: {a.name} on {a.target}, {a.lower:g} to {a.upper:g} {a.unit}" for a in mechanism.actuators]
+    lines += [f"note: {note}" for note in found.notes]
+    if found.points:
+        lines += ["", _points_table(found)]
+    lines += ["", *(f"PROBLEM: {problem}" for problem in found.problems)] if found.problems else ["no problems found"]
+    return "\n".join(lines)
+
+
+def _points_table(found: Inspection) -> str:
+    mechanism = found.mechanism
+    independent = mechanism.independent_joints
+    head = [f"{j.name} [{j.unit}]" for j in mechanism.joints]
+    head += [f"M_{a.name}{b.name}" for i, a in enumerate(independent) for b in independent[i:]]
+    head += [f"gravity {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
+    head += [f"hold {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
+    head += [f"{a.name}->{j.name}" for a in mechanism.actuators for j in independent]
+    rows = []
+    for point in found.points:
+        upper = point.reduced_inertia[np.triu_indices(mechanism.dof)]
+        positions = [j.shown(x) for j, x in zip(mechanism.joints, point.pose, strict=True)]
+        efforts = [*point.gravity_effort, *point.holding_effort, *point.effort_map.T.ravel()]
+        rows.append([float(x) for x in [*positions, *upper, *efforts]])
+    return table(head, rows)

@@ -1,0 +1,211 @@
+"""What a designer asks of a mechanism along its way: ratios, inertias, weight, effort at hand, singular poses, pin forces.
+
+    r = Gamma^T B,   M_r = Gamma^T M Gamma,   1 / m_j = r_j^T M_r^-1 r_j
+
+r (n_s, n_u) is both the effort on a coordinate per unit of an actuator's effort and the actuator's speed per unit of the
+coordinate's speed (virtual work). m_j is the inertia that actuator j feels, the other coordinates free (Khatib, IEEE J.
+Robotics and Automation 3, 1987, for a point; here for an actuator's length). Efforts and forces are those at rest.
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import needed_effort, sampled
+from linkplan.models.poses.assembly import Reach, follow
+from linkplan.planner.closed_chain.guess import first_guess, poses_along
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.search.presolve import start_pose_of
+
+# Instants at which a problem's motion is looked at: a path of a few radians is then sampled to about a degree.
+_SAMPLES = 121
+# Poses of a whole turn: one a degree.
+_TURN_SAMPLES = 361
+# An actuator whose effort on a coordinate is below this share of the largest does not act on it: rounding.
+_NO_ARM = 1e-9
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class LoopPath:
+    """A mechanism along a path of n poses (n, n_q), at rest at each.
+
+    `coordinate` is the independent joint that is swept over its reach while the others stay at home, None along a problem's
+    motion, which has times `time_s` (n,). Efforts are in [N.m] on a hinge or [N] on a slide, those of actuators in their own
+    unit.
+    """
+
+    mechanism: Mechanism
+    title: str
+    coordinate: int | None
+    time_s: np.ndarray | None
+    poses: np.ndarray
+    ratio: np.ndarray  # (n, n_s, n_u) effort on a coordinate per effort of an actuator
+    rates: np.ndarray  # (n, n_q, n_s) every joint's speed per speed of a coordinate
+    reduced_inertia: np.ndarray  # (n, n_s, n_s)
+    reflected_inertia: (
+        np.ndarray
+    )  # (n, n_u) felt by an actuator, the other coordinates free; infinite where it moves nothing
+    gravity_effort: np.ndarray  # (n, n_s) that holds the weight
+    holding_effort: np.ndarray  # (n, n_u) of the actuators, the least that holds weight and springs
+    unheld_effort: np.ndarray  # (n, n_s) what the actuators cannot hold, in whichever strength
+    available_effort: (
+        np.ndarray
+    )  # (n, n_s, 2) least and most effort that the actuators' limits allow on each coordinate alone
+    limit: np.ndarray  # (n_u, 2) of the actuators' efforts
+    singularity: np.ndarray  # (n,) least determinant of J_z's blocks as a share of that at home; 0 at a singular pose
+    closure_force: np.ndarray  # (n, n_closures) [N] size of each closure's force while weight and springs are held
+
+    @property
+    def positions(self) -> np.ndarray:
+        """The independent positions (n, n_s) [rad or m]."""
+        return self.poses[:, self.mechanism.independent]
+
+
+def measure(
+    mechanism: Mechanism,
+    poses: np.ndarray,
+    title: str,
+    *,
+    coordinate: int | None = None,
+    time_s: np.ndarray | None = None,
+    limit: np.ndarray | None = None,
+) -> LoopPath:
+    """Return the report along closed poses (n, n_q); `limit` (n_u, 2) is the actuators' own by default."""
+    dynamics, limit = mechanism.dynamics, mechanism.effort_limit if limit is None else limit
+    still = np.zeros((len(poses), mechanism.dof))
+    ratio = sampled(dynamics.effort_map, poses)
+    inertia = sampled(dynamics.reduced_inertia, poses)
+    holding, unheld = needed_effort(mechanism, poses, still, still)
+    force = sampled(dynamics.closure_force, poses, still, still, holding)[:, :, 0]
+    sizes = [np.linalg.norm(force[:, mechanism.closure_slice(c)], axis=1) for c in range(len(mechanism.closure_names))]
+    return LoopPath(
+        mechanism=mechanism,
+        title=title,
+        coordinate=coordinate,
+        time_s=time_s,
+        poses=poses,
+        ratio=ratio,
+        rates=sampled(dynamics.velocity_map, poses),
+        reduced_inertia=inertia,
+        reflected_inertia=_reflected(ratio, inertia),
+        gravity_effort=sampled(dynamics.gravity_effort, poses)[:, :, 0],
+        holding_effort=holding,
+        unheld_effort=unheld,
+        available_effort=_available(ratio, limit),
+        limit=limit,
+        singularity=_singularity(mechanism, poses),
+        closure_force=np.array(sizes).T.reshape(len(poses), -1),
+    )
+
+
+def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[LoopPath, ...]:
+    """Return the report over the reach of each independent joint, the others at home."""
+    found = []
+    for column, can in enumerate(reaches):
+        if int(mechanism.independent[column]) in mechanism.idle:
+            continue  # a rod that spins about its line changes nothing
+        name = mechanism.joints[mechanism.independent[column]].name
+        others = ", the other coordinates at home" if mechanism.dof > 1 else ""
+        found.append(measure(mechanism, swept(mechanism, can), f"the reach of {name}{others}", coordinate=column))
+    return tuple(found)
+
+
+def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
+    """Return the poses of a reach; of a joint that nothing stops, one turn, or the model's extent to either side of home."""
+    if not can.turns_fully:
+        return _finer(mechanism, can.poses)
+    index = mechanism.independent[can.coordinate]
+    travel = can.poses[:, index] - mechanism.home[index]
+    if mechanism.joints[index].kind == "hinge":
+        s = np.tile(mechanism.home[mechanism.independent], (_TURN_SAMPLES, 1))
+        s[:, can.coordinate] += np.linspace(0.0, 2 * np.pi, _TURN_SAMPLES)
+        return follow(mechanism, s)
+    return _finer(mechanism, can.poses[np.abs(travel) <= (1 + 1e-9) * mechanism.extent_m])
+
+
+def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return poses with others put in between, equally many in each gap, where they are fewer than a path's samples."""
+    parts = int(np.ceil((_SAMPLES - 1) / max(1, len(poses) - 1)))
+    rows = [poses[0]]
+    for one, other in pairwise(poses):
+        between = np.linspace(one[mechanism.independent], other[mechanism.independent], parts + 1)[1:-1]
+        with suppress(AssemblyError):  # next to a singular pose the reach's own poses will do
+            rows.extend(follow(mechanism, between, one))
+        rows.append(other)
+    return np.array(rows)
+
+
+def motion_path(problem: PlanningProblem) -> LoopPath:
+    """Return the report along a problem's motion before any solving: its reference, or the smooth path through its knots.
+
+    Raises:
+        ProblemError: when start, goal or reference lie outside what the mechanism reaches.
+        AssemblyError: when the loops do not close along the path.
+    """
+    mechanism, motion = problem.mechanism, problem.motion
+    guess = first_guess(problem, start_pose_of(problem))
+    time = np.linspace(0.0, guess.duration_s, _SAMPLES)
+    follows = motion.kind != "reach" and problem.reference is not None and not motion.waypoints
+    title = f"the {'reference' if follows else 'smooth path'} of {problem.name}"
+    poses = poses_along(mechanism, guess, time)
+    return measure(mechanism, poses, title, time_s=time, limit=problem.limits.effort)
+
+
+def acts(path: LoopPath) -> np.ndarray:
+    """Return whether an actuator acts on a coordinate anywhere along a path (n_s, n_u), rounding apart."""
+    most = np.abs(path.ratio).max(axis=0)
+    return most > _NO_ARM * most.max(axis=0, initial=0.0)
+
+
+def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+    """Return 1 / (r_j^T M^-1 r_j) (n, n_u), infinite where r_j vanishes."""
+    mobility = np.einsum("ksu,ksu->ku", ratio, np.linalg.solve(inertia, ratio))
+    return np.divide(1.0, mobility, out=np.full_like(mobility, np.inf), where=mobility > 0)
+
+
+def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Return the least and the most effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
+    pushes = np.abs(ratio) > _NO_ARM * np.abs(ratio).max(axis=(0, 1), initial=0.0)
+    ends = np.multiply(ratio[..., None], limit, out=np.zeros((*ratio.shape, 2)), where=pushes[..., None])
+    return np.stack([ends.min(axis=-1).sum(axis=-1), ends.max(axis=-1).sum(axis=-1)], axis=-1)
+
+
+def _singularity(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return the least of J_z's blocks' determinants (n,) as shares of those at home; 1 without loops."""
+    if len(mechanism.dependent) == 0:
+        return np.ones(len(poses))
+    block = mechanism.dynamics.block_singularity
+    return (sampled(block, poses)[:, :, 0] / np.array(block(mechanism.home)).ravel()).min(axis=1)
+
+
+def path_record(path: LoopPath) -> dict:
+    """Return what `linkplan check --json` says of a path: lists over its samples; what is infinite is null."""
+    mechanism = path.mechanism
+    joints = list(enumerate(mechanism.joints))
+    independent = [joint.name for joint in mechanism.independent_joints]
+    actuators = [actuator.name for actuator in mechanism.actuators]
+
+    def by(names: list[str], values: np.ndarray) -> dict:
+        return {name: values[:, k] for k, name in enumerate(names)}
+
+    return {
+        "path": path.title,
+        "coordinate": None if path.coordinate is None else independent[path.coordinate],
+        "time_s": path.time_s,
+        "q_deg": {joint.name: np.degrees(path.poses[:, k]) for k, joint in joints if joint.kind == "hinge"},
+        "q_m": {joint.name: path.poses[:, k] for k, joint in joints if joint.kind == "slide"},
+        "joint_rate": {joint.name: by(independent, path.rates[:, k]) for k, joint in joints},
+        "transmission_ratio": {name: by(independent, path.ratio[:, :, j]) for j, name in enumerate(actuators)},
+        "reduced_inertia": path.reduced_inertia,
+        "reflected_inertia": by(actuators, path.reflected_inertia),
+        "gravity_effort": by(independent, path.gravity_effort),
+        "holding_effort": by(actuators, path.holding_effort),
+        "unheld_effort": by(independent, path.unheld_effort),
+        "available_effort": by(independent, path.available_effort),
+        "singularity_ratio": path.singularity,
+        "closure_force_n": by(list(mechanism.closure_names), path.closure_force),
+    }

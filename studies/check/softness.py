@@ -1,0 +1,157 @@
+"""How far MuJoCo's soft constraints let a loop gape: what `linkplan check` says of a closure with a soft `solref`.
+
+A constraint of MuJoCo gives way in proportion to its force. At rest a = 0 in the row's direction, and its own law
+a + R f = -K d r (MuJoCo, "Constraint model") leaves it open by
+
+    r = R f / (K d),
+
+with R = A (1 - d) / d, A the inertia of the row, K from `solref` and the impedance d(r) from `solimp`. Plans are of closed
+loops: a gap is what a tracked plan differs by.
+"""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.tree.ties import tied_points
+
+# A gap of more than this share of the model's extent is worth a note: of half a metre, 0.05 mm.
+_WORTH_SAYING = 1e-4
+# Impedances next to the largest that MuJoCo admits, 0.9999: what the built-in models have.
+STIFF_IMPEDANCE = "0.999 0.999 0.001"
+_STIFF = 0.999
+# The least time constant that MuJoCo admits, in steps.
+_STEPS = 2.0
+# A gap beyond this share of the extent is no longer the small one of the law: it is said to be more than that.
+_LARGEST = 0.01
+# A stiffer constraint is worth naming where it leaves no more than this share of the gap.
+_HELPS = 0.5
+# Rounds of the gap's own law, whose impedance depends on it; each at least halves the error.
+_ROUNDS = 60
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class SoftClosure:
+    """How far a connect or weld gapes at home [m]: holding the weight, and under one actuator at its limit.
+
+    `stiff_gap_m` is the larger of the two with `stiff_solref` and `STIFF_IMPEDANCE`, the stiffest that the timestep admits.
+    """
+
+    name: str
+    solref: tuple[float, float]
+    weight_gap_m: float
+    rated_gap_m: float
+    rated_by: str | None
+    stiff_solref: str
+    stiff_gap_m: float
+
+    @property
+    def gap_m(self) -> float:
+        """The larger gap."""
+        return max(self.weight_gap_m, self.rated_gap_m)
+
+
+def soft_closures(mechanism: Mechanism, share: float = _WORTH_SAYING) -> tuple[SoftClosure, ...]:
+    """Return the connects and welds whose loop gapes by more than a share of the model's extent, worst first."""
+    model = mechanism.model
+    data = mujoco.MjData(model)
+    data.qpos[:] = mechanism.qpos_of(mechanism.home)
+    mujoco.mj_forward(model, data)
+    loads, found = _loads(mechanism), []
+    for c, (name, index) in enumerate({closure.name: closure.index for closure in mechanism.closures}.items()):
+        of_it = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (np.asarray(data.efc_id) == index)
+        if not tied_points(model, index) or not of_it.any():
+            continue
+        row = int(np.flatnonzero(of_it)[0])
+        stiffness, _, impedance, _ = np.reshape(data.efc_KBIP, (-1, 4))[row]
+        inertia = float(data.efc_R[row]) * impedance / (1 - impedance)
+        forces = [(who, float(np.linalg.norm(force[mechanism.closure_slice(c)]))) for who, force in loads]
+        who, most = max(forces[1:], key=lambda item: item[1], default=(None, 0.0))
+        law = float(stiffness), np.array(model.eq_solimp[index])
+        weight, rated = (steady_gap(force * inertia, *law) for force in (forces[0][1], most))
+        least = _STEPS * float(model.opt.timestep)
+        stiff = np.array([_STIFF, _STIFF, 0.001, 0.5, 2.0])
+        found.append(
+            SoftClosure(
+                name=name,
+                solref=(float(model.eq_solref[index, 0]), float(model.eq_solref[index, 1])),
+                weight_gap_m=weight,
+                rated_gap_m=rated,
+                rated_by=who,
+                stiff_solref=f"{least:g} 1",
+                stiff_gap_m=steady_gap(max(forces[0][1], most) * inertia, 1 / (_STIFF * least) ** 2, stiff),
+            )
+        )
+    soft = [one for one in found if one.gap_m > share * mechanism.extent_m]
+    return tuple(sorted(soft, key=lambda one: -one.gap_m))
+
+
+def _loads(mechanism: Mechanism) -> list[tuple[str | None, np.ndarray]]:
+    """Return the closure forces (n_rows,) at home while the weight is held, then of each actuator alone at each limit."""
+    dynamics, home, still = mechanism.dynamics, mechanism.home, np.zeros(mechanism.dof)
+    hold, _ = needed_effort(mechanism, home[None], still[None], still[None])
+    loads: list[tuple[str | None, np.ndarray]] = [
+        (None, np.array(dynamics.closure_force(home, still, still, hold[0])).ravel())
+    ]
+    for j, actuator in enumerate(mechanism.actuators):
+        for end in (actuator.lower, actuator.upper):
+            if np.isfinite(end) and end != 0:
+                effort = np.zeros(mechanism.n_u)
+                effort[j] = end
+                gained = dynamics.acceleration(home, still, effort)
+                loads.append((actuator.name, np.array(dynamics.closure_force(home, still, gained, effort)).ravel()))
+    return loads
+
+
+def steady_gap(push: float, stiffness: float, solimp: np.ndarray) -> float:
+    """Return the gap [m] of a constraint at rest: r = push (1 - d) / (K d^2), d = d(r).
+
+    Args:
+        push: the force times the row's inertia, an acceleration [m/s2].
+        stiffness: K [1/s2].
+        solimp: MuJoCo's d_0, d_width, width, midpoint and power.
+    """
+    low, high = 0.0, push * (1 - impedance_at(0.0, solimp)) / (stiffness * impedance_at(0.0, solimp) ** 2)
+    for _ in range(_ROUNDS):  # the gap that the law gives falls as the one that it is taken at grows
+        middle = (low + high) / 2
+        d = impedance_at(middle, solimp)
+        low, high = (middle, high) if push * (1 - d) / (stiffness * d**2) > middle else (low, middle)
+    return (low + high) / 2
+
+
+def impedance_at(gap: float, solimp: np.ndarray) -> float:
+    """Return MuJoCo's impedance d(r) of a constraint with a gap [m] (MuJoCo, "Solver parameters")."""
+    d_0, d_width, width, midpoint, power = (float(x) for x in solimp)
+    x = min(1.0, gap / width) if width > 0 else 1.0
+    y = x if power == 1 else x**power / midpoint ** (power - 1)
+    if x > midpoint and power != 1:
+        y = 1 - (1 - x) ** power / (1 - midpoint) ** (power - 1)
+    return d_0 + y * (d_width - d_0)
+
+
+def softness_note(mechanism: Mechanism) -> str | None:
+    """Return the sentence on a mechanism's soft closures, or None where none gapes so far that it matters."""
+    soft = soft_closures(mechanism)
+    if not soft:
+        return None
+    worst, others = soft[0], soft[1:]
+    largest = _LARGEST * mechanism.extent_m
+
+    def said(gap: float) -> str:
+        return f"{1e3 * gap:.2g} mm" if gap <= largest else f"more than {1e3 * largest:.2g} mm"
+
+    also = f" (and {', '.join(one.name for one in others)})" if others else ""
+    gaps = f"by {said(worst.weight_gap_m)} while weight and springs are held at home"
+    if worst.rated_by is not None:
+        gaps += f", by {said(worst.rated_gap_m)} under {worst.rated_by} at its limit"
+    solref = " ".join(f"{number:g}" for number in worst.solref)
+    text = f"closure {worst.name}{also} is soft (solref {solref}): the simulator's loop gapes {gaps}"
+    if worst.stiff_gap_m > _HELPS * worst.gap_m:
+        return f"{text}; a shorter timestep would admit a stiffer one"
+    return (
+        f'{text}; solref="{worst.stiff_solref}" solimp="{STIFF_IMPEDANCE}", the stiffest that its timestep admits, leaves'
+        f" {said(worst.stiff_gap_m)}"
+    )

@@ -1,0 +1,1 @@
+"""The command line: arguments in, studies run, results printed and written, an exit code out."""

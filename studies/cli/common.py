@@ -1,0 +1,117 @@
+"""What the commands share: reading arguments, progress, printing results."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.errors import ModelError, ProblemError
+from linkplan.models.library import BUILT_IN as MODELS
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import nearest
+from linkplan.planner.files.folders import check_target, plain
+from linkplan.planner.files.plan_folder import read_plan, record, unchecked
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.files.tables import apply_override, read_tables
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import plan_motion
+from linkplan.studies.cli.exit_codes import NO
+
+Say = Callable[[str], None]
+
+
+def progress(arguments: argparse.Namespace) -> Say:
+    """Return the function that prints a command's progress on stderr."""
+
+    def say(text: str) -> None:
+        print(f"  {arguments.command}: {text}", file=sys.stderr, flush=True)
+
+    return say
+
+
+def show(arguments: argparse.Namespace, said: dict, text: str) -> None:
+    """Print a result: one JSON object, or the text for people."""
+    print(json.dumps(plain(said), allow_nan=False) if arguments.json else text)
+
+
+def output_folder(arguments: argparse.Namespace) -> Path | None:
+    """Return the output folder, refused now and not after long work where it cannot be used."""
+    if arguments.output is None:
+        return None
+    if not arguments.output:
+        raise ProblemError("-o takes a folder, got an empty name")
+    target = Path(arguments.output)
+    check_target(target, f"{arguments.command}.json")
+    return target
+
+
+def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dict[str, float]]:
+    """Return the poses of --at-deg: JOINT=ANGLE, several joints joined by commas; a bare angle for a single freedom."""
+    poses = []
+    for text in arguments.at_deg:
+        pose = {}
+        for part in text.split(","):
+            name, equals, value = part.rpartition("=")
+            if not equals and mechanism.dof == 1:
+                name = mechanism.independent_joints[0].name
+            try:
+                number = float(value)
+            except ValueError:
+                number = np.nan
+            if not name or not np.isfinite(number):
+                raise ProblemError(f"--at-deg takes JOINT=ANGLE, an angle in degrees (metres for a slide), got '{text}'")
+            joint = mechanism.joints[mechanism.joint_index(name.strip(), ProblemError)]
+            pose[joint.name] = joint.read(number)
+        poses.append(pose)
+    return poses
+
+
+def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None, bool]:
+    """Return the tables of a model or a problem with overrides, and whether it is a whole problem."""
+    path = Path(source)
+    is_problem = source in PROBLEMS or (path.suffix == ".toml" and source not in MODELS)
+    if is_problem:
+        name, tables, folder = read_tables(source)
+    else:
+        if source not in MODELS and not path.exists():
+            names = [*MODELS, *PROBLEMS]
+            raise ModelError(
+                f"unknown model '{source}'{nearest(source, names)}: neither a built-in name ({', '.join(names)}) nor a file"
+            )
+        name, tables, folder = source, {"mechanism": {"model": source}}, None
+    for override in overrides:
+        apply_override(tables, override)
+    return name, tables, folder, is_problem
+
+
+def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
+    """Return the plan that an argument means: a saved one, or one made of a problem now."""
+    source, overrides = arguments.plan, arguments.set
+    path = Path(source)
+    if source in PROBLEMS or path.is_file() or not path.exists():
+        if source not in PROBLEMS and not path.is_file():
+            raise ProblemError(
+                f"unknown plan or problem '{source}'{nearest(source, PROBLEMS)}: neither a plan's folder, nor a problem"
+                f" file, nor built-in ({', '.join(PROBLEMS)})"
+            )
+        name, tables, folder = read_tables(source)
+        for override in overrides:
+            apply_override(tables, override)
+        return plan_motion(problem_from_tables(name, tables, folder), say)
+    for override in overrides:
+        if not override.startswith("tracking."):
+            raise ProblemError(f"--set {override}: a saved plan is fixed; only tracking.* can be set on it")
+    plan, note = read_plan(path, overrides), unchecked(path)
+    if note is not None:
+        say(note)
+    return plan
+
+
+def no_plan(arguments: argparse.Namespace, plan: Plan) -> int:
+    """Say why there is no motion and return the exit code."""
+    show(arguments, record(plan), f"{plan.problem.name}: {plan.message}")
+    return NO

@@ -1,0 +1,17 @@
+"""The command `demo`."""
+
+import argparse
+
+from linkplan.studies.cli.common import output_folder, progress, show
+from linkplan.studies.cli.exit_codes import DONE
+
+
+def run_demo(arguments: argparse.Namespace) -> int:
+    """Run the whole path on the knee."""
+    from linkplan.studies.demo.demo import demo
+
+    arguments.output = "linkplan-demo" if arguments.output is None else arguments.output
+    target = output_folder(arguments)
+    said, text = demo(target, progress(arguments))
+    show(arguments, said, text)
+    return DONE

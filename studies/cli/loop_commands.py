@@ -1,0 +1,224 @@
+"""The commands about loops: `bode` and `tune`."""
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import choose
+from linkplan.planner.files.folders import write_json, write_whole
+from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables, tracking_from_tables
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.planning_problem import PlanningProblem, Tracking
+from linkplan.studies.cli.common import Say, output_folder, poses_asked, progress, show, tables_of
+from linkplan.studies.cli.exit_codes import DONE, NO
+
+
+def run_bode(arguments: argparse.Namespace) -> int:
+    """Report on a loop's frequency response, predicted and measured; 1 where it is unstable at a pose."""
+    from linkplan.studies.bode.bode import bode_study
+    from linkplan.studies.bode.bode_report import bode_record, bode_text
+    from linkplan.studies.frequency.excitation import METHODS, Setup
+    from linkplan.studies.frequency.loops import LAWS
+
+    choose("tracker", arguments.tracker, LAWS, ProblemError)
+    choose("way to measure", arguments.measure, (*METHODS, "none"), ProblemError)
+    target, say = output_folder(arguments), progress(arguments)
+    problem, mechanism, settings, limit = _loop_of(arguments)
+    if arguments.along and problem is None:
+        raise ProblemError("--along needs a problem, for its motion; a model has none")
+    setup = None
+    if arguments.measure != "none":
+        amplitude = arguments.amplitude_deg
+        if amplitude is not None and not (np.isfinite(amplitude) and amplitude > 0):
+            raise ProblemError(f"--amplitude-deg is a positive number, got {amplitude:g}")
+        joint = mechanism.independent_joints[0]
+        setup = Setup(method=arguments.measure, amplitude=None if amplitude is None else joint.read(amplitude))
+    poses, note = _asked(arguments, problem, mechanism, limit)
+    study = bode_study(
+        mechanism,
+        poses,
+        settings,
+        limit,
+        say,
+        law=arguments.tracker,
+        setup=setup,
+        frequency_hz=_frequencies(arguments, settings),
+    )
+    said, texts = bode_record(study), [bode_text(study)]
+    said["note"] = note
+    texts += [f"note: {note}"] if note else []
+    extras = [name for name in ("map", "large", "along") if getattr(arguments, name)]
+    drawers = []
+    for name in extras:
+        record, text, draw = _EXTRAS[name](study, problem, say)
+        said[name] = record
+        texts.append(text)
+        drawers.append(draw)
+    if target is not None:
+        from linkplan.studies.bode.draw_bode import save_bode
+
+        def write(place: Path) -> None:
+            write_json(place / "bode.json", said)
+            save_bode(study, place)
+            for draw in drawers:
+                draw(place)
+
+        write_whole(target, write, "bode.json")
+    show(arguments, said, "\n\n".join(texts))
+    return DONE if study.stable else NO
+
+
+def run_tune(arguments: argparse.Namespace) -> int:
+    """Find gains for what is wanted; 1 where there are none."""
+    from linkplan.controllers.sampling import sampling
+    from linkplan.studies.frequency.loops import LAWS, operating_point
+    from linkplan.studies.tune.tune import Wanted, tune, tune_record, tune_text
+
+    choose("tracker", arguments.tracker, LAWS, ProblemError)
+    target, say = output_folder(arguments), progress(arguments)
+    problem, mechanism, settings, limit = _loop_of(arguments)
+    wanted = Wanted(
+        bandwidth_hz=arguments.bandwidth_hz,
+        phase_margin_deg=arguments.phase_margin_deg,
+        sensitivity_peak=np.inf if arguments.sensitivity_peak is None else arguments.sensitivity_peak,
+    )
+    if mechanism.dof != 1:
+        raise ProblemError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
+    poses, note = _asked(arguments, problem, mechanism, limit)
+    points = [operating_point(mechanism, position, limit) for position in poses]
+    timing = sampling(mechanism, settings.period_s, settings.delay_periods)
+    found = tune(points, wanted, settings, timing, limit, law=arguments.tracker, say=say)
+    said, text = tune_record(found) | {"note": note}, tune_text(found) + (f"\nnote: {note}" if note else "")
+    if target is not None:
+        from linkplan.studies.tune.draw_tune import tune_figure
+        from linkplan.studies.tune.tune import tracking_table
+
+        def write(place: Path) -> None:
+            write_json(place / "tune.json", said)
+            (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
+            tune_figure(found, place / "tune.png")
+
+        write_whole(target, write, "tune.json")
+    show(arguments, said, text)
+    return DONE if found.found else NO
+
+
+def _loop_of(arguments: argparse.Namespace) -> tuple[PlanningProblem | None, Mechanism, Tracking, np.ndarray]:
+    """Return the problem if it is one, the mechanism, the gains asked for and the effort limits."""
+    name, tables, folder, is_problem = tables_of(arguments.model, arguments.set)
+    if is_problem:
+        problem: PlanningProblem | None = problem_from_tables(name, tables, folder)
+        mechanism, settings, limit = problem.mechanism, problem.tracking, problem.limits.effort
+    else:
+        problem, mechanism = None, mechanism_from_tables(tables, folder)
+        settings, limit = tracking_from_tables(tables), mechanism.effort_limit
+    return problem, mechanism, _settings(arguments, settings), limit
+
+
+def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
+    """Return the tracking settings with what the command line asks for in place."""
+    from dataclasses import replace
+
+    names = [name for name in ("kp", "kd", "period_s", "delay_periods") if getattr(arguments, name, None) is not None]
+    settings = replace(settings, **{name: getattr(arguments, name) for name in names})
+    for name in ("kp", "kd"):
+        value = getattr(settings, name)
+        if not (np.isfinite(value) and value >= 0):
+            raise ProblemError(f"--{name} is a number of at least 0, got {value:g}")
+    if settings.kp == 0 and settings.kd == 0:
+        raise ProblemError("--kp and --kd are both 0: there is no loop to look at")
+    if not (np.isfinite(settings.period_s) and settings.period_s > 0):
+        raise ProblemError(f"--period-s is a positive number, got {settings.period_s:g}")
+    if not (np.isfinite(settings.delay_periods) and 0 <= settings.delay_periods <= 1000):
+        raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {settings.delay_periods:g}")
+    return settings
+
+
+def _asked(
+    arguments: argparse.Namespace, problem: PlanningProblem | None, mechanism: Mechanism, limit: np.ndarray
+) -> tuple[np.ndarray, str | None]:
+    """Return the independent positions to look at (n, n_s), and a sentence on how they were chosen where that matters."""
+    from linkplan.studies.bode.bode import default_poses
+    from linkplan.studies.frequency.loops import require_actuated
+
+    require_actuated(mechanism)
+    if not arguments.at_deg:
+        return default_poses(mechanism, _motion_range(problem), limit)
+    names = [joint.name for joint in mechanism.independent_joints]
+    asked = poses_asked(arguments, mechanism)
+    home = dict(zip(names, mechanism.home[mechanism.independent], strict=True))
+    for pose in asked:
+        wrong = [name for name in pose if name not in names]
+        if wrong:
+            raise ProblemError(
+                f"--at-deg names the independent joint{'s' * (len(names) > 1)} {', '.join(names)}; {wrong[0]} follows"
+            )
+    return np.array([[(home | pose)[name] for name in names] for pose in asked]), None
+
+
+def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarray | None:
+    """Return the frequencies asked for [Hz], or None."""
+    low, high, count = arguments.from_hz, arguments.to_hz, arguments.frequencies
+    if low is None and high is None and count is None:
+        return None
+    nyquist = 0.5 / settings.period_s
+    low = nyquist / 500 if low is None else low
+    high = 0.9 * nyquist if high is None else high
+    count = 20 if count is None else count
+    if not (np.isfinite(low) and np.isfinite(high) and 0 < low < high):
+        raise ProblemError(f"--from-hz is positive and below --to-hz, got {low:g} and {high:g}")
+    if not 2 <= count <= 1000:
+        raise ProblemError(f"--frequencies is from 2 to 1000, got {count}")
+    if high > nyquist:
+        raise ProblemError(
+            f"--to-hz {high:g} is above the Nyquist frequency: a loop sampled every {settings.period_s:g} s has none above"
+            f" {nyquist:g} Hz"
+        )
+    return np.geomspace(low, high, count)
+
+
+def _motion_range(problem: PlanningProblem | None) -> np.ndarray | None:
+    """Return the ends of a problem's motion (2,), or None where there is no problem."""
+    if problem is None or problem.mechanism.dof != 1:
+        return None
+    if problem.motion.start is not None and problem.motion.goal is not None:
+        return np.array([problem.motion.start[0], problem.motion.goal[0]])
+    values = problem.reference.derivative(np.linspace(0.0, problem.reference.period_s, 181))[:, 0]
+    return np.array([values.min(), values.max()])
+
+
+def _map(study, problem: PlanningProblem | None, say: Say):
+    """Return the stability map's record, text and drawer."""
+    from linkplan.studies.bode.draw_map import map_figure
+    from linkplan.studies.bode.map_study import map_record, map_study, map_text
+
+    del problem
+    found = map_study(study, say)
+    return map_record(found), map_text(found), lambda place: map_figure(found, place / "map.png")
+
+
+def _large(study, problem: PlanningProblem | None, say: Say):
+    """Return the large signals' record, text and drawer."""
+    from linkplan.studies.bode.draw_large import large_figure
+    from linkplan.studies.bode.large_study import large_study, large_study_record, large_text
+
+    found = large_study(study, None if problem is None else problem.limits, say)
+    return large_study_record(found), large_text(found), lambda place: large_figure(found, place / "large.png")
+
+
+def _along(study, problem: PlanningProblem | None, say: Say):
+    """Return the record, text and drawer of the loop along the problem's motion."""
+    from linkplan.studies.bode.along_motion import along_motion, along_record, along_text
+    from linkplan.studies.bode.draw_along import along_figure
+
+    plan = plan_motion(problem, say)
+    if plan.trajectory is None:
+        raise LinkplanError(f"--along: {problem.name} has no motion: {plan.message}")
+    found = along_motion(plan, study.law, study.settings, say)
+    return along_record(found), along_text(found), lambda place: along_figure(found, place / "along.png")
+
+
+_EXTRAS = {"map": _map, "large": _large, "along": _along}

@@ -1,0 +1,205 @@
+"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | demo`.
+
+Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
+problems found), said in a sentence; 2 bad input or a disk that refuses, one line. Heavy imports wait for the command
+that needs them.
+"""
+
+import argparse
+import importlib
+import sys
+from collections.abc import Callable, Sequence
+from typing import NoReturn
+
+from linkplan.models.errors import LinkplanError, one_line
+from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED
+
+# The module of each command, loaded when the command is given.
+_MODULES = {
+    "list": "list_command",
+    "check": "check_command",
+    "plan": "plan_commands",
+    "batch": "plan_commands",
+    "track": "tracking_commands",
+    "compare": "tracking_commands",
+    "view": "tracking_commands",
+    "bode": "loop_commands",
+    "tune": "loop_commands",
+    "demo": "demo_command",
+}
+
+_EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), said in a sentence;
+2 bad input, or a file that cannot be read or written (a full disk), one line on stderr; 130 interrupted"""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that refuses in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the refusal and leave with exit code 2."""
+        self.exit(BAD_INPUT, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the command line's parser."""
+    parser = _Parser(
+        prog="linkplan",
+        description="Optimal-control motion planning for closed-chain mechanisms.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="store_true", help="print linkplan's version and leave")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
+
+    def command(name: str, text: str, *, output: bool = True, settings: bool = True) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=_EPILOG)
+        sub.formatter_class = argparse.RawDescriptionHelpFormatter
+        sub.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
+        if output:
+            sub.add_argument("-o", "--output", metavar="DIR", help="write results and figures into this folder, whole")
+        if settings:
+            sub.add_argument(
+                "--set",
+                action="append",
+                default=[],
+                metavar="KEY=VALUE",
+                help="set any key of the problem file, e.g. motion.duration_s=0.2 (TOML; a bare word is a string)",
+            )
+        return sub
+
+    command("list", "list the built-in models, problems, payloads, schemes and trackers", output=False, settings=False)
+    text = "report on a mechanism's loops: freedom, closure, reach, singular poses, ratios, inertias, forces, what is wrong"
+    check = command("check", text)
+    check.add_argument("model", metavar="MODEL", help="a built-in model or problem, or an MJCF or problem file")
+    _at(check, "report inertia, gravity and effort map at this pose; may be given again")
+
+    plan = command("plan", "plan a motion and certify it between the nodes")
+    text = (
+        "a built-in problem or a TOML file; paths in it (model, guess.plan) are from its own folder, else the working folder"
+    )
+    plan.add_argument("problem", metavar="PROBLEM", help=text)
+
+    batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
+    batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
+
+    track = command("track", "run one tracker on a plan in MuJoCo")
+    track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    track.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
+    _mismatch(track, 1.0, 0)
+
+    compare = command("compare", "run all trackers side by side on a plan, nominal and with a mismatch")
+    compare.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    _mismatch(compare, 1.2, 1)
+
+    bode = command("bode", "frequency response, margins and sampled stability of a loop, predicted and measured in MuJoCo")
+    _loop(bode)
+    bode.add_argument("--kp", type=float, metavar="KP", help="proportional gain [N.m/rad] (default: the problem's, 200)")
+    bode.add_argument("--kd", type=float, metavar="KD", help="derivative gain [N.m.s/rad] (default: the problem's, 1)")
+    bode.add_argument(
+        "--measure",
+        default="sinestream",
+        metavar="HOW",
+        help="sinestream, multisine, chirp or none (default: %(default)s)",
+    )
+    bode.add_argument("--from-hz", type=float, metavar="F", help="lowest frequency measured (default: about the crossover)")
+    bode.add_argument("--to-hz", type=float, metavar="F", help="highest frequency measured, below half the sampling rate")
+    bode.add_argument("--frequencies", type=int, metavar="N", help="how many frequencies are measured (default: 20)")
+    bode.add_argument("--amplitude-deg", type=float, metavar="A", help="of the test signal's motion (default: small)")
+    bode.add_argument("--map", action="store_true", help="map the stable gains over all angles, tried beside the border")
+    bode.add_argument("--large", action="store_true", help="go past the effort limit, beside the describing function")
+    bode.add_argument(
+        "--along", action="store_true", help="look along the problem's motion: frozen loops, Floquet multipliers"
+    )
+
+    tune = command("tune", "find PD gains or LQR weights for a bandwidth and margins at the worst angle")
+    _loop(tune)
+    tune.add_argument("--bandwidth-hz", type=float, required=True, metavar="F", help="of the closed loop, at least")
+    tune.add_argument("--phase-margin-deg", type=float, default=60.0, metavar="P", help="at least (default: %(default)s)")
+    tune.add_argument("--sensitivity-peak", type=float, metavar="M", help="largest |S| allowed (default: any)")
+
+    view = command("view", "play a tracked plan in MuJoCo's interactive viewer", output=False)
+    view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    view.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
+    view.add_argument("--slow", type=float, default=4.0, metavar="X", help="times slower than real (default: %(default)s)")
+    view.add_argument("--seconds", type=float, metavar="S", help="close the window after this time (default: when you do)")
+
+    command("demo", "run the whole path on the Optimus knee into one folder (default: linkplan-demo)", settings=False)
+    return parser
+
+
+def _loop(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL-or-PROBLEM", help="a built-in model or problem, or an MJCF or TOML file")
+    parser.add_argument("--tracker", default="pd", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
+    parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
+    parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
+    _at(parser, "a pose to look at; may be given again (default: five over the motion or the reach)")
+
+
+def _at(parser: argparse.ArgumentParser, text: str) -> None:
+    text += "; degrees, metres for a slide"
+    parser.add_argument("--at-deg", action="append", default=[], metavar="JOINT=ANGLE", help=text)
+
+
+def _mismatch(parser: argparse.ArgumentParser, mass_factor: float, delay: int) -> None:
+    parser.add_argument(
+        "--mass-factor",
+        type=float,
+        default=mass_factor,
+        metavar="X",
+        help="mismatch: factor on the payload's mass, on all moving masses without one (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--delay-periods",
+        type=int,
+        default=delay,
+        metavar="N",
+        help="mismatch: further control periods of delay (default: %(default)s)",
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code."""
+    parser = build_parser()
+    try:
+        arguments = parser.parse_args(argv)
+    except SystemExit as leave:
+        return int(leave.code or 0)
+    if arguments.version:
+        from importlib.metadata import version
+
+        print(f"linkplan {version('linkplan')}")
+        return DONE
+    if arguments.command is None:
+        parser.print_help(sys.stderr)
+        return BAD_INPUT
+    return _run(arguments)
+
+
+def _run(arguments: argparse.Namespace) -> int:
+    try:
+        module = importlib.import_module(f"linkplan.studies.cli.{_MODULES[arguments.command]}")
+        run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
+        code = run(arguments)
+        sys.stdout.flush()
+        return code
+    except LinkplanError as error:
+        print(f"linkplan {arguments.command}: {one_line(error)}", file=sys.stderr)
+        return BAD_INPUT
+    except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            # The reader of our output left; leave without a word, and keep Python from flushing into the closed pipe.
+            sys.stdout = None
+            return DONE
+        sys.stdout = None  # a disk that is full for the result is full for what is left of it
+        print(f"linkplan {arguments.command}: the result cannot be written: {error.strerror or error}", file=sys.stderr)
+        return BAD_INPUT
+    except (KeyboardInterrupt, SystemError) as error:
+        # CasADi wraps an interrupt that comes while it converts a number.
+        if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        print(f"linkplan {arguments.command}: interrupted; nothing was written", file=sys.stderr)
+        return INTERRUPTED
+
+
+if __name__ == "__main__":
+    sys.exit(main())

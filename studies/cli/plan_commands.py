@@ -1,0 +1,55 @@
+"""The commands `plan` and `batch`."""
+
+import argparse
+from pathlib import Path
+
+from linkplan.planner.files.folders import write_json, write_whole
+from linkplan.planner.files.plan_folder import record, write_plan
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.files.tables import apply_override, read_tables
+from linkplan.planner.planning import plan_motion
+from linkplan.studies.cli.common import output_folder, progress, show
+from linkplan.studies.cli.exit_codes import DONE, NO
+
+
+def run_plan(arguments: argparse.Namespace) -> int:
+    """Plan a motion; 1 where there is none."""
+    from linkplan.studies.output.plan_text import plan_text
+    from linkplan.studies.output.save_plan import save_plan
+
+    target, say = output_folder(arguments), progress(arguments)
+    name, tables, folder = read_tables(arguments.problem)
+    for override in arguments.set:
+        apply_override(tables, override)
+    plan = plan_motion(problem_from_tables(name, tables, folder), say)
+    if plan.status == "optimal" and target is not None:
+        write_whole(target, lambda place: save_plan(plan, place, target))
+        say(f"saved in {target}")
+    elif target is not None:
+        say(f"nothing written: {plan.status}")
+    show(arguments, record(plan), plan_text(plan))
+    return DONE if plan.status == "optimal" else NO
+
+
+def run_batch(arguments: argparse.Namespace) -> int:
+    """Plan the cases of a batch file; 1 where one of them has no plan."""
+    from linkplan.planner.batch import plan_batch
+    from linkplan.planner.files.batch_file import read_batch
+    from linkplan.studies.output.batch_table import batch_record, batch_text
+
+    target, say = output_folder(arguments), progress(arguments)
+    results = list(plan_batch(read_batch(arguments.batch), say))
+    said = batch_record(results)
+    if target is not None:
+
+        def write(place: Path) -> None:
+            write_json(place / "batch.json", said)
+            for case, plan in results:
+                if plan.status == "optimal":
+                    (place / case.name).mkdir()
+                    write_plan(plan, place / case.name, target / case.name)
+
+        write_whole(target, write, "batch.json")
+        say(f"saved in {target}")
+    show(arguments, said, batch_text(results))
+    return DONE if all(plan.status == "optimal" for _, plan in results) else NO

@@ -1,0 +1,111 @@
+"""The commands `track`, `compare` and `view`."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.names import choose
+from linkplan.planner.files.folders import write_json, write_whole
+from linkplan.planner.plan import Plan
+from linkplan.studies.cli.common import no_plan, output_folder, plan_asked, progress, show
+from linkplan.studies.cli.exit_codes import DONE, NO
+
+
+def run_track(arguments: argparse.Namespace) -> int:
+    """Run one tracker; 1 where the plan has no motion or the loop is unstable."""
+    from linkplan.studies.compare.compare import TRACKERS, comparison_record
+    from linkplan.studies.compare.comparison_text import comparison_text
+
+    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
+    target, say = output_folder(arguments), progress(arguments)
+    mismatch_given = _check_mismatch(arguments)
+    plan = plan_asked(arguments, say)
+    if plan.trajectory is None:
+        return no_plan(arguments, plan)
+    comparison = _single(plan, arguments, mismatch_given)
+    said = comparison_record(comparison) | {"tracker": arguments.tracker}
+    if target is not None:
+        write_whole(target, lambda place: _save_tracking(comparison, said, place, "track"), "track.json")
+    show(arguments, said, comparison_text(comparison))
+    return DONE if next(iter(comparison.nominal.values())).stable else NO
+
+
+def _single(plan: Plan, arguments: argparse.Namespace, mismatch_given: bool):
+    """Return one tracker's run as a comparison with itself alone, under the mismatch if one was given."""
+    from linkplan.studies.compare.compare import Comparison, default_mismatch, track
+
+    mismatch = default_mismatch(plan, arguments.mass_factor, arguments.delay_periods) if mismatch_given else None
+    rollout = track(plan, arguments.tracker, mismatch)
+    title = "nominal" if mismatch is None else mismatch.name
+    return Comparison(plan=plan, nominal={arguments.tracker: rollout}, mismatch=None, mismatched={}, title=title)
+
+
+def _check_mismatch(arguments: argparse.Namespace) -> bool:
+    """Return whether a mismatch is asked for, its numbers checked."""
+    factor, delay = arguments.mass_factor, arguments.delay_periods
+    if not (np.isfinite(factor) and factor > 0):
+        raise ProblemError(f"--mass-factor is a positive number, got {factor:g}")
+    if not 0 <= delay <= 1000:
+        raise ProblemError(f"--delay-periods is a whole number from 0 to 1000, got {delay}")
+    return factor != 1.0 or delay != 0
+
+
+def run_compare(arguments: argparse.Namespace) -> int:
+    """Run all trackers; 1 where the plan has no motion or no tracker is stable as modelled."""
+    from linkplan.studies.compare.compare import compare, comparison_record, default_mismatch
+    from linkplan.studies.compare.comparison_text import comparison_text
+    from linkplan.studies.compare.document import document_record, is_the_documents, mended_runs
+
+    target, say = output_folder(arguments), progress(arguments)
+    mismatch_given = _check_mismatch(arguments)
+    plan = plan_asked(arguments, say)
+    if plan.trajectory is None:
+        return no_plan(arguments, plan)
+    mismatch = default_mismatch(plan, arguments.mass_factor, arguments.delay_periods) if mismatch_given else None
+    comparison = compare(plan, mismatch, say)
+    said = comparison_record(comparison)
+    document = {}
+    if is_the_documents(plan):
+        document = mended_runs(plan, say)
+        said["document"] = document_record(document)
+    if target is not None:
+        write_whole(target, lambda place: _save_tracking(comparison, said, place, "compare", document), "compare.json")
+    show(arguments, said, comparison_text(comparison))
+    return DONE if any(rollout.stable for rollout in comparison.nominal.values()) else NO
+
+
+def _save_tracking(comparison, said: dict, place: Path, name: str, document: dict | None = None) -> None:
+    from linkplan.studies.compare.document import KP
+    from linkplan.studies.compare.draw_tracking import comparison_figure, document_figure
+
+    write_json(place / f"{name}.json", said)
+    comparison_figure(comparison, place / f"{name}.png")
+    if document:
+        document_figure(document, KP, place / "desired_and_actual.png")
+
+
+def run_view(arguments: argparse.Namespace) -> int:
+    """Play a tracked plan in the viewer; 1 where the plan has no motion."""
+    from linkplan.controllers.playback import has_screen, play
+    from linkplan.studies.compare.compare import TRACKERS, track
+
+    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
+    for name in ("slow", "seconds"):
+        value = getattr(arguments, name)
+        if value is not None and not (np.isfinite(value) and value > 0):
+            raise ProblemError(f"--{name} is a positive number, got {value:g}")
+    say = progress(arguments)
+    plan = plan_asked(arguments, say)
+    if plan.trajectory is None:
+        return no_plan(arguments, plan)
+    if not has_screen():
+        raise ProblemError("view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set")
+    rollout = track(plan, arguments.tracker)
+    say(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
+    play(plan.problem.mechanism, rollout, arguments.slow, arguments.seconds)
+    if arguments.json:
+        print(json.dumps({"plan": plan.problem.name, "tracker": arguments.tracker, "stable": rollout.stable}))
+    return DONE

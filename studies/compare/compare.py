@@ -1,0 +1,172 @@
+"""The study behind `linkplan compare` and `track`: trackers side by side on one plan, as modelled and with a mismatch."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.reference import SampledReference, sample
+from linkplan.controllers.rollout import Loop, Rollout, run
+from linkplan.controllers.trackers.feedforward import Feedforward
+from linkplan.controllers.trackers.lqr import lqr
+from linkplan.controllers.trackers.pd import pd
+from linkplan.controllers.trackers.tracker import Tracker
+from linkplan.models.errors import ProblemError
+from linkplan.models.names import choose
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import silent
+
+TRACKERS = ("pd", "pd+ff", "lqr")
+# Below this many control periods in a motion a table of tracking errors says more about sampling than about trackers.
+FEWEST_SAMPLES = 10
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Mismatch:
+    """A way in which the simulated machine differs from the model that the plan and trackers know."""
+
+    name: str
+    mass_factor: float
+    delay_periods: int
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Comparison:
+    """Runs of the trackers on one plan: nominal, and under a mismatch."""
+
+    plan: Plan
+    nominal: dict[str, Rollout]
+    mismatch: Mismatch | None
+    mismatched: dict[str, Rollout]
+    title: str = "nominal"  # of the first side
+
+
+def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: int = 1) -> Mismatch:
+    """Return the mismatch of a factor on the payload (all moving masses where there is none) and a further delay."""
+    what = "payload" if plan.problem.mechanism.payload is not None else "moving masses"
+    delay = f"{delay_periods} control period{'s' if delay_periods != 1 else ''} of delay"
+    return Mismatch(
+        name=f"{what} {100 * (mass_factor - 1):+.3g} %, {delay}", mass_factor=mass_factor, delay_periods=delay_periods
+    )
+
+
+def tracking_reference(plan: Plan) -> SampledReference:
+    """Return the plan sampled at its problem's control period, over the problem's tracking duration or its own.
+
+    Raises:
+        ProblemError: when the control period is too long for the motion.
+    """
+    settings, trajectory = plan.problem.tracking, plan.trajectory
+    duration = settings.duration_s or trajectory.duration_s
+    if trajectory.duration_s < FEWEST_SAMPLES * settings.period_s:
+        raise ProblemError(
+            f"tracking.period_s = {settings.period_s:g} s leaves fewer than {FEWEST_SAMPLES} control instants in a motion of"
+            f" {trajectory.duration_s:.4g} s; at most {trajectory.duration_s / FEWEST_SAMPLES:.2g} s"
+        )
+    return sample(plan.problem.mechanism, trajectory, settings.period_s, duration)
+
+
+def build_tracker(name: str, plan: Plan, reference: SampledReference) -> Tracker:
+    """Return the tracker called `name` for a plan.
+
+    Raises:
+        ProblemError: for an unknown name.
+    """
+    choose("tracker", name, TRACKERS, ProblemError)
+    problem = plan.problem
+    settings, mechanism = problem.tracking, problem.mechanism
+    if name == "lqr":
+        limit = np.abs(problem.limits.effort).max(axis=1)
+        position, velocity = settings.lqr_errors(mechanism.independent_joints)
+        return lqr(
+            mechanism,
+            reference,
+            position_weight=position,
+            velocity_weight=velocity,
+            effort_weight=np.where(np.isfinite(limit), limit, np.maximum(plan.certificate.peak_effort, 1.0)),
+        )
+    feedback = pd(mechanism, reference, settings.kp, settings.kd)
+    return feedback if name == "pd" else Feedforward(reference=reference, feedback=feedback)
+
+
+def track(plan: Plan, name: str, mismatch: Mismatch | None = None) -> Rollout:
+    """Return one tracker's run on a plan, under a mismatch if one is given."""
+    reference = tracking_reference(plan)
+    return run(plan.problem.mechanism, reference, build_tracker(name, plan, reference), _loop(plan, mismatch))
+
+
+def compare(plan: Plan, mismatch: Mismatch | None, say: Callable[[str], None] = silent) -> Comparison:
+    """Return all trackers' runs on a plan, nominal and under a mismatch."""
+    reference = tracking_reference(plan)
+    trackers = {name: build_tracker(name, plan, reference) for name in TRACKERS}
+    mechanism = plan.problem.mechanism
+    cases = [None] if mismatch is None else [None, mismatch]
+    runs: list[dict[str, Rollout]] = [{}, {}]
+    for case, results in zip(cases, runs, strict=False):
+        for name, tracker in trackers.items():
+            say(f"{name}, {'nominal' if case is None else case.name}: {reference.n} control periods")
+            results[name] = run(mechanism, reference, tracker, _loop(plan, case))
+    return Comparison(plan=plan, nominal=runs[0], mismatch=mismatch, mismatched=runs[1])
+
+
+def _loop(plan: Plan, mismatch: Mismatch | None) -> Loop:
+    problem = plan.problem
+    return Loop(
+        effort_limit=np.array(problem.limits.effort),
+        delay_periods=problem.tracking.delay_periods + (mismatch.delay_periods if mismatch else 0),
+        mass_factor=mismatch.mass_factor if mismatch else 1.0,
+    )
+
+
+def rollout_record(plan: Plan, rollout: Rollout) -> dict:
+    """Return a run's figures by name, their units in the names."""
+    mechanism = plan.problem.mechanism
+    hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
+    names = [actuator.name for actuator in mechanism.actuators]
+    record = {}
+    for unit, which, factor in (("deg", hinge, 180 / np.pi), ("m", ~hinge, 1.0)):
+        if not np.any(which):
+            continue
+        error = factor * np.linalg.norm(rollout.error[:, which], axis=1)
+        record |= {
+            f"rms_error_{unit}": float(np.sqrt(np.mean(error**2))),
+            f"max_error_{unit}": float(error.max()),
+            f"final_error_{unit}": float(error[-1]),
+        }
+    return record | {
+        "peak_effort": dict(zip(names, np.abs(rollout.applied).max(axis=0), strict=True)),
+        "rms_effort": dict(zip(names, np.sqrt(np.mean(rollout.applied**2, axis=0)), strict=True)),
+        "saturated_fraction": rollout.saturated_fraction,
+        "loop_gap_max_m": float(rollout.gap_m.max()),
+        "contacts": rollout.contacts,
+        "stable": rollout.stable,
+    }
+
+
+def comparison_record(comparison: Comparison) -> dict:
+    """Return what `linkplan compare --json` says."""
+    plan = comparison.plan
+    trajectory = plan.trajectory
+
+    def side(runs: dict[str, Rollout]) -> dict:
+        return {
+            "loop": next(iter(runs.values())).conditions,
+            "trackers": {name: rollout_record(plan, rollout) for name, rollout in runs.items()},
+        }
+
+    record = {
+        "case": comparison.title,
+        "plan": {
+            "name": plan.problem.name,
+            "status": plan.status,
+            "message": plan.message,
+            "objective": plan.objective,
+            "duration_s": trajectory.duration_s,
+            "certificate_passed": plan.certificate.passed,
+        },
+        "gains": {"kp": plan.problem.tracking.kp, "kd": plan.problem.tracking.kd},
+        **side(comparison.nominal),
+    }
+    if comparison.mismatch is not None:
+        record["mismatch"] = {"name": comparison.mismatch.name, **side(comparison.mismatched)}
+    return record

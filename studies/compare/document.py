@@ -1,0 +1,77 @@
+"""The source document's experiment: its sinusoid under PD, as printed and on the mended knee, for both of its gain sets."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from linkplan.controllers.reference import sample
+from linkplan.controllers.rollout import Loop, Rollout, run, run_as_it_stands
+from linkplan.controllers.trackers.pd import pd
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.reference import Sine
+
+KP = 200.0
+KD = (1.0, 10.0)
+DURATION_S = 2.0
+AS_PRINTED, MENDED = "as printed", "mended"
+# The document holds its second actuator's control here; its gain of 1 makes 0.1 N of it.
+_IDLE_CTRL = 0.1
+
+
+def is_the_documents(plan: Plan) -> bool:
+    """Return whether a plan is the document's experiment: its sinusoid, followed exactly, on the bare mended knee."""
+    problem = plan.problem
+    return problem.mechanism.name == "optimus-knee" and problem.mechanism.payload is None and problem.motion.kind == "track"
+
+
+def mended_runs(plan: Plan, say: Callable[[str], None]) -> dict[tuple[str, float], Rollout]:
+    """Return the runs of the mended model, by (model, KD), on the plan of the document's sinusoid."""
+    mechanism, runs = plan.problem.mechanism, {}
+    for kd in KD:
+        say(f"{MENDED}, KP = {KP:g}, KD = {kd:g}")
+        reference = sample(mechanism, plan.trajectory, float(mechanism.model.opt.timestep), DURATION_S)
+        tracker = pd(mechanism, reference, KP, kd)
+        runs[MENDED, kd] = run(mechanism, reference, tracker, Loop(effort_limit=plan.problem.limits.effort))
+    return runs
+
+
+def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, float], Rollout]:
+    """Return the runs of the document's model as it was printed, by (model, KD)."""
+    source, runs = load_mechanism("optimus-knee-source"), {}
+    driven = source.actuators[0].channel
+    others = {channel: _IDLE_CTRL for channel in range(source.model.nu) if channel != driven}
+
+    def desired(time: float, order: int) -> float:
+        return float(sine.derivative(np.array([time]), order)[0, 0])
+
+    for kd in KD:
+        say(f"{AS_PRINTED}, KP = {KP:g}, KD = {kd:g}")
+
+        def law(t: float, q: float, v: float, kd: float = kd) -> float:
+            return KP * (desired(t, 0) - q) + kd * (desired(t, 1) - v)
+
+        runs[AS_PRINTED, kd] = run_as_it_stands(source, law, lambda t: sine.derivative(t)[:, 0], DURATION_S, others)
+    return runs
+
+
+def document_record(runs: dict[tuple[str, float], Rollout]) -> list[dict]:
+    """Return the runs' figures: error, loop gap over the second half, contacts, share of the time at the limit."""
+    rows = []
+    for (model, kd), rollout in runs.items():
+        error = np.degrees(rollout.error[:, 0])
+        half = len(rollout.time_s) // 2
+        rows.append(
+            {
+                "model": model,
+                "kp": KP,
+                "kd": kd,
+                "rms_error_deg": float(np.sqrt(np.mean(error**2))),
+                "steady_gap_mean_m": float(rollout.gap_m[half:].mean()),
+                "steady_gap_max_m": float(rollout.gap_m[half:].max()),
+                "contacts": rollout.contacts,
+                "at_limit_fraction": float(np.mean(np.abs(rollout.applied) >= 0.999 * rollout.effort_limit[0, 1])),
+                "stable": rollout.stable,
+            }
+        )
+    return rows

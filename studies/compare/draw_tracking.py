@@ -1,0 +1,98 @@
+"""Figures of tracking runs: trackers side by side, and the source document's own figure."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.controllers.rollout import Rollout
+from linkplan.studies.compare.compare import Comparison
+from linkplan.studies.output.drawing import BLUE, GREY, ORANGE, TRACKER_COLOURS, outside_legend, page
+
+
+def comparison_figure(comparison: Comparison, path: Path) -> None:
+    """Draw motion, error and effort of every tracker, nominal to the left and under the mismatch to the right."""
+    cases = [(comparison.title, comparison.nominal)]
+    if comparison.mismatch is not None:
+        cases.append((comparison.mismatch.name, comparison.mismatched))
+    mechanism = comparison.plan.problem.mechanism
+    joint, actuator = mechanism.independent_joints[0], mechanism.actuators[0]
+    with page(path, rows=3, columns=len(cases), size=(5.6 * len(cases), 7.6), sharex="col") as axes:
+        for column, (title, runs) in enumerate(cases):
+            draw_tracking(axes[0, column], runs, joint)
+            draw_tracking_error(axes[1, column], runs, joint)
+            draw_applied_effort(axes[2, column], runs, actuator)
+            axes[0, column].set_title(f"{comparison.plan.problem.name}: {title}", pad=24)
+            outside_legend(axes[0, column])
+            axes[2, column].set_xlabel("time [s]")
+
+
+def draw_tracking(axes, runs: Mapping[str, Rollout], joint) -> None:
+    """Draw the first independent joint's motion: desired dashed, actual solid."""
+    factor = joint.shown(1.0)
+    for name, rollout in runs.items():
+        axes.plot(rollout.time_s, factor * rollout.position[:, 0], color=TRACKER_COLOURS.get(name, BLUE), label=name)
+    longest = max(runs.values(), key=lambda rollout: len(rollout.time_s))
+    axes.plot(
+        longest.time_s, factor * longest.reference[:, 0], color="black", linestyle="--", linewidth=1.0, label="desired"
+    )
+    axes.set_ylabel(f"{joint.name} [{joint.unit}]")
+
+
+def draw_tracking_error(axes, runs: Mapping[str, Rollout], joint) -> None:
+    """Draw the size of the first independent joint's error, logarithmic: trackers differ by orders of magnitude."""
+    factor = joint.shown(1.0)
+    for name, rollout in runs.items():
+        error = np.maximum(np.abs(factor * rollout.error[:, 0]), 1e-7)
+        axes.semilogy(rollout.time_s, error, color=TRACKER_COLOURS.get(name, BLUE), linewidth=1.1)
+    axes.set_ylim(bottom=1e-5)
+    axes.set_ylabel(f"|error of {joint.name}| [{joint.unit}]")
+
+
+def draw_applied_effort(axes, runs: Mapping[str, Rollout], actuator) -> None:
+    """Draw the first actuator's applied effort, and its limits where it comes near them."""
+    peak = 0.0
+    for name, rollout in runs.items():
+        axes.plot(rollout.time_s, rollout.applied[:, 0], color=TRACKER_COLOURS.get(name, BLUE), linewidth=1.1)
+        peak = max(peak, float(np.abs(rollout.applied[:, 0]).max()))
+    for bound in next(iter(runs.values())).effort_limit[0]:
+        if np.isfinite(bound) and abs(bound) < 2 * peak:
+            axes.axhline(bound, color=GREY, linestyle=":", linewidth=1.2)
+    axes.set_ylabel(f"{actuator.name} [{actuator.unit}]")
+
+
+def document_figure(runs: Mapping[tuple[str, float], Rollout], kp: float, path: Path) -> None:
+    """Draw the source document's figure: desired dashed, actual solid, in degrees.
+
+    Args:
+        runs: by (model's title, kd): a column for each model, a row for each kd.
+        kp: the common proportional gain.
+        path: where to save.
+    """
+    titles = list(dict.fromkeys(title for title, _ in runs))
+    gains = list(dict.fromkeys(kd for _, kd in runs))
+    with page(
+        path, rows=len(gains), columns=len(titles), size=(5.6 * len(titles), 3.2 * len(gains)), sharex=True, sharey=True
+    ) as axes:
+        for (title, kd), rollout in runs.items():
+            cell = axes[gains.index(kd), titles.index(title)]
+            draw_desired_and_actual(cell, rollout)
+            rms = float(np.sqrt(np.mean(np.degrees(rollout.error[:, 0]) ** 2)))
+            saturated = 100 * float(np.mean(np.abs(rollout.applied[:, 0]) >= 0.999 * rollout.effort_limit[0, 1]))
+            cell.set_title(
+                f"{title}: KP = {kp:g}, KD = {kd:g}\nrms error {rms:.3g} deg, {saturated:.0f} % of the time at the limit"
+            )
+        for cell in axes[-1]:
+            cell.set_xlabel("time [s]")
+        for cell in axes[:, 0]:
+            cell.set_ylabel("joint O [deg]")
+        handles, labels = axes[0, 0].get_legend_handles_labels()
+        axes[0, 0].figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False)
+
+
+def draw_desired_and_actual(axes, rollout: Rollout) -> None:
+    """Draw the first independent joint's desired angle dashed and its actual angle solid [deg]."""
+    axes.plot(rollout.time_s, np.degrees(rollout.position[:, 0]), color=ORANGE, linewidth=1.2, label="actual")
+    axes.plot(
+        rollout.time_s, np.degrees(rollout.reference[:, 0]), color=BLUE, linestyle="--", linewidth=1.6, label="desired"
+    )

@@ -1,0 +1,1 @@
+"""`linkplan demo`: the whole path on the Optimus knee in one folder; and the README's gallery."""

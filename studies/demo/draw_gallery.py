@@ -1,0 +1,52 @@
+"""The README's gallery: `python -m linkplan.studies.demo.draw_gallery` plans each mechanism's motion."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import plan_motion
+from linkplan.studies.check.draw_mechanism import draw_poses
+from linkplan.studies.output.drawing import outside_legend, page
+
+# A built-in problem for every built-in mechanism that has one.
+SHOWN = (
+    "knee-reach",
+    "knee-linear-reach",
+    "slider-crank-turn",
+    "five-bar-swing-up",
+    "squeezer-turn",
+    "gripper-close",
+    "cart-pole-swing-up",
+)
+# Instants at which a motion is drawn.
+_INSTANTS = 9
+FOLDER = Path(__file__).parent / "gallery"
+
+
+def gallery_figure(plan: Plan, path: Path) -> None:
+    """Draw a plan's mechanism at instants spread evenly over its motion, the last one strong."""
+    trajectory, mechanism = plan.trajectory, plan.problem.mechanism
+    # Followed in small steps; only a few of them are drawn.
+    time = np.linspace(0.0, trajectory.duration_s, 40 * (_INSTANTS - 1) + 1)
+    poses = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
+    with page(path, size=(4.6, 4.2)) as axes:
+        draw_poses(axes[0, 0], mechanism, poses[::40])
+        outside_legend(axes[0, 0], narrow=True, fontsize=8)
+
+
+def main() -> int:
+    """Write every picture of the gallery."""
+    for name in SHOWN:
+        plan = plan_motion(load_problem(name)).require()
+        path = FOLDER / f"{plan.problem.mechanism.name}.png"
+        gallery_figure(plan, path)
+        print(f"  {name}: {plan.message}; {path}", file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

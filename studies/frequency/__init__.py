@@ -1,0 +1,5 @@
+"""Feedback loops in the frequency domain: predicted, measured, and past their limits.
+
+In: a mechanism, an operating point and a tracker. Out: sampled-data loop models, margins, frequency responses measured in
+MuJoCo, stability borders, describing functions and Floquet multipliers.
+"""

@@ -1,0 +1,184 @@
+"""Large signals: the closed loop against amplitude, up to and past the effort limit, beside the describing function.
+
+With N(A) the describing function, python-control's, of the saturation about the holding effort, harmonic balance says of a
+command of amplitude A (Gelb & Vander Velde, Multiple-Input Describing Functions, 1968, ch. 3)
+
+    A |1 + N(A) L_0| = |drive|,   Y = P_0 N(A) U
+
+for the loop L_0 and plant P_0 without saturation. It neglects harmonics, and the shift of the mean that limits at unequal
+distances make.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import control
+import numpy as np
+import scipy.optimize
+
+from linkplan.models.errors import LinkplanError
+from linkplan.planner.planning import silent
+from linkplan.studies.frequency import sinestream
+from linkplan.studies.frequency.excitation import Setup, whole_samples
+from linkplan.studies.frequency.loops import FeedbackLoop, actuator_of
+
+# Amplitudes of the command without a limit, over the room to the limit.
+MULTIPLES = (0.3, 0.9, 1.2, 1.6, 2.2, 3.0)
+_FREQUENCIES = 8
+# A saturated loop settles as it likes: the wait is bounded.
+_LONGEST_S = 3.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class LargeSignals:
+    """A loop's reference response at frequencies (n,) [Hz] and amplitudes (n, m) [rad or m], and the actuator's.
+
+    `multiples` (m,): the command without a limit over the room to it. `measured` and `predicted` (n, m): Y / R. `command`
+    (n, m) is the measured command's amplitude [N.m or N], `describing` (n, m) the measured applied over commanded, and
+    `describing_predicted` (n, m) python-control's at that command. `saturated` (n, m): the share of instants at a limit.
+    """
+
+    loop: FeedbackLoop
+    channel: int
+    quantity: str
+    room: float
+    frequency_hz: np.ndarray
+    multiples: np.ndarray
+    amplitude: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+    command: np.ndarray
+    describing: np.ndarray
+    describing_predicted: np.ndarray
+    saturated: np.ndarray
+    coherence: np.ndarray
+
+
+def saturation(loop: FeedbackLoop, effort_limit: np.ndarray, channel: int = 0) -> Callable[[np.ndarray], np.ndarray]:
+    """Return N(A) (n,), real, of an actuator's limits about its holding effort, for amplitudes A (n,) [N.m or N]."""
+    actuator = actuator_of(loop.point, channel)
+    low, high = effort_limit[actuator] - loop.point.hold[actuator]
+    if not (np.isfinite(low) and np.isfinite(high)):
+        raise LinkplanError(f"actuator {loop.point.mechanism.actuators[actuator].name} has no limit to saturate at")
+    # Either half of a sine meets one limit: the describing function is the mean of two symmetric saturations'.
+    cuts = [control.saturation_nonlinearity(float(limit)) for limit in (-low, high)]
+
+    def mean(A: np.ndarray) -> np.ndarray:
+        return np.mean([np.real(control.describing_function(cut, np.atleast_1d(A))) for cut in cuts], axis=0)
+
+    return mean
+
+
+def balance(
+    loop: FeedbackLoop, quantity: str, frequency_hz: float, amplitude: float, N: Callable, channel: int = 0
+) -> tuple[complex, float]:
+    """Return harmonic balance's Y / R and command amplitude for a reference of an amplitude [rad or m]."""
+    at = np.array([frequency_hz])
+    S, P = loop.gains("sensitivity", at, channel)[0], loop.gains("plant", at, channel)[0]
+    L = 1.0 / S - 1.0
+    linear = loop.gains(quantity, at, channel)[0]
+    drive = linear / (P * S)  # what reaches the sum in front of the loop, per unit of reference
+
+    def excess(A: float) -> float:
+        return A * abs(1.0 + float(N(A)[0]) * L) - amplitude * abs(drive)
+
+    high = amplitude * abs(drive) * 1e-6
+    while excess(high) < 0:
+        high *= 1.3
+        if high > 1e12:
+            raise LinkplanError("harmonic balance has no solution")
+    A = float(scipy.optimize.brentq(excess, high / 1.3 if high > 1e-300 else 0.0, high)) if excess(high / 1.3) < 0 else high
+    n = float(N(A)[0])
+    return P * n * drive / (1.0 + n * L), A
+
+
+def large_signals(
+    loop: FeedbackLoop,
+    effort_limit: np.ndarray,
+    frequency_hz: np.ndarray,
+    *,
+    multiples: Sequence[float] = MULTIPLES,
+    quantity: str = "reference",
+    channel: int = 0,
+    farthest: float | None = None,
+    say: Callable[[str], None] = silent,
+) -> LargeSignals:
+    """Return a loop's reference response against amplitude.
+
+    Args:
+        loop: a stable sampled loop.
+        effort_limit: (n_u, 2) [N.m or N].
+        frequency_hz: where, moved to whole samples a period.
+        multiples: of the amplitude whose command would just reach the limit.
+        quantity: "reference" or "reference+ff".
+        channel: the joint.
+        farthest: the largest amplitude to try [rad or m]; what lies beyond is left out, as not a number.
+        say: hears about progress.
+    """
+    N = saturation(loop, effort_limit, channel)
+    actuator = actuator_of(loop.point, channel)
+    room = float(np.abs(effort_limit[actuator] - loop.point.hold[actuator]).min())
+    cycles, samples = whole_samples(frequency_hz, loop.timing.period_s)
+    frequency = cycles / (samples * loop.timing.period_s)
+    per_motion = np.abs(loop.gains(quantity, frequency, channel) / loop.gains("plant", frequency, channel))
+    sizes = np.asarray(multiples, dtype=float)[:, None] * room / per_motion
+    limited = sizes if farthest is None else np.minimum(sizes, farthest)
+    setup = Setup(longest_s=_LONGEST_S)
+    same = [loop] * len(sizes)
+    taken = sinestream.run(same, frequency, effort_limit, setup, (quantity,), channel, say, amplitudes=limited)
+    rows = [
+        (amplitude, responses[quantity], *actuated[quantity])
+        for amplitude, responses, actuated in zip(sizes, taken.responses, taken.actuated, strict=True)
+    ]
+    shape = len(frequency), len(rows)
+    table = {name: np.full(shape, np.nan, dtype=complex) for name in ("measured", "predicted", "describing")}
+    values = {name: np.full(shape, np.nan) for name in ("amplitude", "command", "expected", "saturated", "coherence")}
+    for j, (amplitude, response, command, applied) in enumerate(rows):
+        values["amplitude"][:, j], values["command"][:, j] = amplitude, np.abs(command)
+        values["saturated"][:, j], values["coherence"][:, j] = response.saturated, response.coherence
+        values["expected"][:, j] = N(np.abs(command))
+        table["measured"][:, j], table["describing"][:, j] = response.gain, applied / command
+        for i, f in enumerate(frequency):
+            table["predicted"][i, j] = balance(loop, quantity, f, amplitude[i], N, channel)[0]
+        if farthest is not None:
+            beyond = amplitude > farthest
+            for array in (*table.values(), *(values[k] for k in values if k != "amplitude")):
+                array[beyond, j] = np.nan
+    return LargeSignals(
+        loop=loop,
+        channel=channel,
+        quantity=quantity,
+        room=room,
+        frequency_hz=frequency,
+        multiples=np.array(multiples, dtype=float),
+        describing_predicted=values.pop("expected"),
+        **values,
+        **table,
+    )
+
+
+def default_large_frequencies(loop: FeedbackLoop, crossover_hz: float | None, count: int = _FREQUENCIES) -> np.ndarray:
+    """Return frequencies (n,) [Hz] about a crossover."""
+    middle = crossover_hz or 0.02 / loop.timing.period_s
+    return np.geomspace(0.15 * middle, min(1.5 * middle, 0.2 / loop.timing.period_s), count)
+
+
+def large_record(found: LargeSignals) -> dict:
+    """Return what files say of the large signals."""
+    joint = found.loop.point.mechanism.independent_joints[found.channel]
+    shown = joint.shown(1.0)
+    return {
+        "pose": found.loop.point.name,
+        "response": found.quantity,
+        "room": found.room,
+        "frequency_hz": found.frequency_hz,
+        "multiples": found.multiples,
+        f"amplitude_{joint.unit}": shown * found.amplitude,
+        "gain_db": 20 * np.log10(np.abs(found.measured)),
+        "predicted_db": 20 * np.log10(np.abs(found.predicted)),
+        "describing": np.abs(found.describing),
+        "describing_predicted": found.describing_predicted,
+        "command": found.command,
+        "saturated": found.saturated,
+        "coherence": found.coherence,
+    }

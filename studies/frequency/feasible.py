@@ -1,0 +1,145 @@
+"""The feasible-amplitude curve: how fast a sinusoid of a given amplitude can be followed at all, whatever the controller.
+
+    s(t) = s_0 + a cos(w t):  inverse dynamics at every phase within the effort limits, every joint within range and speed
+
+A pure inertia needs a J w^2: a = u_max / (J w^2).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError, LinkplanError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import joint_rates, needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.studies.frequency.loops import OperatingPoint
+
+# Phases over half a cycle: the extremes lie at phases that depend on the frequency, and are met to second order.
+_PHASES = 181
+# A frequency is bisected to this share of itself, between ends that no mechanism's motion lies beyond [Hz].
+_SHARE = 1e-7
+_LOWEST_HZ, _HIGHEST_HZ = 1e-3, 1e7
+_SCAN = 60
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class FeasibleCurve:
+    """The highest frequencies (n,) [Hz] at which amplitudes (n,) [rad or m] can be followed, and what ends each.
+
+    Zero where an amplitude is out of reach however slow.
+    """
+
+    point: OperatingPoint
+    channel: int
+    amplitude: np.ndarray
+    frequency_hz: np.ndarray
+    reason: tuple[str, ...]
+
+
+def feasible_curve(
+    point: OperatingPoint,
+    amplitude: np.ndarray,
+    effort_limit: np.ndarray,
+    channel: int = 0,
+    position_limit: np.ndarray | None = None,
+    speed_limit: np.ndarray | None = None,
+) -> FeasibleCurve:
+    """Return the curve of one joint about a point.
+
+    Args:
+        point: the middle of the sinusoids.
+        amplitude: (n,) [rad or m].
+        effort_limit: (n_u, 2) [N.m or N].
+        channel: the joint that moves, by index of the independent ones; the others stand.
+        position_limit: of every joint (n_q, 2); default: the model's.
+        speed_limit: of every joint (n_q, 2) [rad/s or m/s]; default: none.
+
+    Raises:
+        LinkplanError: for amplitudes that are not positive.
+    """
+    amplitude = np.asarray(amplitude, dtype=float)
+    if not (amplitude.size and np.all(np.isfinite(amplitude)) and amplitude.min() > 0):
+        raise LinkplanError("amplitudes are positive numbers")
+    mechanism = point.mechanism
+    ranges = np.array([[j.lower, j.upper] for j in mechanism.joints]) if position_limit is None else position_limit
+    speeds = np.tile([-np.inf, np.inf], (mechanism.n_q, 1)) if speed_limit is None else speed_limit
+    found = [_highest(mechanism, point, a, effort_limit, channel, ranges, speeds) for a in amplitude]
+    return FeasibleCurve(
+        point=point,
+        channel=channel,
+        amplitude=amplitude,
+        frequency_hz=np.array([f for f, _ in found]),
+        reason=tuple(reason for _, reason in found),
+    )
+
+
+def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit, channel: int, ranges, speeds):
+    """Return the highest frequency [Hz] of an amplitude, and the reason."""
+    phase = np.linspace(0.0, np.pi, _PHASES)
+    path = np.tile(point.state[: mechanism.dof], (_PHASES, 1))
+    path[:, channel] += a * np.cos(phase)
+    try:
+        poses = follow(mechanism, path, point.pose)
+    except AssemblyError:
+        return 0.0, "the loop does not close"
+    out = np.flatnonzero(np.any((poses < ranges[:, 0]) | (poses > ranges[:, 1]), axis=0))
+    if out.size:
+        return 0.0, f"range of {mechanism.joints[out[0]].name}"
+
+    def broken(frequency: float) -> str | None:
+        omega = 2 * np.pi * frequency
+        v, acceleration = np.zeros_like(path), np.zeros_like(path)
+        v[:, channel], acceleration[:, channel] = -a * omega * np.sin(phase), -a * omega**2 * np.cos(phase)
+        # The second half of the cycle runs the first backward: the same poses at the opposite speed.
+        for sign in (1.0, -1.0):
+            rates = joint_rates(mechanism, poses, sign * v)
+            fast = np.flatnonzero(np.any((rates < speeds[:, 0]) | (rates > speeds[:, 1]), axis=0))
+            if fast.size:
+                return f"speed of {mechanism.joints[fast[0]].name}"
+            effort, _ = needed_effort(mechanism, poses, sign * v, acceleration)
+            past = np.flatnonzero(np.any((effort < effort_limit[:, 0]) | (effort > effort_limit[:, 1]), axis=0))
+            if past.size:
+                return f"effort of {mechanism.actuators[past[0]].name}"
+        return None
+
+    grid = np.geomspace(_LOWEST_HZ, _HIGHEST_HZ, _SCAN)
+    good, bad = 0.0, None
+    for frequency in grid:
+        reason = broken(frequency)
+        if reason is not None:
+            bad = frequency
+            break
+        good = frequency
+    if bad is None:
+        return np.inf, "nothing"
+    if good == 0.0:
+        return 0.0, reason
+    while bad - good > _SHARE * good:
+        middle = 0.5 * (good + bad)
+        there = broken(middle)
+        if there is None:
+            good = middle
+        else:
+            bad, reason = middle, there
+    return good, reason
+
+
+def default_amplitudes(point: OperatingPoint, channel: int = 0, count: int = 25) -> np.ndarray:
+    """Return amplitudes (n,) from a hundredth of a degree to the joint's range on the nearer side [rad or m]."""
+    joint = point.mechanism.independent_joints[channel]
+    at = float(point.state[channel])
+    widest = min(joint.upper - at, at - joint.lower)
+    unit = 1.0 if joint.kind == "hinge" else float(point.mechanism.model.stat.extent)
+    widest = widest if np.isfinite(widest) and widest > 0 else np.pi * unit
+    return np.geomspace(np.radians(0.01) * unit, widest, count)
+
+
+def curve_rows(curve: FeasibleCurve) -> Sequence[dict]:
+    """Return the curve as rows for files."""
+    joint = curve.point.mechanism.independent_joints[curve.channel]
+    return [
+        {f"amplitude_{joint.unit}": joint.shown(a), "highest_hz": f if np.isfinite(f) else None, "reason": reason}
+        for a, f, reason in zip(curve.amplitude, curve.frequency_hz, curve.reason, strict=True)
+    ]

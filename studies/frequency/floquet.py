@@ -1,0 +1,313 @@
+"""Along a periodic motion: the Floquet multipliers of the sampled closed loop, and the decay measured in MuJoCo.
+
+About its motion the tracked loop is linear and periodic, z_{k+1} = (A_k - B_k K_k) z_k, z the state and the commands on
+the way. The product over a cycle is the monodromy matrix; its eigenvalues, the multipliers, say by which factor a
+disturbance shrinks in a cycle (Bittanti & Colaneri, Periodic Systems, 2009, 3.1). In MuJoCo the same product is measured
+column by column: runs that begin a little off the motion in one coordinate each, less the run that does not. A tracker
+without feedforward settles on a motion of its own beside the reference: that one is run first, and looked at in its place.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.batch import BatchLoop
+from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.sampling import Sampling, augmented, closed, simulated, spectral_radius
+from linkplan.controllers.trackers.feedforward import Feedforward
+from linkplan.controllers.trackers.lqr import LQR
+from linkplan.controllers.trackers.pd import PD
+from linkplan.controllers.trackers.tracker import Tracker
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.assembly import close_at, follow
+
+# Disturbances of the state [rad or m, and per second]: small beside any motion, large beside the simulator's rounding.
+_POSITION, _SPEED, _EFFORT = 1e-5, 1e-3, 1e-4
+# What is below this share of its beginning is lost in rounding; the decay is measured up to where the prediction is there.
+_SEEN = 1e-6
+# Products that grow past this are scaled; what is kept of them ends at this logarithm.
+_HUGE, _MOST_LOG = 1e50, 460.0
+_NOTHING = 1e-300
+# A motion that changes by less than this share of itself from cycle to cycle repeats; cycles waited for that.
+_REPEATS, _MOST_CYCLES = 1e-9, 40
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Floquet:
+    """A tracked periodic motion: predicted and measured monodromy matrices (M, M), and the decay of disturbances.
+
+    `multipliers` and `measured_multipliers` (M,) complex, the largest first. `size` and `measured_size` (n,) are the largest
+    singular values of the scaled transition from the start to `time_s` (n,): how much of the worst disturbance is left.
+    """
+
+    period_s: float
+    cycle_s: float
+    monodromy: np.ndarray
+    measured: np.ndarray
+    time_s: np.ndarray
+    size: np.ndarray
+    measured_size: np.ndarray
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """The predicted multipliers, the largest first."""
+        return _sorted(self.monodromy)
+
+    @property
+    def measured_multipliers(self) -> np.ndarray:
+        """The measured multipliers, the largest first; of no meaning where they are below rounding."""
+        return _sorted(self.measured)
+
+    @property
+    def converges(self) -> bool:
+        """Whether disturbances die away from cycle to cycle."""
+        return bool(np.abs(self.multipliers[0]) < 1.0)
+
+    @property
+    def decay_rate(self) -> float:
+        """The predicted rate [1/s] at which the largest multiplier shrinks."""
+        return float(-np.log(max(np.abs(self.multipliers[0]), _NOTHING)) / self.cycle_s)
+
+    @property
+    def seen(self) -> int:
+        """The last sample at which the disturbance stands clear of rounding."""
+        clear = np.flatnonzero(self.size > _SEEN * self.size.max())
+        return int(clear[-1])
+
+    @property
+    def measured_decay(self) -> tuple[float, float, float]:
+        """Time [s] over which the decay is seen, and the logarithm of what is left then: predicted, measured."""
+        k = self.seen
+        left, measured = (max(float(size[k]), _NOTHING) for size in (self.size, self.measured_size))
+        return float(self.time_s[k]), float(np.log(left)), float(np.log(measured))
+
+
+def tracker_gains(tracker: Tracker) -> np.ndarray:
+    """Return a tracker's gains K (n, n_u, 2 n_s) on the state at each control instant.
+
+    Raises:
+        LinkplanError: for a tracker that is not linear in the state.
+    """
+    if isinstance(tracker, Feedforward):
+        return tracker_gains(tracker.feedback)
+    if isinstance(tracker, PD):
+        return np.concatenate([tracker.kp * tracker.map, tracker.kd * tracker.map], axis=2)
+    if isinstance(tracker, LQR):
+        return np.array(tracker.gains)
+    raise LinkplanError(f"tracker '{tracker.name}' has no gains to look at")
+
+
+def feeds_forward(tracker: Tracker) -> bool:
+    """Return whether a tracker adds the reference's own efforts."""
+    return isinstance(tracker, Feedforward | LQR)
+
+
+def frozen_radii(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling) -> np.ndarray:
+    """Return the largest pole's size (n,) of the loop frozen at every control instant of a motion."""
+    return spectral_radius(_closed_along(mechanism, reference, tracker, timing))
+
+
+def _closed_along(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling) -> np.ndarray:
+    A, B, B_late = simulated(mechanism, reference.pose, reference.velocity, reference.effort, timing)
+    return closed(*augmented(A, B, B_late, timing), tracker_gains(tracker))
+
+
+def floquet(
+    mechanism: Mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling, effort_limit: np.ndarray
+) -> Floquet:
+    """Return the multipliers of a tracked periodic motion, predicted and measured over one cycle.
+
+    Args:
+        mechanism: that moves.
+        reference: sampled over a cycle or more, and repeating after whole samples.
+        tracker: of that reference.
+        timing: of the same period.
+        effort_limit: (n_u, 2) [N.m or N]; a motion that touches it is not linear there.
+
+    Raises:
+        LinkplanError: for a motion that does not repeat after whole control periods.
+    """
+    n = reference.cycle
+    if n is None or n > reference.n:
+        raise LinkplanError(
+            f"Floquet multipliers need a motion that repeats after whole control periods; this one of {reference.n} periods"
+            f" of {reference.period_s:g} s does not: choose tracking.period_s so that it divides the motion's duration"
+        )
+    one, tracker = _cut(reference, n), _cut_tracker(tracker, n)
+    if feeds_forward(tracker):
+        motion, before = one, np.repeat(one.effort[:1], timing.memory, axis=0)
+    else:
+        motion, before = _steady(mechanism, one, tracker, timing, effort_limit)
+    steps = _closed_along(mechanism, motion, tracker, timing)
+    size = steps.shape[1]
+    scale = _scale(mechanism, size)
+    transition = np.empty((n + 1, size, size))
+    transition[0] = np.eye(size)
+    product, log = np.eye(size), 0.0  # a growing product is kept within numbers
+    for k in range(n):
+        product = steps[k] @ product
+        largest = np.abs(product).max()
+        if largest > _HUGE:
+            product, log = product / largest, log + np.log(largest)
+        transition[k + 1] = product * np.exp(min(log, _MOST_LOG))
+    measured = np.nan_to_num(
+        _measured(mechanism, one, motion, before, tracker, timing, effort_limit, scale), nan=_HUGE, posinf=_HUGE
+    )
+    scaled = transition / scale[:, None] * scale
+    measured_scaled = measured / scale[:, None] * scale
+    return Floquet(
+        period_s=reference.period_s,
+        cycle_s=n * reference.period_s,
+        monodromy=transition[-1],
+        measured=measured[-1],
+        time_s=reference.period_s * np.arange(n + 1),
+        size=np.linalg.norm(scaled, ord=2, axis=(1, 2)),
+        measured_size=np.linalg.norm(measured_scaled, ord=2, axis=(1, 2)),
+    )
+
+
+def _steady(mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling, effort_limit):
+    """Return the motion that a tracker settles on, over a cycle, and the commands (memory, n_u) under way at its start."""
+    n = reference.n
+    batch = BatchLoop(
+        mechanism,
+        pose=reference.pose[:1],
+        velocity=reference.velocity[:1],
+        gain=tracker_gains(tracker)[:1],
+        first_effort=reference.effort[:1],
+        timing=timing,
+        effort_limit=effort_limit,
+    )
+    along, forward = _signals(reference, tracker, 1)
+    states, commands = np.full((n, 1, 2 * mechanism.dof), np.inf), np.zeros((n, 1, mechanism.n_u))
+    for _ in range(_MOST_CYCLES):
+        last = states[0]
+        states, commands = batch.run(np.arange(1), along, forward, tracker_gains(tracker))
+        if np.all(np.abs(states[0] - last) <= _REPEATS * np.abs(states).max(axis=0)):
+            break
+    position, velocity = states[:, 0, : mechanism.dof], states[:, 0, mechanism.dof :]
+    acting = np.clip(np.roll(commands[:, 0], timing.whole, axis=0), *effort_limit.T)
+    # The cycle after the last: it starts where that one ends, on the same motion.
+    motion = SampledReference(
+        period_s=reference.period_s,
+        time_s=reference.time_s,
+        pose=follow(mechanism, position, reference.pose[0]),
+        position=position,
+        velocity=velocity,
+        effort=acting,
+        cycle=n,
+    )
+    return motion, commands[n - timing.memory :, 0]
+
+
+def _signals(reference: SampledReference, tracker: Tracker, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the states (n, count, 2 n_s) and efforts (n, count, n_u) that a tracker is asked to follow."""
+    forward = reference.effort if feeds_forward(tracker) else np.zeros_like(reference.effort)
+    along = np.concatenate([reference.position, reference.velocity], axis=1)
+    return np.repeat(along[:, None], count, axis=1), np.repeat(forward[:, None], count, axis=1)
+
+
+def _measured(
+    mechanism: Mechanism,
+    reference: SampledReference,
+    motion: SampledReference,
+    before: np.ndarray,
+    tracker: Tracker,
+    timing: Sampling,
+    effort_limit: np.ndarray,
+    scale: np.ndarray,
+) -> np.ndarray:
+    """Return MuJoCo's transition matrices (n + 1, M, M) from the motion's start: disturbed runs less an undisturbed one."""
+    n, n_s, n_u = reference.n, mechanism.dof, mechanism.n_u
+    size = len(scale)
+    pose, velocity = np.tile(motion.pose[0], (size + 1, 1)), np.tile(motion.velocity[0], (size + 1, 1))
+    for i in range(n_s):
+        s = motion.position[0].copy()
+        s[i] += scale[i]
+        pose[i + 1] = close_at(mechanism, s, motion.pose[0])
+        velocity[n_s + i + 1, i] += scale[n_s + i]
+    gain = tracker_gains(tracker)[:n]
+    batch = BatchLoop(
+        mechanism,
+        pose=pose,
+        velocity=velocity,
+        gain=np.broadcast_to(gain[0], (size + 1, n_u, 2 * n_s)),
+        first_effort=np.tile(motion.effort[0], (size + 1, 1)),
+        timing=timing,
+        effort_limit=effort_limit,
+    )
+    # The state's commands run from u_{-1} back; slot k mod memory of the queue holds u_{k - memory} before instant k.
+    p = timing.memory
+    batch.queue[:] = before
+    for back in range(p):
+        for j in range(n_u):
+            row = 2 * n_s + back * n_u + j
+            batch.queue[row + 1, (p - 1 - back) % p, j] += scale[row]
+    everyone = np.arange(size + 1)
+    states, commands = batch.run(everyone, *_signals(reference, tracker, size + 1), gain)
+    history = np.empty((n + 1, size + 1, size))
+    history[:n, :, : 2 * n_s], history[n, :, : 2 * n_s] = states, batch.state(everyone)
+    under_way = np.repeat(before[:, None], size + 1, axis=1)
+    for back in range(p):
+        for j in range(n_u):
+            row = 2 * n_s + back * n_u + j
+            under_way[p - 1 - back, row + 1, j] += scale[row]
+    whole = np.concatenate([under_way, commands])  # whole[k + p] = u_k
+    for back in range(p):
+        columns = slice(2 * n_s + back * n_u, 2 * n_s + (back + 1) * n_u)
+        history[:, :, columns] = whole[p - 1 - back : p - back + n]
+    return ((history[:, 1:] - history[:, :1]) / scale[:, None]).transpose(0, 2, 1)
+
+
+def _scale(mechanism: Mechanism, size: int) -> np.ndarray:
+    """Return the disturbances (M,) of the state and of the commands under way."""
+    n_s = mechanism.dof
+    return np.concatenate([np.full(n_s, _POSITION), np.full(n_s, _SPEED), np.full(size - 2 * n_s, _EFFORT)])
+
+
+def _cut(reference: SampledReference, n: int) -> SampledReference:
+    arrays = {name: getattr(reference, name)[:n] for name in ("time_s", "pose", "position", "velocity", "effort")}
+    return SampledReference(period_s=reference.period_s, cycle=n, **arrays)
+
+
+def _cut_tracker(tracker: Tracker, n: int) -> Tracker:
+    """Return a tracker with the gains of its first n instants."""
+    if isinstance(tracker, Feedforward):
+        return Feedforward(reference=tracker.reference, feedback=_cut_tracker(tracker.feedback, n))
+    if isinstance(tracker, PD):
+        return PD(reference=tracker.reference, kp=tracker.kp, kd=tracker.kd, map=tracker.map[:n])
+    return LQR(reference=tracker.reference, gains=tracker.gains[:n])
+
+
+def _sorted(matrix: np.ndarray) -> np.ndarray:
+    values = np.linalg.eigvals(matrix)
+    return values[np.argsort(-np.abs(values))]
+
+
+def floquet_record(found: Floquet) -> dict:
+    """Return what files say of the multipliers."""
+    seen_s, predicted, measured = found.measured_decay
+    return {
+        "cycle_s": found.cycle_s,
+        "converges": found.converges,
+        "multiplier_size": np.abs(found.multipliers),
+        "measured_multiplier_size": np.abs(found.measured_multipliers),
+        "decay_rate_per_s": found.decay_rate,
+        "seen_s": seen_s,
+        "log_left_predicted": predicted,
+        "log_left_measured": measured,
+    }
+
+
+def floquet_text(found: Floquet) -> str:
+    """Return the multipliers in a sentence or two."""
+    size = np.abs(found.multipliers[0])
+    verdict = "dies away" if found.converges else "grows"
+    seen_s, predicted, measured = found.measured_decay
+    return (
+        f"along the motion a disturbance {verdict}: the largest Floquet multiplier is {size:.3g} a cycle of"
+        f" {found.cycle_s:g} s"
+        f" ({found.decay_rate:.4g} 1/s); over {1e3 * seen_s:.3g} ms MuJoCo leaves {np.exp(measured):.3g} of it,"
+        f" predicted {np.exp(predicted):.3g}"
+    )

@@ -1,0 +1,103 @@
+"""A frequency response as a value: predicted or measured, with its unit, uncertainty and origin."""
+
+from dataclasses import dataclass
+
+import control
+import numpy as np
+
+from linkplan.models.errors import LinkplanError
+
+# What is below this, relative to the largest gain, is shown as zero [dB].
+_FLOOR_DB = -400.0
+_COLUMNS = ("uncertainty", "coherence", "distortion", "residual", "saturated")
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Response:
+    """Complex gains at frequencies (n,) [Hz], in `unit` (output over input).
+
+    Of a measured response: `uncertainty` (n,) is the standard deviation of the gain, in its unit; `coherence` the share of
+    the signals' power that is at the excited frequency; `distortion` the harmonics' size over the fundamental's;
+    `residual` the size of all that is neither, over the whole; `saturated` the share of instants at an effort limit. A
+    predicted response has zeros and ones there. `origin` says where it comes from.
+    """
+
+    frequency_hz: np.ndarray
+    gain: np.ndarray
+    unit: str
+    origin: str
+    uncertainty: np.ndarray | None = None
+    coherence: np.ndarray | None = None
+    distortion: np.ndarray | None = None
+    residual: np.ndarray | None = None
+    saturated: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        frequency = np.array(self.frequency_hz, dtype=float)
+        gain = np.array(self.gain, dtype=complex)
+        if frequency.ndim != 1 or gain.shape != frequency.shape or frequency.size == 0:
+            raise LinkplanError(f"a response has one gain for each frequency, got {gain.shape} for {frequency.shape}")
+        if not np.all(frequency > 0) or np.any(np.diff(frequency) <= 0):
+            raise LinkplanError("a response's frequencies are positive and increase")
+        values = {"frequency_hz": frequency, "gain": gain}
+        for name in _COLUMNS:
+            value = getattr(self, name)
+            values[name] = np.full(frequency.shape, float(name == "coherence")) if value is None else np.array(value, float)
+            if values[name].shape != frequency.shape:
+                raise LinkplanError(f"a response's {name} has one value for each frequency, got {values[name].shape}")
+        for name, value in values.items():
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+
+    @property
+    def db(self) -> np.ndarray:
+        """The gain's size (n,) [dB of its unit]."""
+        with np.errstate(divide="ignore"):
+            return np.maximum(20 * np.log10(np.abs(self.gain)), _FLOOR_DB)
+
+    @property
+    def phase_deg(self) -> np.ndarray:
+        """The gain's phase (n,) [deg], continuous over the frequencies."""
+        return np.degrees(np.unwrap(np.angle(self.gain)))
+
+    def against(self, other: "Response") -> tuple[np.ndarray, np.ndarray]:
+        """Return this response less another at the same frequencies: size (n,) [dB], phase (n,) [deg] within half a turn.
+
+        Raises:
+            LinkplanError: where the two are not at the same frequencies, or not in the same unit.
+        """
+        if self.unit != other.unit or not np.array_equal(self.frequency_hz, other.frequency_hz):
+            raise LinkplanError(
+                f"two responses differ at the same frequencies and in one unit only; these are {len(self.frequency_hz)}"
+                f" points in {self.unit} and {len(other.frequency_hz)} in {other.unit}"
+            )
+        ratio = self.gain / other.gain
+        return 20 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
+
+    def frd(self) -> control.FrequencyResponseData:
+        """Return the response as python-control's frequency response data."""
+        return control.FrequencyResponseData(self.gain, 2 * np.pi * self.frequency_hz)
+
+    def record(self) -> dict:
+        """Return what files say of the response."""
+        return {
+            "origin": self.origin,
+            "unit": self.unit,
+            "frequency_hz": self.frequency_hz,
+            "gain_db": self.db,
+            "phase_deg": self.phase_deg,
+            **{name: getattr(self, name) for name in _COLUMNS},
+        }
+
+
+def from_frd(data: control.FrequencyResponseData, unit: str = "1", origin: str = "python-control") -> Response:
+    """Return python-control's frequency response data, of one input and one output, as a response.
+
+    Raises:
+        LinkplanError: for data of more inputs or outputs.
+    """
+    if data.ninputs != 1 or data.noutputs != 1:
+        raise LinkplanError(f"a response has one input and one output, got {data.ninputs} and {data.noutputs}")
+    omega, gain = np.asarray(data.omega), np.asarray(data.frdata)[0, 0]
+    kept = omega > 0
+    return Response(frequency_hz=omega[kept] / (2 * np.pi), gain=gain[kept], unit=unit, origin=origin)

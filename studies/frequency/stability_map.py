@@ -1,0 +1,216 @@
+"""Where PD gains keep a sampled loop stable, over all angles: borders, margins and the longest control period.
+
+The closed loop's poles are those of the sampled model in MuJoCo's own steps; beside them stand the least phase margin and
+the sensitivity peak.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.sampling import Sampling, augmented, closed, sampling, spectral_radius
+from linkplan.controllers.trackers.pd import pd
+from linkplan.models.errors import LinkplanError
+from linkplan.planner.planning import silent
+from linkplan.studies.frequency.loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop, pd_gain
+from linkplan.studies.frequency.quick import quick_margins
+from linkplan.studies.frequency.trial import Trials, settle_trials
+
+# Gains are sought within this factor of what the inertia and the period alone would bear, on a grid this fine.
+_GRID = 60
+_WIDE = 1e4
+# Points each way of the grid that borders are drawn from.
+_FINE = 240
+# A border is bisected to this share of itself.
+_BORDER = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class StabilityMap:
+    """The loop over grids of gains kp (n,) and kd (m,), the worst over the points at each.
+
+    `radius` (n, m): the largest pole; `phase_margin_deg` and `sensitivity_peak` (n, m), not a number where unstable;
+    `worst` (n, m): the point of the largest pole. `border` (kp, kd, radius): the same radius on a finer grid. `tried`: gains
+    (kp, kd, index of the point) run in MuJoCo, `trials` what came of them.
+    """
+
+    points: tuple[OperatingPoint, ...]
+    timing: Sampling
+    kp: np.ndarray
+    kd: np.ndarray
+    radius: np.ndarray
+    phase_margin_deg: np.ndarray
+    sensitivity_peak: np.ndarray
+    worst: np.ndarray
+    border: tuple[np.ndarray, np.ndarray, np.ndarray]
+    tried: tuple[tuple[float, float, int], ...] = ()
+    trials: Trials | None = None
+
+
+def effort_map(point: OperatingPoint) -> np.ndarray:
+    """Return the map (n_u, n_s) that PD sends the joints' efforts to the actuators with."""
+    return pd(point.mechanism, point.constant(1.0), 1.0, 0.0).map[0]
+
+
+def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:
+    """Return the PD loop of gains [N.m/rad, N.m.s/rad] about a point."""
+    return feedback_loop(point, pd_gain(effort_map(point), kp, kd), timing, kind)
+
+
+def radii(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray, timing: Sampling) -> np.ndarray:
+    """Return the largest pole's size (...,) of PD loops of gains kp, kd (...,) about a point."""
+    loop = feedback_loop(point, pd_gain(effort_map(point), 1.0, 1.0), timing)
+    A, B = augmented(loop.A, loop.B, loop.B_late, timing)
+    return spectral_radius(closed(A, B, pd_gains(point, kp, kd)))
+
+
+def pd_gains(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
+    """Return K (..., n_u, 2 n_s) of gains (...,)."""
+    kp, kd = np.broadcast_arrays(np.asarray(kp, dtype=float), np.asarray(kd, dtype=float))
+    through = effort_map(point)
+    return np.concatenate([kp[..., None, None] * through, kd[..., None, None] * through], axis=-1)
+
+
+def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[float, float]:
+    """Return the least and the largest stable kd at a kp: between them the sampled loop is stable.
+
+    Raises:
+        LinkplanError: where no kd is stable.
+    """
+    scale = float(np.max(np.linalg.eigvalsh(np.atleast_2d(point.inertia)))) / timing.period_s
+    kd = np.concatenate([[0.0], np.geomspace(scale / _WIDE**1.5, scale * 10, 60 * _GRID)])
+    stable = radii(point, np.full_like(kd, kp), kd, timing) < 1.0
+    if not np.any(stable):
+        raise LinkplanError(f"no kd stabilises kp = {kp:g} at {point.name}, sampled every {timing.period_s:g} s")
+    inside = np.flatnonzero(stable)
+
+    def border(good: float, bad: float) -> float:
+        while abs(bad - good) > _BORDER * max(good, bad):
+            middle = 0.5 * (good + bad)
+            if radii(point, np.array(kp), np.array(middle), timing) < 1.0:
+                good = middle
+            else:
+                bad = middle
+        return good
+
+    first, last = inside[0], inside[-1]
+    low = 0.0 if first == 0 else border(kd[first], kd[first - 1])
+    low = low if low > _BORDER * kd[last] else 0.0
+    return low, border(kd[last], kd[last + 1]) if last + 1 < len(kd) else np.inf
+
+
+def longest_period(
+    points: Sequence[OperatingPoint],
+    gain: Callable[[OperatingPoint, float], np.ndarray],
+    delay_periods: float,
+    begin_s: float,
+) -> tuple[float, OperatingPoint | None]:
+    """Return the longest control period [s] up to which a law is stable at every point, and the point that ends it.
+
+    Args:
+        points: of one mechanism.
+        gain: K (n_u, 2 n_s) of the law at a point, for a period.
+        delay_periods: computing delay in periods.
+        begin_s: the period to begin at; it is halved while unstable, then grown.
+
+    Raises:
+        LinkplanError: where the law is unstable however short the period.
+    """
+
+    def unstable(period: float) -> OperatingPoint | None:
+        for point in points:
+            timing = sampling(point.mechanism, period, delay_periods)
+            if not feedback_loop(point, gain(point, period), timing).stable:
+                return point
+        return None
+
+    good = begin_s
+    for _ in range(40):
+        if unstable(good) is None:
+            break
+        good *= 0.5
+    else:
+        raise LinkplanError(f"the loop is unstable at {unstable(good).name} however short its control period")
+    bad, culprit = good, None
+    while culprit is None and bad < 1e6 * begin_s:
+        good, bad = bad, 1.05 * bad
+        culprit = unstable(bad)
+    if culprit is None:
+        return np.inf, None
+    while bad - good > 1e-4 * good:
+        middle = 0.5 * (good + bad)
+        there = unstable(middle)
+        if there is None:
+            good = middle
+        else:
+            bad, culprit = middle, there
+    return good, culprit
+
+
+def stability_map(
+    points: Sequence[OperatingPoint],
+    timing: Sampling,
+    kp: np.ndarray,
+    kd: np.ndarray,
+    effort_limit: np.ndarray | None = None,
+    say: Callable[[str], None] = silent,
+    channel: int = 0,
+) -> StabilityMap:
+    """Return the map over gains kp (n,) and kd (m,), tried in MuJoCo on both sides of its border where limits are given."""
+    shape = len(kp), len(kd)
+    radius, margin, peak = np.zeros(shape), np.full(shape, np.inf), np.zeros(shape)
+    worst = np.zeros(shape, dtype=int)
+    fine_kp, fine_kd = (np.geomspace(axis[0], axis[-1], _FINE) for axis in (kp, kd))
+    fine = np.zeros((_FINE, _FINE))
+    for index, point in enumerate(points):
+        say(f"gains at {point.name}")
+        here = radii(point, kp[:, None], kd[None, :], timing)
+        worst = np.where(here > radius, index, worst)
+        fine = np.maximum(fine, radii(point, fine_kp[:, None], fine_kd[None, :], timing))
+        radius = np.maximum(radius, here)
+        phase, Ms = np.empty(shape), np.empty(shape)
+        for i, p in enumerate(kp):
+            quick = quick_margins(point, pd_gains(point, np.full(len(kd), p), kd), timing, channel)
+            phase[i], Ms[i] = quick.phase_margin_deg, quick.sensitivity_peak
+        margin, peak = np.minimum(margin, phase), np.maximum(peak, Ms)
+    unstable = radius >= 1.0
+    margin, peak = np.where(unstable, np.nan, margin), np.where(unstable, np.nan, peak)
+    found = StabilityMap(
+        points=tuple(points),
+        timing=timing,
+        kp=np.array(kp),
+        kd=np.array(kd),
+        radius=radius,
+        phase_margin_deg=margin,
+        sensitivity_peak=peak,
+        worst=worst,
+        border=(fine_kp, fine_kd, fine),
+    )
+    if effort_limit is None:
+        return found
+    tried = border_points(found)
+    say(f"{len(tried)} gains on both sides of the border in MuJoCo")
+    loops = [pd_loop(points[index], p, d, timing) for p, d, index in tried]
+    trials = settle_trials(loops, effort_limit) if loops else None
+    return StabilityMap(
+        **{name: getattr(found, name) for name in StabilityMap.__slots__ if name not in ("tried", "trials")},
+        tried=tuple(tried),
+        trials=trials,
+    )
+
+
+def border_points(found: StabilityMap, share: float = 0.03, count: int = 7) -> list[tuple[float, float, int]]:
+    """Return gains (kp, kd, point) a share to either side of the upper border, at some kp, for the point that decides it."""
+    tried = []
+    for kp in np.geomspace(found.kp[0] if found.kp[0] > 0 else found.kp[1], found.kp[-1], count):
+        borders = []
+        for index, point in enumerate(found.points):
+            try:
+                borders.append((critical_kd(point, kp, found.timing)[1], index))
+            except LinkplanError:
+                borders.append((0.0, index))
+        kd, index = min(borders)
+        if 0 < kd < np.inf:
+            tried += [(float(kp), kd * (1 - share), index), (float(kp), kd * (1 + share), index)]
+    return tried

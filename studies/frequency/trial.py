@@ -1,0 +1,74 @@
+"""Does a loop settle in MuJoCo? Kicked loops, run side by side until what the kick left has died away or grown."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.batch import BatchLoop
+from linkplan.studies.frequency.loops import FeedbackLoop
+
+# The kick [rad/s or m/s], and the share of the room to the effort limits that its command may take: a growing loop is to be
+# seen before its limits change it. The simulator's rounding shows in velocities of 1e-11.
+_KICK, _ROOM = 1e-3, 1e-3
+# The verdict is plain when speeds have grown or shrunk by this factor, and is the trend's at the end of the time.
+_PLAIN = 300.0
+# A speed this many times the kick's is growth, and still well below what the limits would make of it.
+_GROWN = 100.0
+_CHUNK = 100
+_MOST_PERIODS = 40_000
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Trials:
+    """Which loops settle (n,), and the control periods that were needed to see it."""
+
+    settles: np.ndarray
+    periods: int
+
+
+def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_periods: int = _MOST_PERIODS) -> Trials:
+    """Return whether MuJoCo's own runs of loops of one timing settle after a small kick to every independent joint."""
+    mechanism, timing, n = loops[0].point.mechanism, loops[0].timing, len(loops)
+    n_s = mechanism.dof
+    state = np.array([loop.point.state for loop in loops])
+    hold = np.array([loop.point.hold for loop in loops])
+    room = np.abs(effort_limit[None] - hold[:, :, None]).min(axis=2)
+    pushes = np.abs(np.array([loop.gain for loop in loops])[:, :, n_s:]).sum(axis=2)
+    with np.errstate(divide="ignore"):
+        kick = np.minimum(_KICK, (_ROOM * room / pushes).min(axis=1))
+    batch = BatchLoop(
+        mechanism,
+        pose=np.array([loop.point.pose for loop in loops]),
+        velocity=np.repeat(kick[:, None], n_s, axis=1),
+        gain=np.array([loop.gain for loop in loops]),
+        first_effort=hold,
+        timing=timing,
+        effort_limit=effort_limit,
+    )
+    settles = np.zeros(n, dtype=bool)
+    active, history = np.arange(n), []
+    while active.size:
+        reference, push = (np.repeat(value[None, active], _CHUNK, axis=0) for value in (state, hold))
+        x, _ = batch.run(active, reference, push)
+        speed = np.full(n, np.inf)
+        with np.errstate(invalid="ignore"):
+            now = np.abs(x[:, :, n_s:]).max(axis=(0, 2))
+        speed[active] = np.where(np.isfinite(now), now, np.inf)
+        history.append(speed)
+        shape = np.log(np.maximum(np.array(history)[:, active], 1e-300))
+        half = len(history) // 2
+        with np.errstate(invalid="ignore"):
+            rate = shape[-1] - shape[half]
+        change = shape[-1] - shape[0]
+        plain = np.abs(change) > np.log(_PLAIN)
+        over = plain | ~np.isfinite(change) | (batch.k >= most_periods)
+        # Where all is over within the first stretch, the kick itself is the measure.
+        gone = speed[active] < kick[active] / _PLAIN
+        blown = ~(speed[active] < _GROWN * kick[active])
+        over |= gone | blown
+        trend = np.where(plain | ~np.isfinite(change), change, rate)
+        done = active[over]
+        settles[done] = np.where(gone, True, np.where(blown, False, trend < 0))[over]
+        active = active[~over]
+    return Trials(settles=settles, periods=batch.k)

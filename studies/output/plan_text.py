@@ -1,0 +1,79 @@
+"""A plan in words: its verdict, the solves that led to it, its certificate."""
+
+import numpy as np
+
+from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.problem.objective import TERMS
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.studies.output.tables import table
+
+
+def plan_text(plan: Plan) -> str:
+    """Return a plan's verdict and certificate."""
+    problem, trajectory, certificate = plan.problem, plan.trajectory, plan.certificate
+    lines = [
+        f"{problem.name}: {plan.status}",
+        plan.message if plan.message[:1].isupper() else plan.message.capitalize()[:1] + plan.message[1:],
+    ]
+    if trajectory is None or certificate is None:
+        return "\n".join(lines)
+    lines.append(f"duration {trajectory.duration_s:.8g} s, {plan.scheme}, {plan.intervals} intervals")
+    if plan.objective is not None:
+        lines.append(f"objective ({problem.objective.name}): {plan.objective:.9g}{_objective_unit(problem)}")
+    lines += _history_lines(plan)
+    for actuator, peak, (low, high) in zip(
+        problem.mechanism.actuators, certificate.peak_effort, problem.limits.effort, strict=True
+    ):
+        lines.append(f"effort {actuator.name}: {peak:.5g} {actuator.unit} at the most, limit {low:g} to {high:g}")
+    rows = [
+        ["effort beyond its limit, any instant", certificate.effort_excess, "unit of effort"],
+        ["inverse dynamics less carried effort", certificate.dynamics_residual, "unit of effort"],
+        ["loop gap", certificate.closure_gap_m, "m"],
+    ]
+    if certificate.integration_restarts:
+        lines.append(
+            "the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
+            f" follow it; integration was begun anew {certificate.integration_restarts} time(s)"
+        )
+    kinds = {joint.kind for joint in problem.mechanism.independent_joints}
+    if "hinge" in kinds:
+        rows.append(["state after integration at 1e-12", certificate.integration_error_deg, "deg"])
+    if "slide" in kinds:
+        rows.append(["state after integration at 1e-12", certificate.integration_error_m, "m"])
+    for joint, margin in zip(problem.mechanism.joints, certificate.position_margin, strict=True):
+        if np.isfinite(margin):
+            rows.append([f"margin to the range of {joint.name}", joint.shown(margin), joint.unit])
+    for joint, margin in zip(problem.mechanism.joints, certificate.speed_margin, strict=True):
+        if np.isfinite(margin):
+            rows.append([f"margin to the speed limit of {joint.name}", joint.shown(margin), f"{joint.unit}/s"])
+    rows.append(["least det J_z, of that at home", certificate.singularity_ratio, "1"])
+    rows += [[f"left of {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
+    forces = zip(problem.mechanism.closure_names, certificate.peak_closure_force, strict=True)
+    rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]
+    powers = zip(problem.mechanism.actuators, certificate.peak_power, strict=True)
+    rows += [[f"largest power of {actuator.name}", power, "W"] for actuator, power in powers]
+    lines += [
+        "",
+        f"certificate: {'passed' if certificate.passed else 'NOT passed'}",
+        table(["between the nodes", "worst", "unit"], rows),
+    ]
+    lines += [f"note: {text}" for text in not_honoured(plan)]
+    return "\n".join(lines)
+
+
+def _objective_unit(problem: PlanningProblem) -> str:
+    """Return the unit of a single term, in front a blank; nothing for a sum."""
+    terms = list(problem.objective.weights)
+    return f" {TERMS[terms[0]][1]}" if len(terms) == 1 else ""
+
+
+def _history_lines(plan: Plan) -> list[str]:
+    """Return a line for each solve that led to a plan, where it took more than one."""
+    if len(plan.history) < 2:
+        return []
+    lines = ["solves:"]
+    for step in plan.history:
+        error = "" if not step.integration_error_deg else f", {step.integration_error_deg:.2g} deg after integration"
+        answer = f"objective {step.objective:.9g}" if step.converged else f"not solved ({step.solver_status})"
+        lines.append(f"  {step.what}: {step.scheme}, {step.intervals} intervals, {answer}{error}, {step.solve_s:.2g} s")
+    return lines

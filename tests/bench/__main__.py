@@ -1,0 +1,49 @@
+"""`make bench`: what plans cost and what is exact for it, beside a program written by hand; eight minutes in all.
+
+Only ratios within one run mean anything on a shared machine; the medians beside them say what they are ratios of. Parts can
+be named: `python -m tests.bench peer shares`. Tables are printed, figures and CSV go to bench-results/, progress to stderr.
+"""
+
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from tests.bench.loop import bench_loop
+from tests.bench.measurement import bench_measurement
+from tests.bench.peer import bench_peer, bench_plans, between_nodes
+from tests.bench.precision import bench_precision
+from tests.bench.scaling import bench_scaling
+from tests.bench.shares import bench_shares
+from tests.bench.sizes import bench_sizes
+
+__all__ = ["PARTS", "between_nodes", "main"]
+
+RESULTS = Path("bench-results")
+PARTS: Mapping[str, Callable[[], str]] = {
+    "peer": bench_peer,
+    "shares": bench_shares,
+    "plans": bench_plans,
+    "sizes": lambda: bench_sizes(RESULTS),
+    "loop": bench_loop,
+    "measurement": bench_measurement,
+    "scaling": lambda: bench_scaling(RESULTS),
+    "precision": lambda: bench_precision(RESULTS),
+}
+
+
+def main(names: list[str]) -> int:
+    """Run the parts named, or all, and return the exit code."""
+    unknown = [name for name in names if name not in PARTS]
+    if unknown:
+        print(f"unknown part '{unknown[0]}'; parts are {', '.join(PARTS)}", file=sys.stderr)
+        return 2
+    RESULTS.mkdir(exist_ok=True)
+    for name in names or PARTS:
+        text = PARTS[name]()
+        (RESULTS / f"{name}.txt").write_text(text + "\n", encoding="utf-8")
+        print(text, end="\n\n", flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

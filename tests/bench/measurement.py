@@ -1,0 +1,35 @@
+"""What measuring a frequency response costs, beside raw batch stepping."""
+
+import numpy as np
+from mujoco.batch import Batch
+
+from linkplan.controllers.sampling import sampling
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.studies.frequency.excitation import Setup
+from linkplan.studies.frequency.loops import feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.measure import measure
+from linkplan.studies.output.tables import table
+from tests.bench.timing import median_s
+
+
+def bench_measurement() -> str:
+    """Return the simulated steps a second of a frequency response's measurement beside raw batch stepping of as many."""
+    mechanism = load_mechanism("optimus-knee", payload="shank")
+    settings = Tracking(kp=200.0, kd=20.0)
+    timing = sampling(mechanism, settings.period_s)
+    points = [operating_point(mechanism, np.radians([angle])) for angle in (-20.0, 20.0)]
+    limit = mechanism.effort_limit
+    loops = [feedback_loop(point, law_gain(point, "pd", settings, limit), timing) for point in points]
+    rows = []
+    for method in ("sinestream", "multisine"):
+        frequency, setup = np.geomspace(20.0, 2000.0, 20), Setup(method=method)
+        taken = measure(loops, frequency, limit, setup)
+        spent = median_s(lambda setup=setup, frequency=frequency: measure(loops, frequency, limit, setup), 2)
+        n = 120 if method == "sinestream" else 6
+        batch = Batch(mechanism.model, nsim=n)
+        calls = max(1, taken.simulated_steps // n)
+        raw = median_s(lambda batch=batch, calls=calls: [batch.step() for _ in range(calls)], 2)
+        rate, most = taken.simulated_steps / spent, n * calls / raw
+        rows.append([f"{method}, {n} simulations", taken.simulated_steps, rate, most, rate / most])
+    return table(["measurement", "steps", "steps/s", "raw batch steps/s", "ratio"], rows)

@@ -1,0 +1,83 @@
+"""The yardsticks of `make bench`: they measure what they say, and a part that is not there is named."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.solvers.solve import build_solver, run_solver
+from tests.bench import sizes as bench_sizes
+from tests.bench.__main__ import PARTS, between_nodes, main
+from tests.bench.opti_peer import build_peer, drift
+from tests.bench.shares import Timed
+from tests.bench.timing import GOAL, START, first_program
+from tests.planner.test_plans import problem_of
+from tests.support.planar import random_planar
+
+# A fourth-order scheme on twice the intervals: its error falls by 16; quadratic torques leave some of that.
+_FOURTH_ORDER = 8.0
+# A parabola's height between fifty-one samples.
+_ON_A_GRID = 2e-3
+
+
+def test_an_unknown_part_is_named(capsys):
+    assert main(["speed"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "unknown part 'speed'" in said.err
+    assert all(part in said.err for part in PARTS)
+
+
+def test_a_quadratics_peak_between_nodes_is_its_vertex():
+    # Through (0, 8), (1/2, 9) and (1, 8) goes 8 + 4 t (1 - t); through (0, 8), (1/2, 9) and (1, 4) 8 + 8 t - 12 t^2.
+    assert between_nodes(np.array([8.0, 9.0, 8.0])) == pytest.approx(9.0)
+    assert between_nodes(np.array([8.0, 9.0, 4.0])) == pytest.approx(28 / 3, abs=_ON_A_GRID)
+
+
+def test_the_peers_drift_falls_with_the_order_of_its_scheme():
+    coarse, fine = (
+        drift(peer, peer.solve(GOAL)) for peer in (build_peer(intervals, START, GOAL, 0.16) for intervals in (10, 20))
+    )
+    assert fine > 0
+    assert coarse / fine > _FOURTH_ORDER
+
+
+def test_the_parts_of_a_solve_make_up_its_whole():
+    problem = problem_of("knee-reach", "mesh.intervals=10", "solver.compile=never")
+    program = first_program(problem)
+    solver = Timed(build_solver(program.program, problem.solver))
+    assert run_solver(solver, program).converged
+    parts = solver.parts(solver.whole)
+    assert parts["evaluation"] > 0
+    assert parts["linear algebra"] > 0
+    assert sum(parts.values()) == pytest.approx(solver.whole)
+
+
+def test_sizes_counts_bodies_loops_and_freedoms_and_writes_every_solve(tmp_path, monkeypatch):
+    wanted = ("knee-linear-reach", "cart-pole-swing-up")
+    monkeypatch.setattr(bench_sizes, "problems", lambda: map(load_problem, wanted))
+    text = bench_sizes.bench_sizes(tmp_path, (4, 8))
+    rows = list(csv.DictReader((tmp_path / "sizes.csv").open(encoding="utf-8")))
+    counted = {(row["problem"], row["bodies"], row["loops"], row["dof"]) for row in rows}
+    # Crank, coupler, rocker, barrel and rod; two loops on one pin. A cart and its pole.
+    assert counted == {("knee-linear-reach", "5", "2", "1"), ("cart-pole-swing-up", "2", "0", "2")}
+    assert [row["intervals"] for row in rows] == ["4", "8"] * 2
+    assert all(float(row["build [s]"]) > 0 and float(row["solve [s]"]) > 0 for row in rows)
+    assert "exponent" in text
+
+
+def test_a_fork_of_two_connects_is_one_loop():
+    forked = next(seed for seed in range(100) if "fork" in random_planar(seed).closures)
+    planar = random_planar(forked)
+    assert bench_sizes.n_loops(load_mechanism(planar.text)) == planar.n_loops
+
+
+def test_the_exponent_of_a_power_law_is_its_own():
+    sizes = [
+        bench_sizes.Size(intervals=n, build_s=3e-3 * n**1.25, solve_s=2.0, iterations=1, converged=True)
+        for n in (10, 20, 80)
+    ]
+    assert bench_sizes.exponent(sizes, "build_s") == pytest.approx(1.25)
+    assert bench_sizes.exponent(sizes, "solve_s") == pytest.approx(0.0, abs=1e-12)

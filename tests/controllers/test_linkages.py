@@ -1,0 +1,186 @@
+"""The closed loop in MuJoCo on linkages with servos, tendons, welds and ball joints."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+import pytest
+import scipy.integrate
+
+from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.rollout import Loop, Rollout, run
+from linkplan.controllers.trackers.lqr import lqr
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import follow
+from tests.support.linkages import GRIPPER, RSSR
+from tests.support.mechanisms import replaced
+
+PERIOD_S = 1e-3
+STEPS = 100
+# MuJoCo's Euler step of 1e-5 s against the reduced model integrated to 1e-9 over 0.05 s, loops as hard as that step allows
+# [rad or m]: first order in the step. Measured 1e-5.
+SIMULATED = 1e-4
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Scripted:
+    """A tracker that gives the k-th effort of a list, whatever it sees."""
+
+    efforts: np.ndarray
+    name: str = "scripted"
+
+    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        del position, velocity
+        return self.efforts[k]
+
+
+def hard(text: str, timestep: float = 1e-5, integrator: str = "Euler") -> str:
+    """Return a model with loops as hard as its time step allows."""
+    option = f'<option timestep="{timestep}" integrator="{integrator}"/>'
+    return replaced(
+        text, "<default>", f'{option}<default><equality solref="{2.5 * timestep} 1" solimp="0.999 0.9999 0.001"/>'
+    )
+
+
+def standing(mechanism: Mechanism, n: int = STEPS) -> SampledReference:
+    """Return the reference of standing at home."""
+    pose = np.tile(mechanism.home, (n, 1))
+    still = np.zeros((n, mechanism.dof))
+    return SampledReference(
+        period_s=PERIOD_S,
+        time_s=PERIOD_S * np.arange(n),
+        pose=pose,
+        position=pose[:, mechanism.independent],
+        velocity=still,
+        effort=np.zeros((n, mechanism.n_u)),
+        cycle=None,
+    )
+
+
+def scripted(mechanism: Mechanism, efforts: np.ndarray, limit: float = np.inf) -> Rollout:
+    limits = np.tile([-limit, limit], (mechanism.n_u, 1))
+    return run(mechanism, standing(mechanism, len(efforts)), Scripted(efforts=efforts), Loop(effort_limit=limits))
+
+
+def wave(mechanism: Mechanism, size: float, n: int = 50) -> np.ndarray:
+    """Return efforts (n, n_u) that rise and fall, each actuator's out of step with the others'."""
+    t = PERIOD_S * np.arange(n)[:, None]
+    return size * np.sin(60 * t + np.arange(mechanism.n_u))
+
+
+def integrated(mechanism: Mechanism, efforts: np.ndarray) -> np.ndarray:
+    """Return the poses (n, n_q) at the control instants of the reduced model under held efforts."""
+    n_q = mechanism.n_q
+    state, poses = np.concatenate([mechanism.home, np.zeros(mechanism.dof)]), []
+    for u in efforts:
+        poses.append(state[:n_q])
+
+        def rate(_: float, y: np.ndarray, u=u) -> np.ndarray:
+            return np.concatenate([np.array(x).ravel() for x in mechanism.dynamics.flow(y[:n_q], y[n_q:], u)])
+
+        state = scipy.integrate.solve_ivp(rate, (0, PERIOD_S), state, rtol=1e-9, atol=1e-10).y[:, -1]
+    return np.array(poses)
+
+
+# The grip as a servo on a tendon, and the same as a motor.
+SERVO = GRIPPER.replace('forcerange="-1 1" ctrlrange="-0.6 0.6"', "")
+MOTOR = replaced(
+    GRIPPER,
+    '<position name="grip" tendon="split" kp="5" kv="0.05" forcerange="-1 1" ctrlrange="-0.6 0.6"/>',
+    '<motor name="grip" tendon="split"/>',
+)
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "RK4"])
+def test_a_servo_gives_the_effort_that_a_motor_would(integrator):
+    servo, motor = (load_mechanism(hard(text, 1e-4, integrator)) for text in (SERVO, MOTOR))
+    assert servo.actuators[1].is_servo
+    assert not motor.actuators[1].is_servo
+    efforts = wave(servo, 0.05) * [100.0, 1.0]
+    first, second = scripted(servo, efforts), scripted(motor, efforts)
+    assert np.abs(np.ptp(first.position, axis=0)).min() > 1e-3, "both coordinates move"
+    assert np.abs(first.pose - second.pose).max() < 1e-11
+    assert np.abs(first.applied - efforts).max() < 1e-12
+
+
+def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
+    mechanism = load_mechanism(hard(GRIPPER, 1e-4))
+    efforts = np.tile([5.0, 0.9], (2, 1))
+    held = replaced(GRIPPER, 'ctrlrange="-0.6 0.6"', 'ctrlrange="-0.01 0.01"')
+    free, cut = scripted(mechanism, efforts, 50.0), scripted(load_mechanism(hard(held, 1e-4)), efforts, 50.0)
+    assert np.abs(free.applied[:, 1] - 0.9).max() < 1e-12
+    assert abs(cut.applied[0, 1] - 5 * 0.01) < 1e-12, "kp times the end of its range, at rest at home"
+    assert cut.commanded[0, 1] == 0.9
+
+
+@pytest.mark.parametrize(("name", "text", "size"), [("gripper", SERVO, 0.02), ("rssr", RSSR, 0.1)])
+def test_the_simulation_follows_the_reduced_model(name, text, size):
+    mechanism = load_mechanism(hard(text))
+    efforts = wave(mechanism, size)
+    if name == "gripper":
+        efforts = efforts * [200.0, 1.0]
+    rollout, expected = scripted(mechanism, efforts), integrated(mechanism, efforts)
+    assert rollout.finite
+    assert np.ptp(rollout.position[:, 0]) > 20 * SIMULATED, "it moves"
+    assert np.abs(rollout.pose - expected).max() < SIMULATED
+    assert rollout.gap_m.max() < 1e-5
+
+
+def test_a_run_with_a_ball_joint_starts_where_its_reference_does():
+    mechanism = load_mechanism(RSSR)
+    s = mechanism.home[mechanism.independent] + np.outer(np.linspace(0, 1, 20), [0.3, 0.2])
+    pose, velocity = follow(mechanism, s), np.tile([1.5, 1.0], (20, 1))
+    effort, _ = needed_effort(mechanism, pose, velocity, np.zeros((20, 2)))
+    reference = SampledReference(
+        period_s=PERIOD_S,
+        time_s=PERIOD_S * np.arange(20),
+        pose=pose,
+        position=s,
+        velocity=velocity,
+        effort=effort,
+        cycle=None,
+    )
+    reference = SampledReference(
+        **{name: getattr(reference, name)[5:] for name in ("time_s", "pose", "position", "velocity", "effort")},
+        period_s=PERIOD_S,
+        cycle=None,
+    )
+    rollout = run(
+        mechanism, reference, Scripted(efforts=np.zeros((15, 1))), Loop(effort_limit=np.array([[-np.inf, np.inf]]))
+    )
+    assert np.abs(rollout.pose[0] - pose[5]).max() < 1e-12
+    assert np.abs(rollout.velocity[0] - velocity[5]).max() < 1e-12
+    assert len(rollout.pose[0]) == mechanism.model.nv != mechanism.model.nq
+
+
+def test_lqr_steers_the_crank_and_leaves_the_rods_spin_alone():
+    mechanism = load_mechanism(RSSR)
+    effort, _ = needed_effort(mechanism, mechanism.home[None], np.zeros((1, 2)), np.zeros((1, 2)))
+    reference = standing(mechanism)
+    steered = SampledReference(
+        period_s=PERIOD_S,
+        time_s=reference.time_s,
+        pose=reference.pose,
+        position=reference.position,
+        velocity=reference.velocity,
+        effort=np.tile(effort, (STEPS, 1)),
+        cycle=None,
+    )
+    tracker = lqr(mechanism, steered, position_weight=0.02, velocity_weight=2.0, effort_weight=np.array([2.0]))
+    assert np.all(tracker.gains[:, :, [1, 3]] == 0)
+    assert np.all(tracker.gains[:, 0, 0] > 0)
+    rollout = run(mechanism, steered, tracker, Loop(effort_limit=mechanism.effort_limit))
+    assert np.abs(rollout.position[:, 0] - mechanism.home[0]).max() < np.radians(1.0)
+
+
+def test_a_playback_pose_is_mujocos():
+    mechanism = load_mechanism(RSSR)
+    rollout = scripted(mechanism, wave(mechanism, 0.1, 20))
+    qpos = mechanism.qpos_of(rollout.pose[-1])
+    data = mujoco.MjData(mechanism.model)
+    data.qpos[:] = qpos
+    mujoco.mj_forward(mechanism.model, data)
+    assert np.abs(np.linalg.norm(qpos[1:5]) - 1) < 1e-14
+    ends = [data.site("ball").xpos, data.site("socket").xpos]
+    assert np.abs(np.linalg.norm(ends[0] - ends[1]) - rollout.gap_m[-1]) < 1e-12

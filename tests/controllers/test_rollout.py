@@ -1,0 +1,366 @@
+"""The closed loop in MuJoCo: what acts and when, on which masses; loops closed, limits kept, verdicts right."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.controllers.reference import SampledReference, sample
+from linkplan.controllers.rollout import Loop, Rollout, run, scaled_model
+from linkplan.controllers.trackers.feedforward import Feedforward
+from linkplan.controllers.trackers.lqr import lqr
+from linkplan.controllers.trackers.pd import pd
+from linkplan.controllers.trackers.tracker import Tracker
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.payload import BODY_NAME
+from tests.controllers.test_trackers import hinge_reference
+from tests.planner.test_plans import GOAL, optimal
+from tests.planner.test_schemes import HINGE, HINGE_INERTIA
+from tests.support.fourbar import KNEE_PROBLEMS
+from tests.support.tolerances_planner import (
+    DIED_OUT,
+    FEEDFORWARD_GAIN,
+    OPEN_LOOP_DEG,
+    ROLLOUT_GAP_M,
+    ROUNDING,
+    SAME_FIGURE,
+    SINE_RMS_DEG,
+    STILL,
+)
+
+# How long each built-in plan is tracked here [s]: the motion and a rest, or one period.
+DURATION = {"knee-sine": 0.25, "knee-sine-shank": 0.25, "knee-reach": 0.24, "knee-sprint": 0.2, "knee-sprint-bare": 0.005}
+TRACKERS = ("pd", "pd+ff", "lqr")
+every_plan = pytest.mark.parametrize("name", KNEE_PROBLEMS)
+every_tracker = pytest.mark.parametrize("kind", TRACKERS)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Scripted:
+    """A tracker that gives the k-th effort of a list, whatever it sees."""
+
+    efforts: np.ndarray
+    name: str = "scripted"
+
+    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        del position, velocity
+        return self.efforts[k]
+
+
+@cache
+def reference_of(name: str, period_s: float | None = None) -> SampledReference:
+    plan = optimal(name)
+    return sample(plan.problem.mechanism, plan.trajectory, period_s or plan.problem.tracking.period_s, DURATION[name])
+
+
+def loop_of(name: str, **changes) -> Loop:
+    problem = optimal(name).problem
+    return replace(Loop(effort_limit=problem.limits.effort, delay_periods=problem.tracking.delay_periods), **changes)
+
+
+def tracker_of(kind: str, name: str, reference: SampledReference, kd: float | None = None) -> Tracker:
+    problem = optimal(name).problem
+    tracking = problem.tracking
+    if kind == "lqr":
+        return lqr(
+            problem.mechanism,
+            reference,
+            position_weight=tracking.lqr_position,
+            velocity_weight=tracking.lqr_velocity,
+            effort_weight=problem.limits.effort[:, 1],
+        )
+    feedback = pd(problem.mechanism, reference, tracking.kp, tracking.kd if kd is None else kd)
+    return feedback if kind == "pd" else Feedforward(reference=reference, feedback=feedback)
+
+
+@cache
+def tracked(kind: str, name: str) -> Rollout:
+    """Return a built-in plan tracked with its own settings."""
+    reference = reference_of(name)
+    return run(optimal(name).problem.mechanism, reference, tracker_of(kind, name, reference), loop_of(name))
+
+
+def rms_deg(rollout: Rollout) -> float:
+    return float(np.degrees(np.sqrt(np.mean(rollout.error**2))))
+
+
+# Every run.
+
+
+@every_plan
+@every_tracker
+def test_the_loop_stays_closed_to_ten_micrometres(kind, name):
+    rollout = tracked(kind, name)
+    assert rollout.finite
+    assert np.abs(rollout.velocity).max() > 1  # it moves
+    assert 0 < rollout.gap_m.max() < ROLLOUT_GAP_M
+
+
+@every_plan
+@every_tracker
+def test_no_effort_that_acts_exceeds_its_limit(kind, name):
+    rollout = tracked(kind, name)
+    low, high = optimal(name).problem.limits.effort.T
+    assert np.all((rollout.applied >= low) & (rollout.applied <= high))
+
+
+@pytest.mark.parametrize("kind", ["pd", "pd+ff"])
+def test_a_command_beyond_the_limit_acts_as_the_limit(kind):
+    rollout = tracked(kind, "knee-sprint")
+    beyond = np.abs(rollout.commanded) > 100
+    assert beyond.mean() > 0.01
+    np.testing.assert_array_equal(np.abs(rollout.applied[beyond]), 100)
+    np.testing.assert_array_equal(rollout.applied[~beyond], rollout.commanded[~beyond])
+    assert rollout.saturated_fraction == pytest.approx(beyond.mean())
+
+
+@every_plan
+@every_tracker
+def test_every_joint_stays_within_its_range(kind, name):
+    rollout, limits = tracked(kind, name), optimal(name).problem.limits
+    assert np.all((rollout.pose >= limits.position[:, 0]) & (rollout.pose <= limits.position[:, 1]))
+
+
+@every_plan
+def test_a_run_begins_in_the_reference_s_state(name):
+    rollout, reference = tracked("pd", name), reference_of(name)
+    np.testing.assert_array_equal(rollout.pose[0], reference.pose[0])
+    np.testing.assert_allclose(rollout.velocity[0], reference.velocity[0], rtol=ROUNDING)
+
+
+def test_two_runs_of_one_thing_are_the_same():
+    name = "knee-reach"
+    reference = reference_of(name)
+    again = run(optimal(name).problem.mechanism, reference, tracker_of("lqr", name, reference), loop_of(name))
+    np.testing.assert_array_equal(again.pose, tracked("lqr", name).pose)
+
+
+def test_a_run_records_what_its_result_depends_on():
+    conditions = tracked("pd", "knee-sine").conditions
+    assert conditions["mujoco"] == mujoco.__version__
+    assert conditions["timestep_s"] == conditions["control_period_s"] == 1e-4
+    assert conditions["integrator"] == "EULER"
+    assert conditions["solref"] == [[0.0002, 1.0]]
+    assert conditions["duration_s"] == pytest.approx(0.25)
+
+
+def test_a_slower_controller_leaves_the_simulation_s_step_alone():
+    reference = reference_of("knee-reach", 1e-3)
+    rollout = run(
+        optimal("knee-reach").problem.mechanism, reference, tracker_of("lqr", "knee-reach", reference), loop_of("knee-reach")
+    )
+    assert rollout.conditions["timestep_s"] == pytest.approx(1e-4)
+    assert len(rollout.time_s) == 240
+
+
+# How well each tracker does.
+
+
+def test_the_knee_s_sinusoid_is_tracked_by_pd_alone():
+    assert 0.001 < rms_deg(tracked("pd", "knee-sine")) < SINE_RMS_DEG
+
+
+@pytest.mark.parametrize("name", ["knee-sine-shank", "knee-reach", "knee-sprint"])
+@pytest.mark.parametrize("kind", ["pd+ff", "lqr"])
+def test_knowing_the_effort_leaves_at_most_a_tenth_of_pd_s_error(kind, name):
+    assert rms_deg(tracked("pd", name)) > 1
+    assert rms_deg(tracked(kind, name)) < FEEDFORWARD_GAIN * rms_deg(tracked("pd", name))
+
+
+def test_the_planned_effort_alone_takes_mujoco_to_the_goal():
+    """No feedback: MuJoCo's own dynamics, integrated under the plan, arrive where the plan does."""
+    plan = optimal("knee-reach")
+    reference = sample(plan.problem.mechanism, plan.trajectory, 2.5e-5, plan.trajectory.duration_s)
+    rollout = run(plan.problem.mechanism, reference, Scripted(efforts=reference.effort), loop_of("knee-reach"))
+    assert np.abs(np.degrees(rollout.error)).max() < OPEN_LOOP_DEG
+    assert np.degrees(rollout.position[-1, 0]) == pytest.approx(np.degrees(GOAL), abs=OPEN_LOOP_DEG)
+
+
+# Verdicts.
+
+
+def sine_with(kd: float, period_s: float) -> Rollout:
+    plan = optimal("knee-sine")
+    reference = sample(plan.problem.mechanism, plan.trajectory, period_s, 0.05)
+    return run(plan.problem.mechanism, reference, tracker_of("pd", "knee-sine", reference, kd), loop_of("knee-sine"))
+
+
+def test_a_damping_of_ten_is_unstable_at_a_tenth_of_a_millisecond():
+    assert not sine_with(10.0, 1e-4).stable
+
+
+def test_a_damping_of_ten_is_stable_at_a_fiftieth_of_a_millisecond():
+    rollout = sine_with(10.0, 2e-5)
+    assert rollout.stable
+    assert rms_deg(rollout) < 1.0
+
+
+@pytest.mark.parametrize(("share", "stable"), [(0.9, True), (1.1, False)])
+def test_sampled_damping_of_a_pure_inertia_is_stable_up_to_twice_the_inertia_over_the_period(share, stable):
+    """Held for one period T, a damper turns v into (1 - kd T / I) v: stable while kd < 2 I / T."""
+    hinge = load_mechanism(HINGE.replace("<option ", '<option timestep="0.01" '))
+    reference = hinge_reference(hinge, 400)
+    started = replace(reference, velocity=np.concatenate([[[0.01]], reference.velocity[1:]]))
+    tracker = pd(hinge, reference, 0.0, share * 2 * HINGE_INERTIA / 0.01)
+    rollout = run(hinge, started, tracker, Loop(effort_limit=hinge.effort_limit))
+    assert rollout.velocity[0, 0] == 0.01
+    assert rollout.stable == stable
+    assert (np.abs(rollout.velocity[-50:]).max() < DIED_OUT) == stable
+
+
+@every_plan
+@every_tracker
+def test_a_good_run_is_called_stable(kind, name):
+    assert tracked(kind, name).stable
+
+
+def log_with(applied: np.ndarray, finite: bool = True) -> Rollout:
+    n = len(applied)
+    zeros = np.zeros((n, 1))
+    return Rollout(
+        tracker="drawn",
+        time_s=np.arange(n) * 1e-4,
+        position=zeros,
+        velocity=zeros,
+        reference=zeros,
+        pose=zeros,
+        commanded=applied[:, None],
+        applied=applied[:, None],
+        gap_m=np.zeros(n),
+        contacts=0,
+        finite=finite,
+        effort_limit=np.array([[-1.0, 1.0]]),
+        conditions={},
+    )
+
+
+@pytest.mark.parametrize(
+    ("what", "applied", "stable"),
+    [
+        ("rest", np.zeros(1000), True),
+        ("one switch of a bang-bang plan", np.repeat([1.0, -1.0], 500), True),
+        ("three switches", np.repeat([1.0, -1.0, 1.0, -1.0], 250), True),
+        ("a limit held", np.ones(1000), True),
+        ("a chatter", np.tile([1.0, -1.0], 500), False),
+        ("a slower chatter", np.tile(np.repeat([1.0, -1.0], 5), 100), False),
+        ("a chatter below the limits", np.tile([0.9, -0.9], 500), True),
+    ],
+)
+def test_only_swinging_between_the_limits_again_and_again_is_unstable(what, applied, stable):
+    del what
+    assert log_with(applied).stable == stable
+
+
+def test_a_run_that_blew_up_is_unstable():
+    assert not log_with(np.zeros(100), finite=False).stable
+
+
+def test_a_simulation_that_blows_up_ends_its_log_and_says_so():
+    hinge = load_mechanism(HINGE)
+    n = 100
+    efforts = np.full((n, 1), 9e9)  # the speed passes MuJoCo's largest number within forty steps
+    rollout = run(
+        hinge, hinge_reference(hinge, n), Scripted(efforts=efforts), Loop(effort_limit=np.array([[-np.inf, np.inf]]))
+    )
+    assert not rollout.finite
+    assert not rollout.stable
+    assert len(rollout.time_s) == len(rollout.pose) == len(rollout.applied) < n
+
+
+@pytest.mark.parametrize("effort", [np.nan, np.inf])
+def test_a_command_that_is_no_number_does_not_pass_for_a_good_run(effort):
+    """MuJoCo takes such a control for zero and goes on."""
+    efforts = np.zeros((20, 1))
+    efforts[10] = effort
+    rollout = hinge_run(efforts, effort_limit=np.array([[-np.inf, np.inf]]))
+    assert not rollout.finite
+    assert not rollout.stable
+
+
+# Delay.
+
+
+def hinge_run(efforts: np.ndarray, **changes) -> Rollout:
+    hinge = load_mechanism(HINGE)
+    loop = replace(Loop(effort_limit=hinge.effort_limit), **changes)
+    return run(hinge, hinge_reference(hinge, len(efforts)), Scripted(efforts=efforts), loop)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3, 7])
+def test_a_command_acts_after_exactly_the_delay(delay):
+    efforts = np.random.default_rng(1).uniform(-3, 3, size=(40, 1))
+    rollout = hinge_run(efforts, delay_periods=delay)
+    np.testing.assert_array_equal(rollout.commanded, efforts)
+    np.testing.assert_array_equal(rollout.applied[delay:], efforts[: len(efforts) - delay])
+    np.testing.assert_array_equal(rollout.applied[:delay], np.repeat(efforts[:1], delay, axis=0))
+
+
+@pytest.mark.parametrize("delay", [0, 2, 5])
+def test_the_motion_follows_the_delayed_command(delay):
+    efforts = np.zeros((40, 1))
+    efforts[10] = 3.0
+    rollout = hinge_run(efforts, delay_periods=delay)
+    moving = np.flatnonzero(np.abs(rollout.velocity[:, 0]) > STILL)
+    assert moving[0] == 10 + delay + 1  # the state is read before the command acts
+    assert rollout.velocity[-1, 0] == pytest.approx(3.0 * 0.01 / HINGE_INERTIA, rel=SAME_FIGURE)
+
+
+def test_a_delay_makes_a_sharp_loop_worse():
+    reference = reference_of("knee-sine")
+    mechanism, tracker = optimal("knee-sine").problem.mechanism, tracker_of("pd", "knee-sine", reference)
+    late = run(mechanism, reference, tracker, loop_of("knee-sine", delay_periods=3))
+    assert not late.stable or rms_deg(late) > 1.5 * rms_deg(tracked("pd", "knee-sine"))
+
+
+# Masses.
+
+
+def by_body(values: Callable[[mujoco.MjModel], np.ndarray], before: mujoco.MjModel, after: mujoco.MjModel) -> dict:
+    with np.errstate(invalid="ignore"):
+        return {after.body(i).name: values(after)[i] / values(before)[i] for i in range(1, after.nbody)}
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.3])
+def test_a_mass_factor_scales_the_payload_and_nothing_else(factor):
+    mechanism = optimal("knee-reach").problem.mechanism
+    scaled = scaled_model(mechanism, factor)
+    masses = by_body(lambda model: model.body_mass, mechanism.model, scaled)
+    inertias = by_body(lambda model: model.body_inertia[:, 1], mechanism.model, scaled)
+    assert masses[BODY_NAME] == pytest.approx(factor)
+    assert inertias[BODY_NAME] == pytest.approx(factor)
+    for body in ("crank", "coupler", "rocker"):
+        assert masses[body] == inertias[body] == 1.0
+    np.testing.assert_array_equal(scaled.body_ipos, mechanism.model.body_ipos)
+
+
+def test_without_a_payload_a_mass_factor_scales_every_moving_body():
+    mechanism = optimal("knee-sine").problem.mechanism
+    scaled = scaled_model(mechanism, 1.3)
+    masses = by_body(lambda model: model.body_mass, mechanism.model, scaled)
+    assert [masses[body] for body in ("crank", "coupler", "rocker")] == pytest.approx([1.3] * 3)
+    assert scaled.body_mass[1] == mechanism.model.body_mass[1]  # the thigh does not move
+
+
+def test_a_mass_factor_leaves_the_mechanism_s_own_model_alone():
+    mechanism = optimal("knee-reach").problem.mechanism
+    before = np.array(mechanism.model.body_mass)
+    scaled_model(mechanism, 2.0)
+    np.testing.assert_array_equal(mechanism.model.body_mass, before)
+
+
+def test_a_heavier_payload_is_tracked_less_well():
+    name = "knee-reach"
+    reference = reference_of(name)
+    tracker = tracker_of("pd+ff", name, reference)
+    heavy = run(optimal(name).problem.mechanism, reference, tracker, loop_of(name, mass_factor=1.2))
+    assert rms_deg(heavy) > 3 * rms_deg(tracked("pd+ff", name))
+    assert heavy.conditions["mass_factor"] == 1.2
+
+
+def test_a_wider_limit_of_the_problem_admits_what_the_file_would_clamp():
+    rollout = hinge_run(np.full((20, 1), 9.0), effort_limit=np.array([[-10.0, 10.0]]))
+    np.testing.assert_array_equal(rollout.applied, 9.0)
+    assert rollout.velocity[-1, 0] == pytest.approx(9.0 * 0.19 / HINGE_INERTIA, rel=SAME_FIGURE)

@@ -1,0 +1,304 @@
+"""Trackers: pure laws, gains against scipy's, linearisation against differences, hold against its closed form."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from linkplan.controllers.reference import SampledReference, sample
+from linkplan.controllers.trackers.feedforward import Feedforward
+from linkplan.controllers.trackers.lqr import LQR, discretise, linearise, lqr
+from linkplan.controllers.trackers.pd import PD, pd
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.assembly import close_at
+from linkplan.planner.plan import Plan
+from linkplan.planner.trajectory import Trajectory
+from tests.planner.test_plans import optimal
+from tests.planner.test_schemes import HINGE, HINGE_INERTIA
+from tests.support.fourbar import SHANK, knee
+from tests.support.tolerances_planner import CYCLE_GAINS, EXPONENTIAL, GAINS, LINEARISATION, ROUNDING, SAME_FIGURE
+
+PERIOD = 1e-3
+TRACKERS = ("pd", "pd+ff", "lqr")
+
+
+@cache
+def reference_of(name: str, period_s: float = PERIOD, duration_s: float | None = None) -> SampledReference:
+    plan = optimal(name)
+    duration = plan.trajectory.duration_s if duration_s is None else duration_s
+    return sample(plan.problem.mechanism, plan.trajectory, period_s, duration)
+
+
+def lqr_of(plan: Plan, reference: SampledReference) -> LQR:
+    tracking = plan.problem.tracking
+    return lqr(
+        plan.problem.mechanism,
+        reference,
+        position_weight=tracking.lqr_position,
+        velocity_weight=tracking.lqr_velocity,
+        effort_weight=plan.problem.limits.effort[:, 1],
+    )
+
+
+@cache
+def tracker_of(kind: str, name: str = "knee-reach"):
+    plan, reference = optimal(name), reference_of(name)
+    proportional = pd(plan.problem.mechanism, reference, 200.0, 20.0)
+    if kind == "lqr":
+        return lqr_of(plan, reference)
+    return proportional if kind == "pd" else Feedforward(reference=reference, feedback=proportional)
+
+
+# The sampled reference.
+
+
+@pytest.mark.parametrize("name", ["knee-reach", "knee-sine-shank"])
+def test_a_reference_is_the_trajectory_at_the_control_instants(name):
+    reference, trajectory = reference_of(name, PERIOD, 0.4), optimal(name).trajectory
+    assert reference.n == 400
+    np.testing.assert_allclose(reference.time_s, PERIOD * np.arange(400), rtol=ROUNDING)
+    # What repeats is sampled once; the second cycle's times differ from the first's by the rounding of a long sum.
+    position, velocity = trajectory.position_at(reference.time_s), trajectory.velocity_at(reference.time_s)
+    np.testing.assert_allclose(reference.position, position, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(reference.velocity, velocity, rtol=ROUNDING, atol=ROUNDING * np.abs(velocity).max())
+
+
+def test_a_reference_s_effort_is_the_inverse_dynamics_in_the_middle_of_each_hold():
+    reference, trajectory = reference_of("knee-reach"), optimal("knee-reach").trajectory
+    middle = reference.time_s + PERIOD / 2
+    s, v, a = (f(middle)[:, 0] for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
+    M, V = knee().carrying("crank", SHANK).fitted(s.min(), s.max())
+    np.testing.assert_allclose(reference.effort[:, 0], M(s) * a + 0.5 * M.deriv()(s) * v**2 + V.deriv()(s), rtol=SAME_FIGURE)
+
+
+def test_a_reference_that_reaches_its_goal_rests_there():
+    reference = reference_of("knee-reach", PERIOD, 0.3)
+    after = reference.time_s > 0.16
+    np.testing.assert_array_equal(reference.velocity[after], 0)
+    assert np.ptp(reference.position[after]) == 0
+    weight = knee().carrying("crank", SHANK).fitted(0.9, 1.0)[1].deriv()(reference.position[-1, 0])
+    assert abs(weight) > 0.1
+    np.testing.assert_allclose(reference.effort[after], weight, rtol=SAME_FIGURE)
+
+
+@pytest.mark.parametrize(
+    ("name", "period", "cycle"),
+    [("knee-sine-shank", 1e-3, 250), ("knee-sine-shank", 1.1e-3, None), ("knee-reach", 1e-3, None)],
+)
+def test_a_reference_repeats_after_whole_periods_only(name, period, cycle):
+    assert reference_of(name, period, 0.1).cycle == cycle
+
+
+def test_a_reference_s_arrays_cannot_be_written_to():
+    with pytest.raises(ValueError, match="read-only"):
+        reference_of("knee-reach").position[0] = 0
+
+
+# The laws.
+
+
+def test_pd_is_the_gains_times_the_errors():
+    tracker, reference = tracker_of("pd"), reference_of("knee-reach")
+    effort = tracker.effort(40, reference.position[40] - 0.01, reference.velocity[40] + 0.3)
+    assert effort == pytest.approx(200 * 0.01 - 20 * 0.3)
+
+
+def test_pd_goes_through_the_gear_to_the_motor():
+    geared = load_mechanism(HINGE.replace("<motor ", '<motor gear="-2.5" '))
+    tracker = pd(geared, hinge_reference(geared), 10.0, 2.0)
+    assert tracker.effort(0, np.array([-0.1]), np.array([0.0])) == pytest.approx(10 * 0.1 / -2.5)
+
+
+def test_feedforward_adds_the_reference_s_own_effort():
+    reference = reference_of("knee-reach")
+    state = reference.position[7] + 0.02, reference.velocity[7] - 0.1
+    expected = reference.effort[7] + tracker_of("pd").effort(7, *state)
+    np.testing.assert_array_equal(tracker_of("pd+ff").effort(7, *state), expected)
+
+
+@pytest.mark.parametrize("kind", ["pd+ff", "lqr"])
+def test_on_the_reference_itself_only_the_feedforward_acts(kind):
+    reference = reference_of("knee-reach")
+    for k in (0, 80, 159):
+        effort = tracker_of(kind).effort(k, reference.position[k], reference.velocity[k])
+        np.testing.assert_array_equal(effort, reference.effort[k])
+
+
+def test_lqr_is_the_gains_times_the_state_s_error():
+    tracker, reference = tracker_of("lqr"), reference_of("knee-reach")
+    effort = tracker.effort(30, reference.position[30] - 0.01, reference.velocity[30] + 0.2)
+    gains = tracker.gains[30, 0]
+    assert effort - reference.effort[30] == pytest.approx(gains[0] * 0.01 - gains[1] * 0.2)
+
+
+@pytest.mark.parametrize("kind", TRACKERS)
+def test_a_tracker_s_name_is_the_one_in_tables(kind):
+    assert tracker_of(kind).name == kind
+
+
+@pytest.mark.parametrize("kind", TRACKERS)
+@settings(derandomize=True, deadline=None, max_examples=25)
+@given(
+    st.lists(st.integers(0, 159), min_size=2, max_size=6),
+    st.floats(-1.5, 1.5),
+    st.floats(-100, 100),
+)
+def test_a_tracker_is_a_pure_law(kind, instants, position, velocity):
+    tracker = tracker_of(kind)
+    s, v = np.array([position]), np.array([velocity])
+    s.flags.writeable = v.flags.writeable = False
+    first = [tracker.effort(k, s, v) for k in instants]
+    again = [tracker.effort(k, s, v) for k in reversed(instants)][::-1]
+    np.testing.assert_array_equal(first, again)
+    assert (s[0], v[0]) == (position, velocity)
+
+
+@pytest.mark.parametrize("kind", TRACKERS)
+def test_a_tracker_does_not_saturate(kind):
+    far = tracker_of(kind).effort(10, np.array([-50.0]), np.array([0.0]))
+    farther = tracker_of(kind).effort(10, np.array([-500.0]), np.array([0.0]))
+    assert far[0] > 1000
+    assert farther[0] > 5 * far[0]
+
+
+@pytest.mark.parametrize("kind", [PD, LQR, Feedforward, SampledReference])
+def test_a_tracker_has_no_state_to_change(kind):
+    assert kind.__dataclass_params__.frozen
+
+
+# Linearisation and hold.
+
+
+def test_the_linearisation_is_the_difference_quotient_along_the_closed_chain():
+    mechanism, reference = optimal("knee-reach").problem.mechanism, reference_of("knee-reach")
+    instants = np.array([3, 40, 90, 155])
+    A, B = linearise(mechanism, reference.pose[instants], reference.velocity[instants], reference.effort[instants])
+    step = 1e-5
+
+    def acceleration(k: int, x: np.ndarray) -> np.ndarray:
+        pose = close_at(mechanism, x[:1], reference.pose[k])
+        return np.array(mechanism.dynamics.acceleration(pose, x[1:2], x[2:])).ravel()
+
+    for index, k in enumerate(instants):
+        at = np.concatenate([reference.position[k], reference.velocity[k], reference.effort[k]])
+        scale = np.maximum(1.0, np.abs(at))
+        shifted = [step * scale[j] * np.eye(3)[j] for j in range(3)]
+        expected = [(acceleration(k, at + d) - acceleration(k, at - d)) / (2 * d.sum()) for d in shifted]
+        exact = np.concatenate([A[index, 1], B[index, 1]])
+        np.testing.assert_allclose(exact, np.concatenate(expected), atol=LINEARISATION * np.abs(exact).max())
+        np.testing.assert_array_equal(A[index, 0], [0, 1])
+        np.testing.assert_array_equal(B[index, 0], [0])
+
+
+def test_the_linearisation_s_input_column_is_the_inverse_of_the_reduced_inertia():
+    mechanism, reference = optimal("knee-reach").problem.mechanism, reference_of("knee-reach")
+    _, B = linearise(mechanism, reference.pose, reference.velocity, reference.effort)
+    inertia = knee().carrying("crank", SHANK).inertia(reference.position[:, 0])
+    np.testing.assert_allclose(B[:, 1, 0], 1 / inertia, rtol=SAME_FIGURE)
+
+
+@pytest.mark.parametrize("period", [1e-4, 0.1, 2.0])
+def test_a_held_double_integrator_has_its_closed_form(period):
+    A, B = discretise(np.array([[[0.0, 1.0], [0.0, 0.0]]]), np.array([[[0.0], [2.5]]]), period)
+    np.testing.assert_allclose(A[0], [[1, period], [0, 1]], rtol=EXPONENTIAL)
+    np.testing.assert_allclose(B[0, :, 0], [2.5 * period**2 / 2, 2.5 * period], rtol=EXPONENTIAL)
+
+
+def test_a_held_pendulum_has_its_closed_form():
+    rate, period = 3.0, 0.2
+    A, B = discretise(np.array([[[0.0, 1.0], [-(rate**2), 0.0]]]), np.array([[[0.0], [1.0]]]), period)
+    cos, sin = np.cos(rate * period), np.sin(rate * period)
+    np.testing.assert_allclose(A[0], [[cos, sin / rate], [-rate * sin, cos]], rtol=ROUNDING)
+    np.testing.assert_allclose(B[0, :, 0], [(1 - cos) / rate**2, sin / rate], rtol=ROUNDING)
+
+
+# LQR's gains.
+
+
+def hinge_reference(mechanism: Mechanism, n: int = 50) -> SampledReference:
+    """Return a hinge's reference that stays at zero for n periods of a hundredth of a second."""
+    zeros = np.zeros((2, 1, 1))
+    rest = Trajectory(
+        breaks_s=np.array([0.0, 1.0]), position=zeros, velocity=zeros, effort=zeros, start_pose=np.zeros(1), periodic=False
+    )
+    return sample(mechanism, rest, 0.01, 0.01 * n)
+
+
+def test_the_gains_of_a_pure_inertia_are_scipy_s_stationary_ones():
+    hinge = load_mechanism(HINGE)
+    tracker = lqr(hinge, hinge_reference(hinge), position_weight=0.02, velocity_weight=0.5, effort_weight=np.array([4.0]))
+    A = np.array([[1.0, 0.01], [0.0, 1.0]])
+    B = np.array([[0.01**2 / 2], [0.01]]) / HINGE_INERTIA
+    Q, R = np.diag([0.02**-2, 0.5**-2]), np.array([[4.0**-2]])
+    P = scipy.linalg.solve_discrete_are(A, B, Q, R)
+    gain = np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A)
+    assert tracker.gains.shape == (50, 1, 2)
+    np.testing.assert_allclose(tracker.gains, np.broadcast_to(gain, (50, 1, 2)), rtol=GAINS)
+
+
+def knee_matrices(name: str) -> tuple[np.ndarray, ...]:
+    plan, reference = optimal(name), reference_of(name)
+    tracking = plan.problem.tracking
+    A, B = discretise(
+        *linearise(plan.problem.mechanism, reference.pose, reference.velocity, reference.effort), reference.period_s
+    )
+    Q = np.diag([tracking.lqr_position**-2, tracking.lqr_velocity**-2])
+    return A, B, Q, np.array([[plan.problem.limits.effort[0, 1] ** -2]])
+
+
+def test_the_gains_of_a_motion_obey_the_riccati_recursion_from_the_stationary_end():
+    A, B, Q, R = knee_matrices("knee-reach")
+    P = scipy.linalg.solve_discrete_are(A[-1], B[-1], Q, R)
+    expected = np.empty((len(A), 1, 2))
+    for k in range(len(A) - 1, -1, -1):
+        closed = B[k].T @ P
+        expected[k] = np.linalg.inv(R + closed @ B[k]) @ closed @ A[k]
+        free = A[k] - B[k] @ expected[k]
+        P = Q + expected[k].T @ R @ expected[k] + free.T @ P @ free  # Joseph's form of the same step
+    np.testing.assert_allclose(tracker_of("lqr").gains, expected, rtol=GAINS)
+
+
+def test_the_gains_of_a_periodic_motion_repeat_with_it():
+    plan, reference = optimal("knee-sine-shank"), reference_of("knee-sine-shank", PERIOD, 0.6)
+    gains = lqr_of(plan, reference).gains
+    assert reference.cycle == 250
+    assert len(gains) == 600
+    assert np.all(np.ptp(gains[:250], axis=0) > 1e-4 * gains.mean(axis=0))  # they do change within a cycle
+    np.testing.assert_array_equal(gains[250:500], gains[:250])
+    np.testing.assert_array_equal(gains[500:], gains[:100])
+
+
+def test_the_gains_of_a_periodic_motion_are_those_of_a_long_recursion():
+    A, B, Q, R = knee_matrices("knee-sine-shank")
+    P = 7.0 * Q  # wherever it starts, the recursion forgets it
+    for _ in range(40):
+        gains = np.empty((len(A), 1, 2))
+        for k in range(len(A) - 1, -1, -1):
+            closed = B[k].T @ P
+            gains[k] = np.linalg.solve(R + closed @ B[k], closed @ A[k])
+            P = Q + A[k].T @ P @ (A[k] - B[k] @ gains[k])
+    np.testing.assert_allclose(tracker_of("lqr", "knee-sine-shank").gains, gains, rtol=CYCLE_GAINS)
+
+
+def test_the_loop_over_a_cycle_is_stable():
+    A, B, _, _ = knee_matrices("knee-sine-shank")
+    gains = tracker_of("lqr", "knee-sine-shank").gains
+    over_a_cycle = np.eye(2)
+    for k in range(len(A)):
+        over_a_cycle = (A[k] - B[k] @ gains[k]) @ over_a_cycle
+    assert np.abs(np.linalg.eigvals(over_a_cycle)).max() < 0.01
+
+
+def test_a_dearer_effort_gives_softer_gains():
+    plan, reference = optimal("knee-reach"), reference_of("knee-reach")
+
+    def stiffness(limit: float) -> float:
+        tracker = lqr(
+            plan.problem.mechanism, reference, position_weight=0.02, velocity_weight=2.0, effort_weight=np.array([limit])
+        )
+        return float(tracker.gains[:, 0, 0].mean())
+
+    assert stiffness(1.0) < 0.5 * stiffness(10.0) < 0.25 * stiffness(100.0)

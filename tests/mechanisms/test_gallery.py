@@ -1,0 +1,91 @@
+"""The built-in mechanisms together: each checks clean, has a problem, and a picture that the README shows."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from linkplan.models.library import BUILT_IN as MODELS
+from linkplan.models.library import built_in_text
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.assembly import follow, reach
+from linkplan.models.poses.skeleton import sticks
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.files.tables import read_tables
+from linkplan.studies.check.inspection import inspect
+from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN, gallery_figure
+from tests.support.mechanism_checks import mechanism_of, plan_of
+from tests.support.mechanisms import replaced
+from tests.support.tolerances import KNEE, relative_error
+
+TWO_APART = """
+<mujoco>
+  <worldbody>
+    <body><joint name="driven" axis="0 1 0"/><geom size="0.01 0.1" type="capsule" pos="0 0 0.1"/></body>
+    <body pos="1 0 0"><joint name="free" axis="0 1 0"/><geom size="0.01 0.1" type="capsule" pos="0 0 0.1"/></body>
+  </worldbody>
+  <actuator><motor name="motor" joint="driven" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+ROOT = Path(__file__).parent.parent.parent
+SOUND = [name for name in MODELS if name != "optimus-knee-source"]
+every_mechanism = pytest.mark.parametrize("name", SOUND)
+
+
+@every_mechanism
+def test_check_finds_no_fault(name):
+    assert inspect(mechanism_of(name), []).problems == ()
+
+
+@every_mechanism
+def test_a_built_in_problem_moves_it_and_the_readme_shows_its_picture(name):
+    shown = [problem for problem in SHOWN if read_tables(problem)[1]["mechanism"]["model"] == name]
+    assert shown, "no problem of the gallery moves it"
+    assert set(shown) <= set(PROBLEMS)
+    assert (FOLDER / f"{name}.png").stat().st_size > 10_000
+    assert f"studies/gallery/{name}.png" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_a_gallery_s_picture_is_drawn_from_a_plan(tmp_path):
+    path = tmp_path / "picture.png"
+    gallery_figure(plan_of("cart-pole-swing-up"), path)
+    assert path.stat().st_size > 10_000
+
+
+def test_an_unactuated_joint_that_the_others_move_is_a_note_and_one_that_nothing_moves_a_fault():
+    pole = inspect(mechanism_of("cart-pole"), [])
+    assert any("pole" in note and "underactuated" in note for note in pole.notes)
+    apart = inspect(load_mechanism(TWO_APART), [])
+    assert any("joint free moves freely" in problem for problem in apart.problems)
+
+
+def test_a_stop_on_a_dependent_joint_is_a_note_where_the_coordinate_has_no_range_that_says_otherwise():
+    five_bar = inspect(mechanism_of("five-bar"), [])
+    assert any("joint P's range [10, 170] deg stops the loop" in note for note in five_bar.notes)
+    source = inspect(mechanism_of("optimus-knee-source"), [])
+    assert any("joint A's range [-90, 90] deg stops the loop" in problem for problem in source.problems)
+
+
+def test_a_rod_that_slides_in_a_barrel_is_drawn_from_the_barrel_s_pin_to_its_own_tip():
+    mechanism = mechanism_of("optimus-knee-linear")
+    poses = reach(mechanism).poses[::20]
+    drawn = {stick.body: stick.pins for stick in sticks(mechanism, poses)}
+    length = np.linalg.norm(drawn["rod"][:, -1] - drawn["rod"][:, 0], axis=1)
+    assert np.ptp(length) > 0.1
+    assert relative_error(length, poses[:, mechanism.independent[0]]) < KNEE
+
+
+def test_a_body_on_a_single_pin_is_drawn_to_its_centre_of_mass():
+    mechanism = mechanism_of("cart-pole")
+    (pole,) = (stick for stick in sticks(mechanism, mechanism.home[None]) if stick.body == "pole")
+    assert pole.pins[0, 1] - pole.pins[0, 0] == pytest.approx([0.0, -0.5])
+
+
+def test_a_squeezer_without_its_spring_is_another_mechanism():
+    """The spring is honoured: it is most of what holds the crank."""
+    limp = load_mechanism(replaced(built_in_text("andrews-squeezer"), 'stiffness="4530"', 'stiffness="0"'))
+    sprung = mechanism_of("andrews-squeezer")
+    (q,), still = follow(sprung, np.array([[1.0]])), np.zeros(1)
+    hold = [float(m.dynamics.inverse_dynamics(q, still, still)) for m in (limp, sprung)]
+    assert abs(hold[0]) < 1e-12
+    assert abs(hold[1]) > 1e-3

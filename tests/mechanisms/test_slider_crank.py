@@ -1,0 +1,146 @@
+"""The slider-crank against its closed form: sin(phi) = -(r / l) sin(th), x = r cos(th) + l cos(phi).
+
+M(th) and V(th) are the bodies' energies by the chain rule; the equation of motion is Lagrange's.
+"""
+
+import numpy as np
+import pytest
+
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import close_at, follow, reach
+from tests.support.fourbar import G
+from tests.support.mechanism_checks import (
+    acceleration,
+    lagrangian_acceleration,
+    mechanism_of,
+    plan_of,
+    rigid_acceleration,
+    tracked,
+)
+from tests.support.tolerances import ANGLE_RAD, BRACKET_RAD, DIFFERENCES, KNEE, relative_error
+from tests.support.tolerances_planner import CLOSURE_M, ROLLOUT_GAP_M
+
+NAME, PROBLEM = "slider-crank", "slider-crank-turn"
+CRANK, ROD = 0.05, 0.15
+# Masses [kg], centres from the link's first pin [m], moments about the centres [kg m2].
+CRANK_MASS, CRANK_CENTRE, CRANK_MOMENT = 0.3, 0.02, 2e-4
+ROD_MASS, ROD_CENTRE, ROD_MOMENT = 0.2, 0.06, 6e-4
+SLIDER_MASS = 0.6
+at_every_angle = pytest.mark.parametrize("th", np.radians([-170.0, -90.0, -35.0, 0.0, 50.0, 90.0, 140.0, 180.0]))
+
+
+def rod(th: float) -> tuple[float, float]:
+    """Return the rod's angle and its rate per crank rate."""
+    phi = np.arcsin(-CRANK / ROD * np.sin(th))
+    return phi, -CRANK * np.cos(th) / (ROD * np.cos(phi))
+
+
+def slider(th: float) -> tuple[float, float]:
+    """Return the slider's place and its rate per crank rate."""
+    phi, rate = rod(th)
+    return CRANK * np.cos(th) + ROD * np.cos(phi), -CRANK * np.sin(th) - ROD * np.sin(phi) * rate
+
+
+def inertia(s: np.ndarray) -> np.ndarray:
+    """Return the reduced inertia (1, 1)."""
+    (th,) = s
+    phi, rate = rod(th)
+    centre = CRANK * np.array([-np.sin(th), np.cos(th)]) + ROD_CENTRE * rate * np.array([-np.sin(phi), np.cos(phi)])
+    crank = CRANK_MOMENT + CRANK_MASS * CRANK_CENTRE**2
+    return np.array([[crank + ROD_MASS * centre @ centre + ROD_MOMENT * rate**2 + SLIDER_MASS * slider(th)[1] ** 2]])
+
+
+def potential(s: np.ndarray) -> float:
+    """Return the potential energy; the slider stays level."""
+    (th,) = s
+    return float(
+        G * (CRANK_MASS * CRANK_CENTRE * np.sin(th) + ROD_MASS * (CRANK * np.sin(th) + ROD_CENTRE * np.sin(rod(th)[0])))
+    )
+
+
+def pose(th: float) -> np.ndarray:
+    return close_at(mechanism_of(NAME), np.array([th]))
+
+
+def test_the_crank_is_the_only_freedom():
+    mechanism = mechanism_of(NAME)
+    assert (mechanism.n_q, len(mechanism.closure_rows)) == (3, 2)
+    assert [joint.name for joint in mechanism.independent_joints] == ["O"]
+
+
+@at_every_angle
+def test_rod_and_slider_follow_the_crank_as_the_closed_form_says(th):
+    assert np.abs(pose(th) - [th, rod(th)[0] - th, slider(th)[0]]).max() < ANGLE_RAD
+
+
+@at_every_angle
+def test_rates_are_the_closed_form_s_dead_centres_included(th):
+    rates = np.array(mechanism_of(NAME).dynamics.velocity_map(pose(th)))[:, 0]
+    assert relative_error(rates, [1.0, rod(th)[1] - 1.0, slider(th)[1]]) < KNEE
+
+
+@at_every_angle
+def test_reduced_inertia_is_the_closed_form(th):
+    found = np.array(mechanism_of(NAME).dynamics.reduced_inertia(pose(th)))
+    assert relative_error(found, inertia(np.array([th]))) < KNEE
+
+
+@at_every_angle
+def test_acceleration_is_lagrange_s(th):
+    v, u = np.array([23.0]), np.array([1.3])
+    expected = lagrangian_acceleration(inertia, potential, np.array([th]), v, u)
+    assert relative_error(acceleration(mechanism_of(NAME), pose(th), v, u), expected) < DIFFERENCES
+
+
+@at_every_angle
+def test_acceleration_is_that_of_mujocos_masses_forces_and_rows(th):
+    mechanism, v, u = mechanism_of(NAME), np.array([23.0]), np.array([1.3])
+    assert (
+        relative_error(acceleration(mechanism, pose(th), v, u), rigid_acceleration(mechanism, pose(th), v, u)) < DIFFERENCES
+    )
+
+
+def test_the_slider_turns_back_at_both_dead_centres_and_the_crank_turns_fully():
+    can = reach(mechanism_of(NAME))
+    assert can.turns_fully
+    assert can.singular == ()
+    # Home itself is one of them: a sample at which the slider rests, between two of either sign.
+    assert [mechanism_of(NAME).joints[j].name for j, _ in can.toggles] == ["B", "B", "B"]
+    assert np.abs(np.array([at for _, at in can.toggles]) - [-np.pi, 0.0, np.pi]).max() < BRACKET_RAD
+
+
+def test_no_other_turn_of_the_same_duration_costs_less():
+    """Sixteen smooth motions between the same states, near the plan and far from it, on either side."""
+    plan = plan_of(PROBLEM)
+    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
+    time = np.linspace(0.0, trajectory.duration_s, 801)
+    rng = np.random.default_rng(5)
+    costs = []
+    for k in range(16):
+        amount = (-1) ** k * 10.0 ** rng.uniform(-3, -0.5)
+        order = 1 + k // 2 % 4
+        # sin^3 vanishes at both ends with its rate: another motion between the same states.
+        w = order * np.pi / trajectory.duration_s
+        bump, phase = amount * np.sin(w * time) ** 3, w * time
+        rate = 3 * amount * w * np.sin(phase) ** 2 * np.cos(phase)
+        bend = 3 * amount * w**2 * (2 * np.sin(phase) * np.cos(phase) ** 2 - np.sin(phase) ** 3)
+        s = trajectory.position_at(time) + bump[:, None]
+        v = trajectory.velocity_at(time) + rate[:, None]
+        a = trajectory.acceleration_at(time) + bend[:, None]
+        effort = needed_effort(mechanism, follow(mechanism, s, trajectory.start_pose), v, a)[0][:, 0]
+        costs.append(np.trapezoid(effort**2, time))
+    assert min(costs) > plan.objective
+
+
+def test_the_planned_turn_passes_its_certificate():
+    plan = plan_of(PROBLEM)
+    assert plan.certificate.failures == ()
+    assert plan.certificate.closure_gap_m < CLOSURE_M
+
+
+@pytest.mark.parametrize("tracker", ["pd", "pd+ff", "lqr"])
+def test_every_tracker_carries_the_turn_through_both_dead_centres(tracker):
+    rollout = tracked(PROBLEM, tracker)
+    assert rollout.stable
+    assert rollout.gap_m.max() < ROLLOUT_GAP_M
+    assert abs(np.degrees(rollout.error[-1, 0])) < 1.0

@@ -1,0 +1,398 @@
+"""Assembly: rank and rows of the closure, branches, paths and the reach, against the closed forms of planar linkages."""
+
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+import scipy.optimize
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from linkplan.models.closure.newton import CLOSED_M
+from linkplan.models.errors import AssemblyError, LinkplanError, ModelError
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.assembly import close_at, follow, reach
+from tests.support.mechanisms import (
+    CHAINS,
+    CRANK_ROCKER,
+    FIVE_BAR,
+    FLAT_PARALLELOGRAM,
+    PENDULUM,
+    SLIDER_CRANK,
+    TRIPLE_ROCKER,
+    TRUSS,
+    FourBar,
+    doubled_pin,
+    numbers,
+    off_axis,
+    random_four_bar,
+    random_quaternion,
+    random_tree,
+    replaced,
+    slider_crank,
+    stated_gap_mm,
+    wrapped,
+)
+from tests.support.tolerances import (
+    ANGLE_RAD,
+    APART_DEG,
+    BRACKET_RAD,
+    CLOSURE,
+    PRINTED_GAP,
+    REDUCED,
+    SINGULAR_RAD,
+    relative_error,
+)
+
+lengths = dict.fromkeys(("crank", "coupler", "rocker", "ground"), st.floats(0.3, 1.0))
+four_bars = st.builds(FourBar, **lengths, branch=st.sampled_from([-1, 1]), drawn=st.floats(-3, 3))
+seeds = st.integers(0, 2**32 - 1)
+PLAIN = CRANK_ROCKER.mjcf(np.random.default_rng(0))
+RANGED = replaced(PLAIN, '<joint name="O"', '<joint name="O" limited="true" range="-1 2"')
+deterministic = settings(max_examples=40, deadline=None, derandomize=True, database=None)
+
+
+@cache
+def load(bar: FourBar, seed: int = 0, aslant: bool = False) -> Mechanism:
+    rng = np.random.default_rng(seed)
+    return load_mechanism(bar.mjcf(rng, quaternion=random_quaternion(rng) if aslant else None))
+
+
+@cache
+def random_bars(n: int = 6) -> tuple[FourBar, ...]:
+    return tuple(random_four_bar(np.random.default_rng(seed)) for seed in range(n))
+
+
+# Rank and rows
+
+
+@deterministic
+@given(bar=four_bars, seed=seeds)
+def test_any_four_bar_in_any_plane_has_three_rows_of_rank_two(bar, seed):
+    assume(np.nan_to_num(bar.transmission(bar.drawn)) > 0.2)
+    rng = np.random.default_rng(seed)
+    mechanism = load_mechanism(bar.mjcf(rng, quaternion=random_quaternion(rng), anchor_form=bool(seed % 2)))
+    assert mechanism.dynamics.closure.size1_out(0) == 3
+    assert (len(mechanism.closure_rows), len(mechanism.dependent), mechanism.dof) == (2, 2, 1)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_rows_kept_span_all_rows(seed):
+    bar = random_bars()[seed]
+    mechanism = load(bar, seed, aslant=True)
+    for q in bar.samples(np.random.default_rng(seed), 5):
+        jacobian = np.array(mechanism.dynamics.closure_jacobian(q))
+        kept = jacobian[mechanism.closure_rows]
+        assert np.linalg.cond(kept) < 1e3, "the rows kept are independent"
+        combination = np.linalg.lstsq(kept.T, jacobian.T)[0]
+        assert relative_error(combination.T @ kept, jacobian) < REDUCED
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_two_connects_on_one_pin_have_six_rows_of_rank_two(seed):
+    mechanism = load_mechanism(doubled_pin(random_bars()[seed], random_quaternion(np.random.default_rng(seed))))
+    assert mechanism.dynamics.closure.size1_out(0) == 6
+    assert (len(mechanism.closure_rows), mechanism.dof) == (2, 1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_second_connect_on_the_same_pin_changes_no_motion(seed):
+    bar, quaternion = random_bars()[seed], random_quaternion(np.random.default_rng(seed))
+    once = load_mechanism(bar.mjcf(np.random.default_rng(0), quaternion=quaternion))
+    twice = load_mechanism(doubled_pin(bar, quaternion))
+    for q in bar.samples(np.random.default_rng(seed), 3):
+        arguments = q, [0.7], [0.3]
+        assert relative_error(twice.dynamics.acceleration(*arguments), once.dynamics.acceleration(*arguments)) < REDUCED
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"), [("six-bar", (6, 4, 1)), ("spatial-loop", (3, 3, 1)), ("five-bar", (3, 2, 2))]
+)
+def test_rank_and_degrees_of_freedom_of_other_loops(name, expected):
+    mechanism = load_mechanism(CHAINS[name])
+    assert (mechanism.dynamics.closure.size1_out(0), len(mechanism.closure_rows), mechanism.dof) == expected
+
+
+@pytest.mark.parametrize("joint", ["O", "A", "C"])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_actuated_joint_is_the_independent_one(joint, seed):
+    mechanism = load_mechanism(random_bars()[seed].mjcf(np.random.default_rng(seed), motors=(joint,)))
+    assert [j.name for j in mechanism.independent_joints] == [joint]
+
+
+def test_both_actuated_joints_of_a_five_bar_are_independent():
+    assert [j.name for j in load_mechanism(FIVE_BAR).independent_joints] == ["left", "right"]
+
+
+@pytest.mark.parametrize("source", [random_tree(1), PENDULUM], ids=["many joints", "one joint"])
+def test_an_open_tree_is_its_own_reduction(source):
+    mechanism = load_mechanism(source)
+    q = mechanism.home + 0.1
+    assert (len(mechanism.closure_rows), mechanism.dof) == (0, mechanism.n_q)
+    assert np.array_equal(np.array(mechanism.dynamics.velocity_map(q)), np.eye(mechanism.n_q))
+    assert np.array_equal(np.array(mechanism.dynamics.reduced_inertia(q)), np.array(mechanism.dynamics.mass_matrix(q)))
+
+
+def test_an_inactive_connect_closes_nothing():
+    assert load_mechanism(replaced(PLAIN, '<connect name="B"', '<connect name="B" active="false"')).dof == 3
+
+
+def test_disabled_equalities_close_nothing():
+    text = replaced(PLAIN, "/>\n  <worldbody>", '><flag equality="disable"/></option>\n  <worldbody>')
+    assert load_mechanism(text).dof == 3
+
+
+def test_a_connect_to_the_world_closes_a_loop():
+    rod = '<body name="rod"><joint name="O" axis="0 1 0"/><geom size=".01" pos=".1 0 0"/><body name="tip" pos=".2 0 0">'
+    tip = '<joint name="A" axis="0 1 0"/><geom size=".01" pos=".1 0 0"/>%s</body></body>'
+    slide = '<body name="end" pos=".1 0 .1"><joint name="x" type="slide" axis="1 0 0"/><geom size=".01"/></body>'
+    loop = '<equality><connect body1="end" anchor="0 0 0"/></equality>'
+    text = f"<mujoco><worldbody>{rod}{tip % slide}</worldbody>{loop}</mujoco>"
+    mechanism = load_mechanism(text)
+    assert (mechanism.n_q, mechanism.dof, mechanism.home_gap_m) == (3, 1, 0.0)
+
+
+def test_a_truss_is_refused_as_locked():
+    with pytest.raises(ModelError, match=r"'truss' is locked: 2 joints .* 2 independent .* 0 degrees of freedom"):
+        load_mechanism(TRUSS)
+
+
+@pytest.mark.parametrize(
+    ("text", "dof"), [(FLAT_PARALLELOGRAM, 1), (replaced(TRUSS, "0.1 0 0.1", "0.1 0 0"), 0)], ids=["parallelogram", "truss"]
+)
+def test_a_loop_drawn_flat_keeps_its_degrees_of_freedom_or_is_refused(text, dof):
+    try:
+        found = load_mechanism(text).dof
+    except LinkplanError:
+        found = "refused"
+    assert found in (dof, "refused")
+
+
+@pytest.mark.parametrize("aslant", [False, True], ids=["upright", "aslant"])
+@pytest.mark.parametrize("offset_mm", [1e-3, 1.0, 20.0])
+def test_a_gap_across_the_plane_is_refused_with_its_size(offset_mm, aslant):
+    text = off_axis(CRANK_ROCKER, offset_mm * 1e-3, random_quaternion(np.random.default_rng(5)) if aslant else None)
+    with pytest.raises(AssemblyError) as refused:
+        load_mechanism(text)
+    assert relative_error(stated_gap_mm(refused.value), offset_mm) < PRINTED_GAP
+
+
+# Home
+
+
+@deterministic
+@given(bar=four_bars, seed=seeds, ahead=st.floats(-0.2, 0.2))
+def test_any_four_bar_assembles_where_two_circles_meet(bar, seed, ahead):
+    way = bar.drawn + np.linspace(0, ahead, 9)
+    assume(np.nan_to_num(bar.transmission(way)).min() > 0.2)
+    rng = np.random.default_rng(seed)
+    mechanism = load_mechanism(bar.mjcf(rng, quaternion=random_quaternion(rng), anchor_form=bool(seed % 2)))
+    poses = np.array([mechanism.home, close_at(mechanism, way[-1:])])
+    assert np.abs(wrapped(poses - bar.pose(way[[0, -1]]))).max() < ANGLE_RAD
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_home_at_an_asked_angle_is_on_the_drawn_branch(seed):
+    bar = random_bars()[seed]
+    asked = bar.drawn + 0.02
+    home = load_mechanism(bar.mjcf(np.random.default_rng(seed)), home={"O": asked}).home
+    assert home[0] == asked
+    assert np.abs(wrapped(home - bar.pose(asked)[0])).max() < ANGLE_RAD
+
+
+@pytest.mark.parametrize("named", ["A", "C", "AC"])
+@pytest.mark.parametrize("seed", range(6))
+def test_dependent_angles_in_home_choose_the_other_branch(seed, named):
+    bar = random_bars()[seed]
+    pose = dict(zip("OAC", bar.mirrored().pose(bar.drawn)[0], strict=True))
+    assert abs(wrapped(pose["A"] - bar.pose(bar.drawn)[0, 1])) > 0.2, "the branches differ"
+    asked = {"O": bar.drawn} | {name: pose[name] + 0.02 for name in named}
+    home = load_mechanism(bar.mjcf(np.random.default_rng(seed)), home=asked).home
+    assert np.abs(wrapped(home - list(pose.values()))).max() < ANGLE_RAD
+
+
+def test_the_keyframe_named_home_is_where_assembly_starts():
+    mechanism = load_mechanism(SLIDER_CRANK)
+    assert np.abs(mechanism.reference - [0.7, -0.916, 0.3685]).max() == 0
+    assert 0 < np.abs(mechanism.home - mechanism.reference).max() < 0.01
+    assert mechanism.gap_m(mechanism.home) < CLOSED_M
+
+
+# Paths
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_path_stays_on_the_closed_forms_branch(seed):
+    bar = random_bars()[seed]
+    mechanism = load(bar, seed, aslant=True)
+    r = reach(mechanism)
+    q_O = np.linspace(r.lower.position, r.upper.position, 60)[2:-2]
+    poses = follow(mechanism, q_O[:, None])
+    assert np.ptp(q_O) > 0.5, "the path goes somewhere"
+    assert np.abs(wrapped(poses - bar.pose(q_O))).max() < ANGLE_RAD
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_a_path_there_and_back_ends_where_it_began(name):
+    mechanism = load_mechanism(CHAINS[name])
+    s = mechanism.home[mechanism.independent] + np.linspace(0, 0.5, 10)[:, None]
+    poses = follow(mechanism, np.concatenate([s, s[::-1]]))
+    assert np.abs(poses[9] - poses[0]).max() > 0.4, "the path goes somewhere"
+    assert np.abs(poses[-1] - mechanism.home).max() < ANGLE_RAD
+
+
+@pytest.mark.parametrize("name", CHAINS)
+def test_every_pose_of_a_path_is_closed_at_the_asked_position(name):
+    mechanism = load_mechanism(CHAINS[name])
+    s = mechanism.home[mechanism.independent] + np.linspace(-0.3, 0.3, 20)[:, None]
+    poses = follow(mechanism, s)
+    assert np.array_equal(poses[:, mechanism.independent], s)
+    assert max(mechanism.gap_m(q) for q in poses) < CLOSED_M
+
+
+def test_a_far_position_is_reached_on_the_branch_without_a_path():
+    far = CRANK_ROCKER.drawn + 3.0
+    assert np.abs(wrapped(close_at(load(CRANK_ROCKER), np.array([far])) - CRANK_ROCKER.pose(far)[0])).max() < ANGLE_RAD
+
+
+def test_a_path_may_start_on_another_branch_than_home():
+    other = CRANK_ROCKER.mirrored()
+    q_O = np.linspace(0.2, 2.0, 20)
+    poses = follow(load(CRANK_ROCKER), q_O[:, None], start=other.pose(0.2)[0])
+    assert np.abs(wrapped(poses - other.pose(q_O))).max() < ANGLE_RAD
+
+
+@pytest.mark.parametrize("turns", [1, -1])
+def test_a_path_stops_at_a_singular_pose_though_the_loop_closes_beyond(turns):
+    mechanism = load(TRIPLE_ROCKER)
+    lower, upper = TRIPLE_ROCKER.singular()
+    singular = upper if turns > 0 else lower
+    with pytest.raises(AssemblyError) as refused:
+        close_at(mechanism, np.array([TRIPLE_ROCKER.drawn + turns * 2 * np.pi]))
+    (at,) = re.findall(r"comes apart at O = (\S+) deg", str(refused.value))
+    assert abs(float(at) - np.degrees(singular)) < APART_DEG
+
+
+def test_a_parallelogram_is_not_led_through_its_flat_pose_where_two_branches_cross():
+    bar = FourBar(crank=0.1, coupler=0.2, rocker=0.1, ground=0.2, branch=1, drawn=0.3)
+    with pytest.raises(AssemblyError) as refused:
+        close_at(load(bar), np.array([2.0]))
+    (at,) = re.findall(r"comes apart at O = (\S+) deg", str(refused.value))
+    assert abs(float(at) - 90) < APART_DEG
+
+
+# Reach
+
+
+@pytest.mark.parametrize("bar", [TRIPLE_ROCKER, *random_bars()], ids=lambda bar: f"crank {bar.crank:.3g}")
+def test_the_reach_of_a_four_bar_ends_at_its_singular_poses(bar):
+    r = reach(load(bar, 1, aslant=True))
+    if not len(bar.singular()):
+        assert r.turns_fully
+        return
+    around = np.sort(np.concatenate([bar.singular() + turn for turn in (-2 * np.pi, 0, 2 * np.pi)]))
+    k = np.searchsorted(around, bar.drawn)
+    assert (r.lower.reason, r.upper.reason) == ("singular pose", "singular pose")
+    assert np.abs(np.array([r.lower.position, r.upper.position]) - around[k - 1 : k + 1]).max() < SINGULAR_RAD
+    assert r.singular == (r.lower.position, r.upper.position)
+
+
+def test_some_of_the_random_four_bars_have_singular_poses_and_some_turn_fully():
+    assert {bool(len(bar.singular())) for bar in random_bars()} == {False, True}
+
+
+def test_the_crank_of_a_grashof_crank_rocker_turns_fully():
+    r = reach(load(CRANK_ROCKER))
+    assert r.turns_fully
+    assert np.abs([r.lower.position + 2 * np.pi - 0.2, r.upper.position - 2 * np.pi - 0.2]).max() < BRACKET_RAD
+
+
+def test_the_rocker_turns_back_where_crank_and_coupler_are_in_line():
+    bar, r = CRANK_ROCKER, reach(load(CRANK_ROCKER))
+    # |OB| = L2 +- L1, |CB| = L3, |OC| = L4: the law of cosines at O gives OB, and the crank lies along or against it.
+    found = np.array([at for joint, at in r.toggles if joint == 2])
+    expected = []
+    for reach_OB, against in ((bar.coupler + bar.crank, 0.0), (bar.coupler - bar.crank, np.pi)):
+        cosine = (reach_OB**2 + bar.ground**2 - bar.rocker**2) / (2 * reach_OB * bar.ground)
+        # The ground OC lies at 90 deg, and on this branch B is above it.
+        expected.append(np.pi / 2 - np.arccos(cosine) + against)
+    away = np.abs(wrapped(found[:, None] - np.array(expected)))
+    assert len(found) == 4, "two in each turn, a turn to either side"
+    assert away.min(axis=1).max() < BRACKET_RAD
+    assert away.min(axis=0).max() < BRACKET_RAD
+
+
+@pytest.mark.parametrize("limit", [0.3, 0.5])
+def test_the_reach_ends_where_a_dependent_joint_meets_its_range(limit):
+    bar = CRANK_ROCKER
+    home_C = bar.pose(bar.drawn)[0, 2]
+    ranged = replaced(PLAIN, '<joint name="C"', f'<joint name="C" limited="true" range="{home_C - limit} 3"')
+    r = reach(load_mechanism(ranged))
+
+    def excess(q_O: float) -> float:
+        return bar.pose(q_O)[0, 2] - (home_C - limit)
+
+    grid = bar.drawn + np.linspace(0, 2 * np.pi, 721)
+    values = np.array([excess(x) for x in grid])
+    assert values.min() < -0.01, "the range binds"
+    up, down = np.argmax(values < 0), len(grid) - 1 - np.argmax(values[::-1] < 0)
+    upper = scipy.optimize.brentq(excess, grid[up - 1], grid[up], xtol=1e-14)
+    lower = scipy.optimize.brentq(excess, grid[down], grid[down + 1], xtol=1e-14) - 2 * np.pi
+    assert [(end.reason, end.joint) for end in (r.lower, r.upper)] == [("range of C", 2)] * 2
+    assert np.abs(np.array([r.lower.position, r.upper.position]) - [lower, upper]).max() < BRACKET_RAD
+
+
+def test_the_reach_ends_at_the_first_of_two_ranges_met_in_one_step():
+    bar = CRANK_ROCKER
+    home, at_C, at_A = bar.pose(bar.drawn + np.array([0.0, 0.5, 0.5001]))
+    text = PLAIN
+    for joint, index, end in (("A", 1, at_A), ("C", 2, at_C)):
+        bounds = sorted([end[index], 2 * home[index] - end[index]])
+        text = replaced(text, f'name="{joint}"', f'name="{joint}" limited="true" range="{numbers(bounds)}"')
+    upper = reach(load_mechanism(text)).upper
+    assert upper.reason == "range of C"
+    assert abs(upper.position - bar.drawn - 0.5) < BRACKET_RAD
+
+
+def test_the_reach_of_a_joint_ends_at_its_own_range():
+    r = reach(load_mechanism(RANGED))
+    assert [(end.reason, end.joint) for end in (r.lower, r.upper)] == [("range of O", 0)] * 2
+    assert [r.lower.position, r.upper.position] == [-1.0, 2.0]
+
+
+def test_a_disabled_limit_ends_no_reach():
+    free = replaced(RANGED, "/>\n  <worldbody>", '><flag limit="disable"/></option>\n  <worldbody>')
+    assert reach(load_mechanism(free)).turns_fully
+
+
+@pytest.mark.parametrize("size", [0.05, 1.0, 30.0])
+def test_a_driven_slider_of_any_size_reaches_from_dead_centre_to_dead_centre(size):
+    mechanism = load_mechanism(replaced(slider_crank(size), '<motor joint="crank"', '<motor joint="slide"'))
+    r = reach(mechanism)
+    assert (mechanism.independent_joints[0].name, r.lower.reason, r.upper.reason) == ("slide", *["singular pose"] * 2)
+    ends = np.array([r.lower.position, r.upper.position]) / size
+    assert np.abs(ends - [0.3 - 0.1, 0.3 + 0.1]).max() < SINGULAR_RAD
+
+
+def test_the_slider_turns_back_at_every_half_turn_of_the_crank():
+    found = np.array([at for joint, at in reach(load_mechanism(SLIDER_CRANK)).toggles if joint == 2])
+    assert np.abs(found - np.pi * np.array([-1, 0, 1, 2])).max() < BRACKET_RAD
+
+
+@pytest.mark.parametrize("coordinate", [0, 1])
+def test_the_other_motor_of_a_five_bar_stays_at_home_over_the_reach(coordinate):
+    mechanism = load_mechanism(FIVE_BAR)
+    r = reach(mechanism, coordinate)
+    moving, still = mechanism.independent[coordinate], mechanism.independent[1 - coordinate]
+    assert np.ptp(r.poses[:, moving]) > 1
+    assert not np.ptp(r.poses[:, still])
+
+
+@pytest.mark.parametrize("name", ["optimus-knee", "optimus-knee-source", *CHAINS])
+def test_the_poses_of_a_reach_are_closed_and_in_order(name):
+    mechanism = load_mechanism(CHAINS.get(name, name))
+    r = reach(mechanism)
+    assert max(mechanism.gap_m(q) for q in r.poses) < 10 * CLOSURE + CLOSED_M
+    assert np.all(np.diff(r.poses[:, mechanism.independent[0]]) > 0)
+    assert list(r.toggles) == sorted(r.toggles, key=lambda toggle: toggle[1])

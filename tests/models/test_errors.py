@@ -1,0 +1,342 @@
+"""Bad input to the models package: refused in one line that names what was asked and what is legal."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from linkplan.models.audit import audit
+from linkplan.models.closure.newton import CLOSED_M
+from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError
+from linkplan.models.library import BUILT_IN
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.names import choose
+from linkplan.models.payload import SHANK, Payload
+from linkplan.models.poses.assembly import close_at
+from tests.support.mechanisms import CRANK_ROCKER, PENDULUM, TRUSS, replaced, simulated
+
+FOUR_BAR = CRANK_ROCKER.mjcf(np.random.default_rng(0), bare=True)
+
+TWO_BODIES = """
+<mujoco model="two"><compiler angle="radian" autolimits="true"/>
+  <worldbody>
+    <body name="left"><joint name="ja" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/><site name="sa" pos="0.1 0 0"/></body>
+    <body name="right" pos="5 0 0"><joint name="jb" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/></body>
+  </worldbody>
+  <tendon><fixed name="cable"><joint joint="ja" coef="1"/><joint joint="jb" coef="2"/></fixed></tendon>
+  %s
+</mujoco>"""
+
+
+def refusal(action: Callable[[], object], kind: type[LinkplanError] = ModelError) -> str:
+    """Return the message of the refusal, which is ours and one line."""
+    with pytest.raises(LinkplanError) as refused:
+        action()
+    message = str(refused.value)
+    assert isinstance(refused.value, kind)
+    assert message.strip()
+    assert len(message.splitlines()) == 1, f"not one line: {message!r}"
+    return message
+
+
+def assert_names(message: str, *words: str) -> None:
+    missing = [word for word in words if word not in message]
+    assert not missing, f"{missing} not in: {message}"
+
+
+# Sources
+
+
+@pytest.mark.parametrize(
+    ("asked", "nearest"),
+    [("optimus-kne", "optimus-knee"), ("Optimus-Knee", "optimus-knee"), ("optimus-knee-sauce", "optimus-knee-source")],
+)
+def test_a_misspelt_model_is_refused_with_the_nearest_name(asked, nearest):
+    assert_names(refusal(lambda: load_mechanism(asked)), f"'{asked}'", f"did you mean '{nearest}'?", *BUILT_IN)
+
+
+@pytest.mark.parametrize("asked", ["qqq", "no/such/folder/model.xml", "", "None"])
+def test_a_model_that_is_nowhere_is_refused_with_the_built_in_names(asked):
+    assert_names(refusal(lambda: load_mechanism(asked)), f"'{asked}'", "built-in name")
+
+
+@pytest.mark.parametrize(
+    "asked",
+    ["two\nlines", "words before\n<mujoco/>", "x" * 5000, "nul\0byte"],
+    ids=["newline", "words before the MJCF", "longer than a file name may be", "nul"],
+)
+def test_an_odd_string_for_a_model_is_refused_in_one_line(asked):
+    assert_names(refusal(lambda: load_mechanism(asked)), "model")
+
+
+def test_a_folder_is_refused_as_a_model(tmp_path):
+    assert_names(refusal(lambda: load_mechanism(tmp_path)), str(tmp_path), "folder", "MJCF file")
+
+
+FILES = {
+    "empty": (b"", "is empty"),
+    "white space": (b" \n\t\n", "is empty"),
+    "binary": (bytes(range(256)), "does not parse"),
+    "utf-16": (FOUR_BAR.encode("utf-16"), "does not parse"),
+    "prose": (b"not a model", "does not parse"),
+    "cut short": (FOUR_BAR.encode()[:400], "does not parse"),
+    "another root": (b"<html></html>", "html"),
+    "a missing mesh": (
+        b'<mujoco><asset><mesh file="no.stl"/></asset><worldbody><body><joint/><geom type="mesh" mesh="no"/></body>'
+        b"</worldbody></mujoco>",
+        "no.stl",
+    ),
+    "a missing include": (b'<mujoco><include file="no.xml"/></mujoco>', "no.xml"),
+}
+
+
+@pytest.mark.parametrize(("content", "reason"), FILES.values(), ids=FILES)
+def test_a_bad_file_is_refused_with_its_name_and_the_reason(tmp_path, content, reason):
+    path = tmp_path / "leg.xml"
+    path.write_bytes(content)
+    assert_names(refusal(lambda: load_mechanism(path)), "leg", reason)
+
+
+def test_a_good_file_is_a_model_of_its_own_name(tmp_path):
+    path = tmp_path / "leg.xml"
+    path.write_text(FOUR_BAR)
+    assert load_mechanism(path).name == load_mechanism(str(path)).name == "leg"
+
+
+TEXTS = {
+    "bracket only": ("<", "does not parse"),
+    "unclosed": (FOUR_BAR.replace("</worldbody>", ""), "does not parse"),
+    "unknown element": (TWO_BODIES % "<gearbox/>", "gearbox"),
+    "unknown attribute": (replaced(TWO_BODIES % "", 'name="ja"', 'name="ja" colour="1"'), "colour"),
+    "too few numbers": (replaced(TWO_BODIES % "", 'pos="0.1 0 0"', 'pos="0.1 0"'), "pos"),
+    "no number": (replaced(TWO_BODIES % "", 'size="0.1"', 'size="big"'), "size"),
+    "missing site": (TWO_BODIES % '<equality><connect site1="sa" site2="sb"/></equality>', "sb"),
+    "missing joint": (TWO_BODIES % '<actuator><motor joint="jc"/></actuator>', "jc"),
+    "no mass": (replaced(TWO_BODIES % "", '<geom size="0.1" pos="0.3 0 0"/><site', "<site"), "left"),
+    "negative mass": (replaced(PENDULUM, 'mass="2"', 'mass="-2"'), "rod"),
+    "mass is no number": (replaced(PENDULUM, 'mass="2"', 'mass="nan"'), "rod"),
+    "impossible inertia": (replaced(PENDULUM, "0.01 0.02 0.01", "0.01 0.05 0.01"), "inertia"),
+    "repeated name": (replaced(TWO_BODIES % "", '"jb" axis', '"ja" axis'), "ja"),
+    "range upside down": (replaced(PENDULUM, 'range="-1 2"', 'limited="true" range="2 -1"'), "range"),
+    "no joint": ("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "no joint"),
+    "nothing": ("<mujoco/>", "no joint"),
+}
+
+
+@pytest.mark.parametrize(("text", "word"), TEXTS.values(), ids=TEXTS)
+def test_bad_mjcf_is_refused_with_the_reason(text, word, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # where MuJoCo leaves its log of warnings
+    assert_names(refusal(lambda: load_mechanism(text)), word)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True, database=None)
+@given(at=st.integers(0, len(FOUR_BAR) - 1), n_lost=st.integers(1, 60), put=st.text('<>/="0 a\n', max_size=3))
+def test_mjcf_with_a_hole_in_it_loads_or_is_refused_in_one_line(at, n_lost, put):
+    text = FOUR_BAR[:at] + put + FOUR_BAR[at + n_lost :]
+    message, gap = "", 0.0
+    try:
+        mechanism = load_mechanism(text)
+        gap = mechanism.gap_m(mechanism.home)
+    except LinkplanError as error:
+        message = str(error)
+    assert len(message.splitlines()) <= 1
+    assert gap < CLOSED_M
+
+
+# Elements
+
+
+def test_an_inactive_weld_is_no_reason_to_refuse():
+    text = TWO_BODIES % '<equality><weld body1="left" body2="right" active="false"/></equality>'
+    assert load_mechanism(text).dof == 2
+
+
+def test_a_loop_that_cannot_close_is_refused_with_its_gap():
+    far = replaced(TRUSS, '<body name="right" pos="0.2 0 0">', '<body name="right" pos="2 0 0">')
+    message = refusal(lambda: load_mechanism(far), AssemblyError)
+    assert_names(message, "'truss'", "does not close", " mm", "home_deg")
+
+
+# Payloads
+
+CUBE = {"body": "crank", "mass_kg": 1.0, "com_m": [0.0, 0.0, 0.0], "inertia_kgm2": [1.0, 1.0, 1.0]}
+
+PAYLOADS = {
+    "unknown body": ({"body": "cranc"}, ["'cranc'", "did you mean 'crank'?", "coupler", "rocker"]),
+    "the world": ({"body": "world"}, ["'world'", "crank"]),
+    "no name": ({"body": ""}, ["body", "crank"]),
+    "body is a number": ({"body": 3}, ["payload.body", "3"]),
+    "body of two lines": ({"body": "a\nb"}, ["payload.body", "crank"]),
+    "negative mass": ({"mass_kg": -1.0}, ["payload.mass_kg", "positive", "-1"]),
+    "no mass": ({"mass_kg": 0}, ["payload.mass_kg", "positive", "0"]),
+    "mass nan": ({"mass_kg": np.nan}, ["payload.mass_kg", "positive", "nan"]),
+    "mass infinite": ({"mass_kg": np.inf}, ["payload.mass_kg", "positive", "inf"]),
+    "mass true": ({"mass_kg": True}, ["payload.mass_kg", "True"]),
+    "mass text": ({"mass_kg": "1"}, ["payload.mass_kg", "'1'"]),
+    "mass beyond floats": ({"mass_kg": 10**400}, ["payload.mass_kg"]),
+    "com nan": ({"com_m": [0.0, np.nan, 0.0]}, ["payload.com_m", "finite", "nan"]),
+    "com of two": ({"com_m": [0.0, 0.0]}, ["payload.com_m", "three"]),
+    "com nested": ({"com_m": [[0.0, 0.0, 0.0]]}, ["payload.com_m", "three"]),
+    "com text": ({"com_m": "abc"}, ["payload.com_m", "three", "abc"]),
+    "com beyond floats": ({"com_m": [10**400, 0, 0]}, ["payload.com_m"]),
+    "inertia negative": ({"inertia_kgm2": [1.0, 1.0, -0.1]}, ["payload.inertia_kgm2", "negative", "-0.1"]),
+    "inertia of no body": ({"inertia_kgm2": [1.0, 1.0, 2.5]}, ["payload.inertia_kgm2", "no rigid body", "2.5"]),
+    "inertia nan": ({"inertia_kgm2": [1.0, np.nan, 1.0]}, ["payload.inertia_kgm2", "finite", "nan"]),
+    "inertia a table": ({"inertia_kgm2": {}}, ["payload.inertia_kgm2", "three"]),
+    "unknown key": ({"mass": 1.0}, ["'payload.mass'", "did you mean 'mass_kg'?", *CUBE]),
+    "key of two lines": ({"mass\nkg": 1.0}, ["payload.", *CUBE]),
+}
+
+
+@pytest.mark.parametrize(("change", "words"), PAYLOADS.values(), ids=PAYLOADS)
+def test_a_bad_payload_is_refused_by_key_and_value(change, words):
+    assert_names(refusal(lambda: load_mechanism("optimus-knee", payload=CUBE | change)), *words)
+
+
+@pytest.mark.parametrize("key", ["body", "mass_kg", "com_m"])
+def test_a_payload_without_a_key_that_it_needs_is_refused(key):
+    table = {name: value for name, value in CUBE.items() if name != key}
+    assert_names(refusal(lambda: load_mechanism("optimus-knee", payload=table)), f"missing {key}")
+
+
+def test_a_misspelt_payload_is_refused_with_the_nearest_name():
+    message = refusal(lambda: load_mechanism("optimus-knee", payload="shunk"))
+    assert_names(message, "'shunk'", "did you mean 'shank'?", "none")
+
+
+@pytest.mark.parametrize("value", [3, [1, 2], 1.5])
+def test_a_payload_that_is_neither_name_nor_table_is_refused(value):
+    assert_names(refusal(lambda: load_mechanism("optimus-knee", payload=value)), "payload", "shank", repr(value))
+
+
+def test_a_payload_on_a_model_without_its_body_is_refused():
+    assert_names(refusal(lambda: load_mechanism(TWO_BODIES % "", payload=SHANK)), "'crank'", "left", "right")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"mass_kg": "1"}, {"com_m": "abc"}, {"com_m": None}, {"inertia_kgm2": [1.0, "a", 1.0]}, {"mass_kg": None}],
+    ids=str,
+)
+def test_a_payload_made_of_no_numbers_is_refused_at_construction(change):
+    assert_names(refusal(lambda: Payload(**(CUBE | change))), f"payload.{next(iter(change))}")
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, np.nan])
+def test_a_payload_is_not_scaled_away(factor):
+    refusal(lambda: SHANK.scaled(factor))
+
+
+# Names and positions
+
+
+def test_a_misspelt_joint_is_refused_with_the_joints():
+    mechanism = load_mechanism(FOUR_BAR)
+    assert_names(refusal(lambda: mechanism.joint_index("o")), "'o'", "'four-bar'", "O, A, C")
+
+
+def test_a_name_is_refused_with_the_error_that_was_asked_for():
+    mechanism = load_mechanism(FOUR_BAR)
+    assert_names(refusal(lambda: mechanism.joint_index("K", ProblemError), ProblemError), "'K'", "O, A, C")
+
+
+def test_a_home_with_an_unknown_joint_is_refused_with_the_joints():
+    assert_names(refusal(lambda: load_mechanism(FOUR_BAR, home={"K": 0.0})), "'K'", "'four-bar'", "O, A, C")
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e15, "upright", None], ids=str)
+def test_a_home_that_is_no_position_is_refused_by_joint(value):
+    assert_names(refusal(lambda: load_mechanism(FOUR_BAR, home={"O": value})), "O")
+
+
+@pytest.mark.parametrize("position", [np.nan, 1.5])
+def test_a_position_out_of_reach_is_refused_by_joint(position):
+    mechanism = load_mechanism("optimus-knee")
+    message = refusal(lambda: close_at(mechanism, np.array([position])), AssemblyError)
+    assert_names(message, "'optimus-knee'", f"O = {np.degrees(position):.6g} deg", "does not close")
+
+
+def test_a_choice_among_nothing_says_that_nothing_is_legal():
+    assert_names(refusal(lambda: choose("gain", "x", [])), "unknown gain 'x'", "legal: none")
+
+
+@pytest.mark.parametrize("kind", [AssemblyError, ModelError, ProblemError])
+def test_every_error_is_a_linkplan_error(kind):
+    assert issubclass(kind, LinkplanError)
+
+
+# What the reduced dynamics leave out is named
+
+LEFT_OUT = {
+    "frictionloss": ('name="ja"', 'name="ja" frictionloss="0.2"', ["frictionloss", "ja"], True),
+    "springyield": ('name="ja"', 'name="ja" stiffness="1" springyield="1"', ["springyield", "ja"], True),
+    "gravcomp": ('name="left"', 'name="left" gravcomp="1"', ["gravcomp", "left"], True),
+    "tendon armature": ('name="cable"', 'name="cable" armature="3"', ["armature", "cable"], True),
+    "tendon limit": ('name="cable"', 'name="cable" range="-1 1"', ["limit", "cable"], True),
+    "tendon frictionloss": ('name="cable"', 'name="cable" frictionloss="1"', ["frictionloss", "cable"], True),
+    "fluid": ("<worldbody>", '<option density="1.2"/><worldbody>', ["fluid"], True),
+    "viscosity": ("<worldbody>", '<option viscosity="1.2"/><worldbody>', ["fluid"], True),
+    "servo": ("</tendon>", '</tendon><actuator><position name="servo" joint="ja"/></actuator>', ["servo"], False),
+    "inactive weld": (
+        "</tendon>",
+        '</tendon><equality><weld name="glue" body1="left" body2="right" active="false"/></equality>',
+        ["glue", "inactive"],
+        False,
+    ),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "words", "falsifies"), LEFT_OUT.values(), ids=LEFT_OUT)
+def test_what_is_left_out_is_reported_by_name(old, new, words, falsifies):
+    (found,) = audit(load_mechanism(replaced(TWO_BODIES % "", old, new)).model)
+    assert_names(found.text, *words)
+    assert found.falsifies is falsifies
+
+
+def test_nothing_is_reported_on_a_model_that_is_honoured_whole():
+    assert audit(load_mechanism(TWO_BODIES % "").model) == ()
+
+
+@pytest.mark.parametrize(
+    ("motor", "option"),
+    [
+        ("<motor", '<flag actuation="disable"/>'),
+        ('<motor group="2"', ""),
+        ('<motor delay="0.01" nsample="4"', ""),
+    ],
+    ids=["actuation disabled", "group disabled", "delayed"],
+)
+def test_a_motor_that_does_not_act_at_once_is_no_motor_or_is_reported(motor, option):
+    text = replaced(FOUR_BAR, "<motor", motor)
+    text = replaced(text, "/>\n  <worldbody>", f' actuatorgroupdisable="2">{option}</option>\n  <worldbody>')
+    model = load_mechanism(text).model
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 1.0
+    mujoco.mj_step(model, data)
+    assert not np.any(data.qfrc_actuator), "the motor does not act in MuJoCo"
+    n_u, reported = load_mechanism(text).n_u, audit(model)
+    assert n_u == 0 or reported
+
+
+def test_disabled_constraints_open_the_loop_or_are_reported():
+    text = replaced(FOUR_BAR, "/>\n  <worldbody>", '><flag constraint="disable"/></option>\n  <worldbody>')
+    mechanism = load_mechanism(text)
+    assert not len(simulated(mechanism.model, mechanism.home, np.zeros(3)).rows), "the loop is open in MuJoCo"
+    dof, reported = mechanism.dof, audit(mechanism.model)
+    assert dof == 3 or reported
+
+
+@pytest.mark.parametrize("attribute", ['damping="1"', 'armature="2"'])
+def test_what_a_motor_on_a_tendon_does_at_rest_is_honoured_or_falsifies(attribute):
+    motor = f'<actuator><motor name="winch" tendon="cable" {attribute}/></actuator>'
+    mechanism = load_mechanism(TWO_BODIES % motor)
+    q, v = np.array([0.1, 0.2]), np.array([1.0, -2.0])
+    expected, plain = (simulated(load_mechanism(TWO_BODIES % m).model, q, v) for m in (motor, ""))
+    assert np.abs(expected.acceleration - plain.acceleration).max() > 0.01, "it acts, though no control does"
+    actual = np.array(mechanism.dynamics.acceleration(q, v, np.zeros(mechanism.n_u))).ravel()
+    honoured = np.allclose(actual, expected.acceleration)
+    falsified = any(found.falsifies for found in audit(mechanism.model))
+    assert honoured or falsified

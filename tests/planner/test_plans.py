@@ -1,0 +1,384 @@
+"""Plans against closed forms, a boundary-value solver and an independent integration; and the promises of every plan."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import quad, solve_bvp, solve_ivp
+from scipy.interpolate import BPoly
+
+from linkplan.models.poses.along import joint_rates
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from tests.support.fourbar import KNEE_PROBLEMS, SHANK, FourBar, Lump, Swing, knee, random_swing, rate_of
+from tests.support.tolerances_planner import (
+    AT_LIMIT,
+    BINDS_DEG,
+    BOUNDARY,
+    CLOSURE_M,
+    CONTINUITY,
+    EFFORT_EXCESS,
+    EFFORT_JUMP,
+    ENERGY,
+    EXACT_EFFORT,
+    FOLLOWED_DEG,
+    INTEGRATION_DEG,
+    LEAST_EFFORT,
+    MINIMUM_TIME,
+    PEAK_OF_SAMPLES,
+    RANGE_SLACK,
+    REFERENCE,
+    SECOND_ROUTE_DEG,
+    SINUSOID,
+    SPEED_DEG_S,
+)
+
+TABLE = json.loads((Path(__file__).parent.parent / "data" / "knee.json").read_text(encoding="utf-8"))
+START, GOAL = np.radians([-49.07, 56.27])
+LIMIT = 100.0
+REACHES = ("knee-reach", "knee-sprint", "knee-sprint-bare")
+every_plan = pytest.mark.parametrize("name", KNEE_PROBLEMS)
+every_reach = pytest.mark.parametrize("name", REACHES)
+
+
+@cache
+def problem_of(name: str, *overrides: str) -> PlanningProblem:
+    """Return a built-in problem with overrides, loaded once."""
+    return load_problem(name, overrides)
+
+
+@cache
+def planned(name: str, *overrides: str) -> Plan:
+    """Return the plan of a built-in problem with overrides, planned once."""
+    return plan_motion(problem_of(name, *overrides))
+
+
+def optimal(name: str, *overrides: str) -> Plan:
+    """Return a plan after making sure that it is one."""
+    plan = planned(name, *overrides)
+    assert plan.status == "optimal", plan.message
+    return plan
+
+
+def carried_by(name: str) -> FourBar:
+    """Return the oracle of a built-in problem's mechanism."""
+    return knee() if name in ("knee-sine", "knee-sprint-bare") else knee().carrying("crank", SHANK)
+
+
+def dense(plan: Plan, per_interval: int = 200) -> np.ndarray:
+    return plan.trajectory.dense_times(per_interval)
+
+
+# The oracle itself.
+
+
+def test_the_oracle_has_the_reference_table_s_inertia_and_weight():
+    fourbar = knee()
+    for row in TABLE["configurations"]:
+        s = np.radians(row["q_O_deg"])
+        weight = fourbar.fitted(s - 0.02, s + 0.02)[1].deriv()(s)
+        assert fourbar.inertia(s)[0] == pytest.approx(row["reduced_inertia_kgm2"], rel=REFERENCE)
+        assert weight == pytest.approx(row["gravity_torque_Nm"], abs=REFERENCE)
+
+
+# Least time.
+
+
+@pytest.mark.parametrize(("name", "key"), [("knee-sprint", "shank_s"), ("knee-sprint-bare", "unloaded_s")])
+def test_a_sprint_takes_the_reference_table_s_least_time(name, key):
+    expected = TABLE["min_time_rest_to_rest"][key]
+    assert carried_by(name).minimum_time(START, GOAL, -LIMIT, LIMIT) == pytest.approx(expected, rel=REFERENCE)
+    assert optimal(name).trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
+
+
+def plan_swing(swing: Swing, folder: Path, *overrides: str) -> Plan:
+    settings = [
+        f"mechanism.model='{swing.write(folder)}'",
+        "mechanism.payload=none",
+        f"motion.start_deg.O={np.degrees(swing.start)}",
+        f"motion.goal_deg.O={np.degrees(swing.goal)}",
+        f"limits.effort.act_O=[{swing.low}, {swing.high}]",
+        *overrides,
+    ]
+    return plan_motion(load_problem("knee-sprint", settings))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_any_four_bar_takes_the_least_time_that_its_energies_allow(seed, tmp_path):
+    swing = random_swing(seed)
+    plan = plan_swing(swing, tmp_path).require()
+    assert plan.trajectory.duration_s == pytest.approx(swing.minimum_time, rel=MINIMUM_TIME)
+
+
+def test_a_payload_s_weight_and_inertia_enter_the_least_time(tmp_path):
+    swing = random_swing(3)
+    lump = Lump(mass=0.4, centre=(0.03, 0.1), inertia=0.002)
+    loaded = swing.fourbar.carrying("rocker", lump)
+    payload = '{body="rocker", mass_kg=0.4, com_m=[0.03, 0.0, 0.1], inertia_kgm2=[0.002, 0.002, 0.002]}'
+    expected = loaded.minimum_time(swing.start, swing.goal, swing.gear * swing.low, swing.gear * swing.high)
+    assert expected > 1.005 * swing.minimum_time
+    plan = plan_swing(swing, tmp_path, f"mechanism.payload={payload}").require()
+    assert plan.trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
+
+
+def test_the_way_back_takes_as_long_as_the_energies_say():
+    plan = optimal("knee-sprint", "motion.start_deg.O=56.27", "motion.goal_deg.O=-49.07")
+    expected = carried_by("knee-sprint").minimum_time(GOAL, START, -LIMIT, LIMIT)
+    assert plan.trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
+
+
+def test_a_lower_limit_on_one_side_moves_the_switch_and_the_time():
+    plan = optimal("knee-sprint", "limits.effort.act_O=[-40.0, 100.0]")
+    expected = carried_by("knee-sprint").minimum_time(START, GOAL, -40.0, LIMIT)
+    assert plan.trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
+
+
+def test_a_sprint_is_at_a_limit_at_every_instant():
+    plan = optimal("knee-sprint")
+    effort = np.abs(plan.trajectory.effort_at(dense(plan, 20)))
+    np.testing.assert_allclose(effort, LIMIT, rtol=AT_LIMIT)
+
+
+# Least effort of the knee.
+
+
+def test_the_knee_s_least_effort_satisfies_pontryagin_s_conditions():
+    """Solved apart by scipy: with H = p^2 / 2M + V, s' = H_p, p' = u - H_s, minimise the integral of u^2."""
+    M, V = carried_by("knee-reach").fitted(START, GOAL)
+    duration = 0.16
+
+    def rate(_: np.ndarray, x: np.ndarray) -> np.ndarray:
+        s, p, by_s, by_p = x
+        m, m1, m2 = M(s), M.deriv()(s), M.deriv(2)(s)
+        H_s, H_sp = V.deriv()(s) - p**2 * m1 / (2 * m**2), -p * m1 / m**2
+        H_ss = V.deriv(2)(s) - p**2 / 2 * (m2 / m**2 - 2 * m1**2 / m**3)
+        return np.array([p / m, -0.5 * by_p - H_s, by_p * H_ss - by_s * H_sp, by_p * H_sp - by_s / m])
+
+    def ends(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+        return np.array([left[0] - START, left[1], right[0] - GOAL, right[1]])
+
+    time = np.linspace(0, duration, 100)
+    share = time / duration
+    path = START + (GOAL - START) * (3 * share**2 - 2 * share**3)
+    solved = solve_bvp(rate, ends, time, np.array([path, 0 * path, 0 * path, 0 * path]), tol=1e-6, max_nodes=5000)
+    assert solved.success
+    effort = quad(lambda t: (0.5 * solved.sol(t)[3]) ** 2, 0, duration, epsabs=1e-8, limit=200)[0]
+    assert optimal("knee-reach").objective == pytest.approx(effort, rel=LEAST_EFFORT)
+
+
+def test_the_objective_is_the_integral_of_the_squared_effort():
+    plan = optimal("knee-reach")
+    trajectory = plan.trajectory
+    pieces = zip(trajectory.breaks_s[:-1], trajectory.breaks_s[1:], strict=True)
+    total = sum(quad(lambda t: trajectory.effort_at(np.array([t]))[0, 0] ** 2, a, b)[0] for a, b in pieces)
+    assert plan.objective == pytest.approx(total, rel=EXACT_EFFORT)
+
+
+def test_more_time_takes_less_effort():
+    assert optimal("knee-reach", "motion.duration_s=0.18").objective < 0.9 * optimal("knee-reach").objective
+
+
+# What every plan promises.
+
+
+@every_plan
+def test_a_built_in_plan_s_certificate_passes(name):
+    certificate = optimal(name).certificate
+    assert certificate.failures == ()
+    assert certificate.effort_excess == EFFORT_EXCESS
+    assert certificate.closure_gap_m < CLOSURE_M
+    assert certificate.integration_error_deg < INTEGRATION_DEG
+
+
+@every_plan
+def test_the_effort_s_bernstein_hull_is_within_the_limit(name):
+    plan = optimal(name)
+    low, high = plan.problem.limits.effort.T
+    assert np.all(plan.trajectory.effort >= low)
+    assert np.all(plan.trajectory.effort <= high)
+
+
+@every_plan
+def test_the_effort_is_within_the_limit_however_densely_it_is_looked_at(name):
+    plan = optimal(name)
+    effort = plan.trajectory.effort_at(dense(plan, 1000))
+    low, high = plan.problem.limits.effort.T
+    assert np.all((effort >= low) & (effort <= high))
+    if name not in ("knee-sine", "knee-reach"):
+        assert np.abs(effort).max() == pytest.approx(LIMIT)  # the limit binds, and is not passed
+
+
+@every_plan
+def test_the_oracle_s_loop_stays_closed_along_a_plan(name):
+    plan = optimal(name)
+    poses = follow(plan.problem.mechanism, plan.trajectory.position_at(dense(plan, 5)), plan.trajectory.start_pose)
+    th = knee().angles(poses[:, 0])
+    np.testing.assert_allclose(poses[:, 1], th[1] - th[0], atol=CLOSURE_M)
+    np.testing.assert_allclose(poses[:, 2], th[2], atol=CLOSURE_M)
+
+
+@every_plan
+def test_velocity_is_the_derivative_of_position_at_every_instant(name):
+    trajectory = optimal(name).trajectory
+    time = trajectory.dense_times(20)
+    derivative = BPoly(trajectory.position, trajectory.breaks_s).derivative()(time)
+    np.testing.assert_allclose(trajectory.velocity_at(time), derivative, atol=CONTINUITY * np.abs(derivative).max())
+
+
+@every_plan
+def test_position_and_velocity_do_not_jump_between_intervals(name):
+    trajectory = optimal(name).trajectory
+    for coefficients in (trajectory.position, trajectory.velocity):
+        scale = np.abs(coefficients).max()
+        np.testing.assert_allclose(coefficients[-1, :-1], coefficients[0, 1:], atol=CONTINUITY * scale)
+
+
+@every_reach
+def test_a_reach_begins_and_ends_at_rest_where_it_was_asked_to(name):
+    trajectory = optimal(name).trajectory
+    mean_speed = abs(GOAL - START) / trajectory.duration_s
+    assert trajectory.position[0, 0, 0] == pytest.approx(START, abs=BOUNDARY)
+    assert trajectory.position[-1, -1, 0] == pytest.approx(GOAL, abs=BOUNDARY)
+    assert trajectory.velocity[0, 0, 0] == pytest.approx(0, abs=BOUNDARY * mean_speed)
+    assert trajectory.velocity[-1, -1, 0] == pytest.approx(0, abs=BOUNDARY * mean_speed)
+
+
+def test_boundary_speeds_are_kept():
+    trajectory = optimal("knee-reach", "motion.start_speed_deg_s.O=100", "motion.goal_speed_deg_s.O=-50").trajectory
+    assert np.degrees(trajectory.velocity[0, 0, 0]) == pytest.approx(100, abs=SPEED_DEG_S)
+    assert np.degrees(trajectory.velocity[-1, -1, 0]) == pytest.approx(-50, abs=SPEED_DEG_S)
+
+
+def test_a_periodic_motion_returns_to_its_own_state():
+    trajectory = optimal("knee-sine-shank").trajectory
+    first, last = np.zeros(1), np.array([np.nextafter(trajectory.duration_s, 0)])
+    assert trajectory.position_at(last)[0, 0] == pytest.approx(trajectory.position_at(first)[0, 0], abs=BOUNDARY)
+    speed = np.abs(trajectory.velocity).max()
+    assert trajectory.velocity_at(last)[0, 0] == pytest.approx(trajectory.velocity_at(first)[0, 0], abs=BOUNDARY * speed)
+    assert trajectory.effort[-1, -1, 0] == pytest.approx(trajectory.effort[0, 0, 0], abs=EFFORT_JUMP)
+
+
+def test_a_periodic_motion_goes_on_beyond_its_period():
+    trajectory = optimal("knee-sine-shank").trajectory
+    time = np.linspace(0.01, 0.2, 7)
+    later = time + 3 * trajectory.duration_s
+    np.testing.assert_allclose(trajectory.position_at(later), trajectory.position_at(time), atol=BOUNDARY)
+
+
+def test_a_reach_rests_at_its_goal_for_ever_after():
+    trajectory = optimal("knee-reach").trajectory
+    after = trajectory.duration_s + np.array([1e-3, 1.0])
+    np.testing.assert_allclose(trajectory.position_at(after)[:, 0], GOAL, atol=BOUNDARY)
+    np.testing.assert_array_equal(trajectory.velocity_at(after), 0)
+
+
+@every_plan
+def test_scipy_and_the_oracle_s_dynamics_arrive_where_the_plan_says(name):
+    plan = optimal(name)
+    trajectory = plan.trajectory
+    path = trajectory.position_at(dense(plan, 4))
+    breaks = trajectory.breaks_s
+    fourbar = carried_by(name)
+    state = np.array([trajectory.position[0, 0, 0], trajectory.velocity[0, 0, 0]])
+    worst = 0.0
+    for k in range(len(breaks) - 1):  # the effort may jump at a break, and the oracle restarts there
+        one = BPoly(trajectory.effort[:, [k], 0], breaks[k : k + 2])
+        rate = rate_of(fourbar, float(path.min()), float(path.max()), lambda t, one=one: float(one(t)))
+        solved = solve_ivp(rate, breaks[k : k + 2], state, rtol=1e-9, atol=1e-11)
+        state = solved.y[:, -1]
+        worst = max(worst, abs(state[0] - trajectory.position[-1, k, 0]))
+    assert np.degrees(worst) < SECOND_ROUTE_DEG
+
+
+@every_reach
+def test_the_work_of_the_effort_is_the_rise_in_energy(name):
+    plan = optimal(name)
+    trajectory, fourbar = plan.trajectory, carried_by(name)
+    time = np.linspace(0.0, 0.6 * trajectory.duration_s, 20001)  # at speed: the kinetic energy is there
+    power = (trajectory.effort_at(time) * trajectory.velocity_at(time))[:, 0]
+    s, v = trajectory.position_at(time)[[0, -1], 0], trajectory.velocity_at(time)[[0, -1], 0]
+    energy = 0.5 * fourbar.inertia(s) * v**2 + fourbar.potential(s)
+    work = float(np.sum(0.5 * (power[1:] + power[:-1])) * (time[1] - time[0]))
+    assert work > 0.01
+    assert work == pytest.approx(energy[1] - energy[0], rel=ENERGY)
+
+
+# Limits that bind between the nodes.
+
+
+@pytest.mark.parametrize(
+    ("name", "override", "joint", "limit"),
+    [
+        ("knee-reach", "limits.speed_deg_s.O=800", 0, 800.0),
+        ("knee-sprint", "limits.speed_deg_s.O=1200", 0, 1200.0),
+        ("knee-sine-shank", "limits.speed_deg_s.O=1200", 0, 1200.0),
+        ("knee-reach", "limits.speed_deg_s.A=800", 1, 800.0),
+        ("knee-reach", "limits.speed_deg_s.C=[-100, 560]", 2, 560.0),
+    ],
+)
+def test_a_speed_limit_that_binds_holds_between_the_nodes(name, override, joint, limit):
+    def fastest(plan: Plan) -> float:
+        time = dense(plan, 50)
+        poses = follow(plan.problem.mechanism, plan.trajectory.position_at(time), plan.trajectory.start_pose)
+        rates = joint_rates(plan.problem.mechanism, poses, plan.trajectory.velocity_at(time))
+        return float(np.degrees(np.abs(rates[:, joint]).max()))
+
+    assert fastest(optimal(name)) > 1.05 * limit
+    speed = fastest(optimal(name, override))
+    assert speed <= limit + np.degrees(RANGE_SLACK)
+    assert speed > 0.98 * limit
+
+
+@pytest.mark.parametrize(
+    ("override", "joint", "limit", "sign"),
+    [
+        ("limits.range_deg.A=[10, 150]", 1, 10.0, -1),
+        ("limits.range_deg.O=[-90, 50]", 0, 50.0, 1),
+        ("limits.range_deg.C=[-120, 41.5]", 2, 41.5, 1),
+    ],
+)
+def test_a_range_that_binds_holds_between_the_nodes(override, joint, limit, sign):
+    def furthest(plan: Plan) -> float:
+        poses = follow(plan.problem.mechanism, plan.trajectory.position_at(dense(plan, 50)), plan.trajectory.start_pose)
+        return float(sign * np.degrees((sign * poses[:, joint]).max()))
+
+    coarse = "mesh.intervals=20"
+    assert sign * furthest(optimal("knee-sine-shank", coarse)) > sign * limit + 0.3
+    reached = furthest(optimal("knee-sine-shank", coarse, override))
+    assert sign * reached <= sign * limit + np.degrees(RANGE_SLACK)
+    assert reached == pytest.approx(limit, abs=BINDS_DEG)
+
+
+# Tracking.
+
+
+def test_a_reference_within_the_limits_is_followed():
+    plan = optimal("knee-sine", "motion.kind=periodic")
+    assert plan.details["tracking_rms_deg"] < FOLLOWED_DEG
+
+
+def test_an_exact_reference_is_the_sinusoid_itself():
+    trajectory = optimal("knee-sine").trajectory
+    time = np.linspace(0, 0.25, 500)
+    sinusoid = np.radians(3.6 + 52.67 * np.sin(2 * np.pi * 4 * time))
+    np.testing.assert_allclose(trajectory.position_at(time)[:, 0], sinusoid, atol=SINUSOID)
+
+
+def test_an_exact_reference_asks_for_the_reference_table_s_effort():
+    effort = optimal("knee-sine").trajectory.effort_at(np.linspace(0, 0.25, 20001)[:-1])[:, 0]
+    table = TABLE["seed_sine"]["unloaded"]
+    assert effort.min() == pytest.approx(table["min_Nm"], rel=PEAK_OF_SAMPLES)
+    assert effort.max() == pytest.approx(table["max_Nm"], rel=PEAK_OF_SAMPLES)
+    assert np.sqrt(np.mean(effort**2)) == pytest.approx(table["rms_Nm"], rel=PEAK_OF_SAMPLES)
+
+
+def test_the_nearest_motion_is_nearer_than_a_sinusoid_that_keeps_the_limit():
+    plan = optimal("knee-sine-shank")
+    share = LIMIT / TABLE["seed_sine"]["shank"]["max_Nm"]  # about the amplitude that the limit allows
+    shrunk = np.radians(52.67) * (1 - share) / np.sqrt(2)
+    assert 0 < np.radians(plan.details["tracking_rms_deg"]) < 0.2 * shrunk

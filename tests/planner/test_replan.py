@@ -1,0 +1,125 @@
+"""Solving again: the same answers as from the beginning, no building, and the beginning where numbers do not suffice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.planner import replan
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.replan import Planner, structure
+from tests.support.tolerances_planner import SAME_FIGURE
+
+
+def with_goal(problem: PlanningProblem, degrees: float) -> PlanningProblem:
+    return replace(problem, motion=replace(problem.motion, goal=np.radians([degrees])))
+
+
+@pytest.mark.parametrize("name", ["knee-reach", "knee-sprint"])
+def test_a_changed_goal_has_the_answer_that_planning_from_the_beginning_has(name):
+    problem, planner = load_problem(name), Planner()
+    planner.plan(problem)
+    for goal in (50.0, 56.27, 53.0):
+        changed = with_goal(problem, goal)
+        again, fresh = planner.plan(changed), plan_motion(changed)
+        assert again.history[-1].what == "solved again"
+        assert again.certificate.passed
+        assert again.objective == pytest.approx(fresh.objective, rel=SAME_FIGURE)
+        assert np.degrees(again.trajectory.position[-1, -1, 0]) == pytest.approx(goal)
+
+
+def test_switches_that_move_far_are_looked_for_from_the_beginning():
+    problem, planner = load_problem("knee-sprint"), Planner()
+    planner.plan(problem)
+    changed = with_goal(problem, -20.0)
+    again = planner.plan(changed)
+    assert again.history[0].what == "first solve"
+    assert again.objective == pytest.approx(plan_motion(changed).objective, rel=SAME_FIGURE)
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["motion.duration_s=0.2"],
+        ["limits.effort.act_O=[-90, 95]"],
+        ["motion.start_speed_deg_s={ O = 30.0 }"],
+        ["mechanism.payload.mass_kg=4.4", "mechanism.payload.inertia_kgm2=[0.06, 0.05, 0.05]"],
+        ["mechanism.payload.com_m=[-0.10, 0.0, -0.15]"],
+    ],
+)
+def test_durations_limits_boundary_states_and_payloads_are_numbers(overrides):
+    planner = Planner()
+    planner.plan(load_problem("knee-reach", ["motion.start_speed_deg_s={ O = 0.0 }"]))
+    changed = load_problem("knee-reach", ["motion.start_speed_deg_s={ O = 0.0 }", *overrides])
+    again = planner.plan(changed)
+    assert again.history[-1].what == "solved again"
+    assert again.objective == pytest.approx(plan_motion(changed).objective, rel=SAME_FIGURE)
+
+
+def test_nothing_is_built_for_new_numbers(monkeypatch):
+    problem, planner = load_problem("knee-reach"), Planner()
+    planner.plan(problem)
+    monkeypatch.setattr(replan, "plan_motion", lambda *_: pytest.fail("planned from the beginning"))
+    monkeypatch.setattr(replan, "build_solver", lambda *_, **__: pytest.fail("a solver was built"))
+    assert planner.plan(with_goal(problem, 40.0)).status == "optimal"
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [
+        ["mechanism.payload=none"],
+        ["mechanism.payload.body=rocker"],
+        ["limits.power_w.act_O=2000"],
+        ["mesh.intervals=30"],
+        ["mesh.scheme=gauss-3"],
+        ["limits.speed_deg_s.O=1500"],
+        ["objective.minimize=time", "motion.duration_s=free"],
+    ],
+)
+def test_another_structure_is_planned_from_the_beginning(overrides):
+    first, second = load_problem("knee-reach"), load_problem("knee-reach", overrides)
+    assert structure(first) != structure(second)
+    planner = Planner()
+    planner.plan(first)
+    assert planner.solve_again(second) is None
+    plan = planner.plan(second)
+    assert plan.history[0].what == "first solve"
+    assert plan.objective == pytest.approx(plan_motion(second).objective, rel=SAME_FIGURE)
+
+
+@pytest.mark.parametrize(
+    ("settings", "changes"),
+    [
+        (["limits.power_w.act_O=620"], ["limits.power_w.act_O=580"]),
+        (["limits.closure_force.B=1.9"], ["limits.closure_force.B=1.8"]),
+        (["objective.minimize={effort=1.0,effort_rate=1e-6}"], ["objective.minimize={effort=1.0,effort_rate=1e-5}"]),
+        (
+            ["motion.duration_s=0.2", "motion.waypoints=[{at_deg={O=10}, time_s=0.1}]"],
+            ["motion.duration_s=0.21", "motion.waypoints=[{at_deg={O=5}, time_s=0.098}]"],
+        ),
+    ],
+)
+def test_further_limits_weights_and_waypoints_are_numbers(settings, changes):
+    planner = Planner()
+    planner.plan(load_problem("knee-reach", settings))
+    changed = load_problem("knee-reach", changes)
+    fresh, again = plan_motion(changed), planner.solve_again(changed)
+    assert again is not None
+    assert again.objective == pytest.approx(fresh.objective, rel=1e-4)  # a limit that binds is drawn in after certifying
+
+
+def test_an_infeasible_problem_is_explained_and_does_not_spoil_the_next():
+    problem, planner = load_problem("knee-reach"), Planner()
+    planner.plan(problem)
+    refused = planner.plan(replace(problem, motion=replace(problem.motion, duration_s=0.1)))
+    assert refused.status == "infeasible"
+    assert "shortest feasible duration is 0.12185 s" in refused.message
+    assert planner.plan(problem).objective == pytest.approx(plan_motion(problem).objective, rel=SAME_FIGURE)
+
+
+def test_a_time_limit_is_said_and_is_no_word_on_feasibility():
+    plan = plan_motion(load_problem("knee-reach", ["solver.max_time_s=1e-6"]))
+    assert plan.status == "failed"
+    assert "ran out of its 1e-06 s (solver.max_time_s)" in plan.message

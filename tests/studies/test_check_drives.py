@@ -1,0 +1,49 @@
+"""Drives that do not do what a model's author may think, as `check` tells them: the source's linear actuator, and servos."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.studies.check.drives import feeble_drives, pushed_one_way
+from linkplan.studies.check.inspection import inspect
+
+TWO = """<mujoco><option gravity="0 0 0"/><worldbody>
+<body><joint name="a" axis="0 1 0"/><geom size="0.1"/></body>
+<body pos="1 0 0"><joint name="b" axis="0 1 0" {b}/><geom size="0.1"/></body>
+</worldbody><actuator><motor name="on_a" joint="a" ctrlrange="-1 1"/><motor name="on_b" joint="b" ctrlrange="0 2"/>
+</actuator></mujoco>"""
+
+
+def test_the_source_s_linear_actuator_is_told_for_what_it_is():
+    mechanism = load_mechanism("optimus-knee-source")
+    found = inspect(mechanism, [])
+    (on_d,) = (problem for problem in found.problems if problem.startswith("joint D moves freely"))
+    assert "no actuator is on it, nothing damps it, no spring or weight brings it back" in on_d
+    data = mujoco.MjData(mechanism.model)
+    data.qpos[:] = mechanism.home
+    mujoco.mj_forward(mechanism.model, data)
+    moment = np.zeros((mechanism.model.nu, mechanism.model.nv))
+    mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
+    at_most = 0.2 * moment[1, mechanism.model.joint("D").id]
+    assert 1e-3 < at_most < 1e-2
+    assert f"act_B_to_D, on slider-crank s2-sD, only turns it one way, by 0 to {at_most:.3g} N.m at home" in on_d
+    assert any(
+        "act_B_to_D does next to nothing on joint O" in note and "beside 100 of act_O" in note for note in found.notes
+    )
+
+
+def test_a_motor_that_only_pushes_says_so_unless_a_spring_brings_its_joint_back():
+    loose = pushed_one_way(load_mechanism(TWO.format(b="")), 1)
+    assert loose == (
+        "joint b moves freely: on_b, on joint b, only turns it one way, by 0 to 2 N.m at home, and no spring or weight"
+        " brings it back"
+    )
+    assert pushed_one_way(load_mechanism(TWO.format(b='stiffness="1"')), 1) is None
+    assert pushed_one_way(load_mechanism(TWO.format(b="")), 0) is None
+
+
+@pytest.mark.parametrize(("gear", "n_feeble"), [(1.0, 0), (1e-2, 0), (1e-4, 1)])
+def test_an_actuator_is_feeble_beside_one_that_is_a_thousand_times_as_strong(gear, n_feeble):
+    beside = f'<motor name="weak" joint="a" ctrlrange="-1 1" gear="{gear}"/></actuator>'
+    assert len(feeble_drives(load_mechanism(TWO.format(b="").replace("</actuator>", beside)))) == n_feeble
