@@ -2,9 +2,9 @@
 
 From the start to the end in one go, as a rule. Where a motion is unstable (it passes upright, or waits there) an error grows
 along it by many orders of magnitude, and after some seconds rounding alone decides where the model ends: then every interval
-is integrated from the planned state, its defect is carried on by the motion's own transition matrices, and begun anew
-wherever an error would have grown by `GROWTH`. What is judged is then whether the plan is a motion of the model, not whether
-somebody could follow it blindly; how often it was begun anew is told.
+is integrated from the planned state, its defect is propagated by the motion's own transition matrices, and the integration
+is restarted wherever an error would have grown by `GROWTH`. What is judged is then whether the plan is a motion of the
+model, not whether somebody could follow it blindly; how often it was restarted is reported.
 """
 
 import itertools
@@ -22,7 +22,8 @@ from linkplan.planner.trajectory import Trajectory
 
 # The integration's own error: two digits below the 1e-10 that the certificate speaks of.
 _RTOL, _ATOL = 1e-12, 1e-13
-# An error that has grown so much is begun anew: rounding, grown so, is far below a certificate's hundredth of a degree.
+# An error that has grown so much restarts the integration: rounding, grown so, is far below a certificate's hundredth of a
+# degree.
 GROWTH = 1e4
 # Size of the steps by which transition matrices are found, of the motion's spans and speeds.
 _STEP = 1e-6
@@ -36,7 +37,7 @@ class Integrated:
     """How far the integrated model is from a plan.
 
     `position` (n_s,) [rad or m] and `velocity` [share of the largest speed] are the largest errors, `growth` (n_intervals,)
-    is what each interval adds to them in shares of `allowed`, `restarts` counts how often it was begun anew.
+    is what each interval adds to them in shares of `allowed`, `restarts` counts the restarts.
     """
 
     position: np.ndarray
@@ -54,19 +55,19 @@ def integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowe
         mechanism: the model.
         trajectory: the plan.
         speed: its largest speed [rad/s or m/s].
-        allowed: errors (n_s,) [rad or m] above which it is looked at whether the motion is unstable.
+        allowed: errors (n_s,) [rad or m] above which the motion is checked for instability.
     """
     whole = _in_one_go(mechanism, trajectory, speed, allowed)
     if np.all(whole.position <= allowed):
         return whole
     try:
         return _anew(mechanism, trajectory, speed, allowed) or whole
-    except AssemblyError:  # a motion that is none
+    except AssemblyError:  # an infeasible motion
         return whole
 
 
 def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray) -> Integrated:
-    """Return the errors of one integration, looked at in the middle of every interval and on both sides of every break."""
+    """Return the errors of one integration, sampled in the middle of every interval and on both sides of every break."""
     n_q, independent = mechanism.n_q, mechanism.independent
     flow = _Flow(mechanism, trajectory)
     start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
@@ -91,7 +92,7 @@ def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allow
 
 
 def _anew(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray) -> Integrated | None:
-    """Return the errors carried on from interval to interval and begun anew; None where the motion is not so unstable."""
+    """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
     n, n_s, n_q = len(trajectory.breaks_s) - 1, mechanism.dof, mechanism.n_q
     flow = _Flow(mechanism, trajectory)
     span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), np.finfo(float).tiny)
@@ -132,7 +133,7 @@ def _anew(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: n
 
 
 class _CrawlsError(Exception):
-    """Integration of an interval needs more evaluations than any motion that is one."""
+    """Integration of an interval needs more evaluations than any feasible motion does."""
 
 
 def _counted(rate: Callable[[float, np.ndarray], np.ndarray]) -> Callable[[float, np.ndarray], np.ndarray]:
@@ -159,7 +160,7 @@ class _Flow:
         width = breaks[k + 1] - breaks[k]
         atol = _ATOL * np.maximum(1.0, np.abs(state))
         on_interval = _counted(self._rate(self._trajectory.effort[:, k], width))
-        # A motion that is none may run away: that shows in the outcome, and needs no warnings.
+        # An infeasible motion may diverge: the outcome shows it, and needs no warnings.
         with np.errstate(all="ignore"):
             try:
                 result = solve_ivp(

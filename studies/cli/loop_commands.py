@@ -129,7 +129,7 @@ def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
         if not (np.isfinite(value) and value >= 0):
             raise ProblemError(f"--{name} is a number of at least 0, got {value:g}")
     if settings.kp == 0 and settings.kd == 0:
-        raise ProblemError("--kp and --kd are both 0: there is no loop to look at")
+        raise ProblemError("--kp and --kd are both 0: there is no feedback")
     if not (np.isfinite(settings.period_s) and settings.period_s > 0):
         raise ProblemError(f"--period-s is a positive number, got {settings.period_s:g}")
     if not (np.isfinite(settings.delay_periods) and 0 <= settings.delay_periods <= 1000):
@@ -174,8 +174,7 @@ def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarra
         raise ProblemError(f"--frequencies is from 2 to 1000, got {count}")
     if high > nyquist:
         raise ProblemError(
-            f"--to-hz {high:g} is above the Nyquist frequency: a loop sampled every {settings.period_s:g} s has none above"
-            f" {nyquist:g} Hz"
+            f"--to-hz {high:g} is above the Nyquist frequency, {nyquist:g} Hz at a control period of {settings.period_s:g} s"
         )
     return np.geomspace(low, high, count)
 

@@ -1,4 +1,4 @@
-"""Soft closures: what `check` says of how far a loop gapes, against MuJoCo left to itself."""
+"""Soft closures: the closure gap that `check` reports, against MuJoCo left to itself."""
 
 import re
 from dataclasses import replace

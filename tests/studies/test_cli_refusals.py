@@ -58,7 +58,7 @@ REFUSALS = [
     (["bode", "optimus-knee", "--kp", "many"], ["--kp", "many"]),
     (["bode", "optimus-knee", "--delay-periods", "-1"], ["--delay-periods"]),
     (["bode", "{open_tree}"], ["actuator"]),
-    (["bode", "optimus-knee-source"], ["cannot be held", "act_B_to_D would need 0 N", "0 to 0.2", "room to both sides"]),
+    (["bode", "optimus-knee-source"], ["cannot be held", "act_B_to_D would need 0 N", "0 to 0.2", "effort to both sides"]),
     (["bode", "cart-pole"], ["one actuator for every degree of freedom"]),
     (["bode", "optimus-knee", "--tracker", "mpc"], ["mpc", "pd, pd+ff, lqr"]),
     (["bode", "optimus-knee", "--measure", "hammer"], ["hammer", "sinestream, multisine, chirp, none"]),
