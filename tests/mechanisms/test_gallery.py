@@ -1,4 +1,4 @@
-"""The built-in mechanisms together: each checks clean, has a problem, and a picture that the README shows."""
+"""The built-in mechanisms together: each checks clean, has a problem, and a picture that docs/mechanisms.md shows."""
 
 from pathlib import Path
 
@@ -38,12 +38,12 @@ def test_check_finds_no_fault(name):
 
 
 @every_mechanism
-def test_a_built_in_problem_moves_it_and_the_readme_shows_its_picture(name):
+def test_a_built_in_problem_moves_it_and_the_page_on_mechanisms_shows_its_picture(name):
     shown = [problem for problem in SHOWN if read_tables(problem)[1]["mechanism"]["model"] == name]
     assert shown, "no problem of the gallery moves it"
     assert set(shown) <= set(PROBLEMS)
     assert (FOLDER / f"{name}.png").stat().st_size > 10_000
-    assert f"studies/gallery/{name}.png" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"studies/gallery/{name}.png" in (ROOT / "docs" / "mechanisms.md").read_text(encoding="utf-8")
 
 
 def test_a_gallery_s_picture_is_drawn_from_a_plan(tmp_path):
