@@ -186,7 +186,7 @@ def test_a_saved_plan_is_judged_by_its_contacts_too(free, tmp_path):
     model.write_text(with_block(), encoding="utf-8")
     again = read_plan(folder)
     assert again.status == "failed"
-    assert "geoms block (world) and L3 (rocker) meet" in again.message
+    assert "geoms block (world) and L3 (rocker) collide" in again.message
 
 
 def test_check_of_the_problem_says_it_before_any_solving(tmp_path, capsys):

@@ -54,7 +54,7 @@ REFUSALS = [
     (["bode", "optimus-knee", "--kd", "-1"], ["--kd", "-1"]),
     (["bode", "optimus-knee", "--period-s", "0"], ["--period-s", "positive"]),
     (["bode", "optimus-knee", "--period-s", "nan"], ["--period-s"]),
-    (["bode", "optimus-knee", "--kp", "0", "--kd", "0"], ["no loop"]),
+    (["bode", "optimus-knee", "--kp", "0", "--kd", "0"], ["no feedback"]),
     (["bode", "optimus-knee", "--kp", "many"], ["--kp", "many"]),
     (["bode", "optimus-knee", "--delay-periods", "-1"], ["--delay-periods"]),
     (["bode", "{open_tree}"], ["actuator"]),
