@@ -88,7 +88,7 @@ def test_an_integration_that_crawls_is_given_up_and_said(monkeypatch):
     monkeypatch.setattr(integration, "_EVALUATIONS", 20)
     certificate = certify(plan.problem, plan.trajectory)
     assert not certificate.passed
-    assert any("integrated model" in failure for failure in certificate.failures)
+    assert any("state integrated under the planned effort" in failure for failure in certificate.failures)
 
 
 GEARED = """<mujoco><option gravity="0 0 0"/><worldbody>
