@@ -79,15 +79,6 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
     return guess
 
 
-def guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
-    """Yield the user's own start and the first guess, with a word on each."""
-    if problem.guess is not None:
-        own = _of_the_user(problem, start_pose)
-        if own is not None:
-            yield "the guess given", own
-    yield "a smooth path", first_guess(problem, start_pose)
-
-
 def bent_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
     """Yield endless further starts: the first guess bent by a few half waves of random size, the same in every run."""
     base = first_guess(problem, start_pose)
@@ -152,7 +143,7 @@ def _within(problem: PlanningProblem, duration: float) -> float:
     return float(np.clip(duration, motion.min_duration_s or 0.0, motion.max_duration_s or np.inf))
 
 
-def _of_the_user(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+def users_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
     """Return the guess that a problem carries, stretched to its duration; None where it leaves what the loops allow."""
     given, motion = problem.guess, problem.motion
     if given is None:

@@ -203,7 +203,7 @@ def _refined(problem: OdeProblem, found: _Found, history: list[Step], say: Say) 
     found = _eased(found, history, say)
     case = found.case
     case, solved, mesh = cut_by_costates(case, (found.motion, found.solution), found.mesh, history, say)
-    refined = refine(case, solved, mesh, history, say)
+    refined = refine(case, solved, history, say)
     assert refined is not None  # a user's solution always has a certificate
     trajectory, solution, certificate, settled = refined
     away = found.away or runs_away(problem, trajectory, solution)

@@ -80,6 +80,7 @@ class SolverSettings:
     max_time_s: float = 600.0
     starts: int = 1
     max_iterations: int | None = None  # None: as many as a hard problem takes
+    deadline: float | None = None  # on the monotonic clock [s]: when whoever plans wants to be done; None: no such instant
 
     def hurried(self) -> "SolverSettings":
         """Return settings for solves that look for a reason: few iterations.

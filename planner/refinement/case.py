@@ -4,7 +4,7 @@ What is planned for stands behind `Case`: a mechanism's problem and a user's dif
 same code.
 """
 
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -81,6 +81,18 @@ class Case(Protocol):
         ...
 
 
+class Found(NamedTuple):
+    """A motion and its solution."""
+
+    motion: Any
+    solution: Solution
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh of the solve."""
+        return self.solution.transcribed.program.mesh
+
+
 def attempt(
     case: Case,
     start: Any,
@@ -93,7 +105,7 @@ def attempt(
     warm: bool = False,
     close: bool = False,
     **options: Any,
-) -> tuple[Any, Solution] | None:
+) -> Found | None:
     """Return the motion and solution of one solve, noted in the history; None where it found none.
 
     The solver begins as in `linkplan.planner.solvers.solve.build_solver`; options are those of `Case.transcribe`.
@@ -108,4 +120,4 @@ def attempt(
     if not solution.converged:
         return None
     motion = case.motion(solution, case.effort_limit)
-    return None if motion is None else (motion, solution)
+    return None if motion is None else Found(motion, solution)

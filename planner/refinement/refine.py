@@ -1,7 +1,7 @@
 """From a first solution to a certified one: cuts at its switches, finer meshes and higher degrees until it passes."""
 
 import re
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -46,7 +46,16 @@ _TOUCHED = 1e-7
 _SAME = 1e-6
 
 
-def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[Step], say: Say, *, warm: bool = False):
+class Refined(NamedTuple):
+    """A refined motion."""
+
+    motion: Any
+    solution: Solution
+    certificate: Any
+    settled: bool
+
+
+def refine(case: Case, found, history: list[Step], say: Say, *, warm: bool = False):
     """Return the best motion towards the tolerance: (motion, solution, certificate, settled), or None without a certificate.
 
     The certificate may not pass: then the motion is the last one tried. `settled` says whether the objective has, where
@@ -54,6 +63,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
     unstable is not lost on the way.
     """
     motion, solution = found
+    mesh = solution.transcribed.program.mesh
     arcs: dict[str, Any] = {}
     if case.switches:
         motion, solution, mesh, arcs = settle_switches(case, motion, solution, mesh, history, say)
@@ -134,7 +144,7 @@ def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[St
         certificate = _certify(case, motion, history)
     if passed is not None and (certificate is None or not certificate.passed):
         motion, solution, certificate = passed
-    return None if certificate is None else (motion, solution, certificate, settled)
+    return None if certificate is None else Refined(motion, solution, certificate, settled)
 
 
 def _finer(

@@ -1,5 +1,6 @@
 """Next to singular poses: motions kept clear where none is found without, known switches where a free solve is lost."""
 
+import time
 from dataclasses import replace
 from functools import cache
 
@@ -7,13 +8,14 @@ import numpy as np
 
 from linkplan.models.poses.along import sampled
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain.guess import first_guess, guesses, motion_of, poses_along
+from linkplan.planner.closed_chain.guess import first_guess, motion_of, poses_along
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.attempts import first_of
-from linkplan.planner.search.clearance import kept_clear, nears_singular
+from linkplan.planner.search.attempts import plan_from
+from linkplan.planner.search.ladder import HURRIED, PATIENT, Search
+from linkplan.planner.search.margin_continuation import from_margins, may_be_kept_clear, nears_singular
 from linkplan.planner.search.phase_plane import least_time_guess
 from linkplan.planner.search.presolve import start_pose_of
 from tests.support.fourbar_problems import random_case
@@ -29,10 +31,14 @@ def problem_of(number: int) -> PlanningProblem:
     return problem_from_tables("next to a singular pose", random_case(SEED, number).tables)
 
 
+def search_for(problem: PlanningProblem) -> Search:
+    deadline = time.monotonic() + problem.solver.max_time_s
+    return Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None, deadline=deadline)
+
+
 @cache
 def clear_plan() -> Plan:
-    problem = problem_of(TO_A_DEAD_CENTRE)
-    plan = kept_clear(problem, guesses(problem, start_pose_of(problem)), [], lambda _: None)
+    plan = from_margins(search_for(problem_of(TO_A_DEAD_CENTRE)), HURRIED)
     assert plan is not None
     return plan
 
@@ -64,7 +70,8 @@ def test_a_margin_drawn_in_saves_effort():
 def test_a_problem_with_a_margin_of_its_own_keeps_it():
     problem = problem_of(TO_A_DEAD_CENTRE)
     own = replace(problem, limits=replace(problem.limits, singular_margin=0.1))
-    assert kept_clear(own, guesses(own, start_pose_of(own)), [], lambda _: None) is None
+    assert not may_be_kept_clear(own)
+    assert may_be_kept_clear(problem)
 
 
 def test_a_straight_motion_in_the_open_nears_no_singular_pose():
@@ -77,7 +84,7 @@ def test_known_switches_are_planned_next_to_a_singular_pose():
     case, problem = random_case(SEED, THROUGH_THE_MESH), problem_of(THROUGH_THE_MESH)
     quickest = least_time_guess(problem, start_pose_of(problem))
     assert quickest is not None
-    plan = first_of(problem, iter([("the phase plane", quickest)]), [], lambda _: None)
+    plan = plan_from(search_for(problem), PATIENT, "the phase plane", quickest)
     assert plan is not None
     assert plan.status == "optimal"
     assert abs(plan.objective / case.duration - 1) < 1e-6

@@ -12,7 +12,7 @@ from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.search.continuation import SAVED, lengthened
+from linkplan.planner.search.duration_continuation import SAVED, lengthened
 from tests.planner.test_objectives import body_plan, body_problem
 from tests.planner.test_schemes import HINGE, HINGE_INERTIA
 from tests.planner.test_swing import PENDULUM
