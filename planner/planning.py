@@ -147,7 +147,7 @@ def _lengthened(problem: PlanningProblem, start_pose: np.ndarray, history: list[
         final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
     durations = np.array([at.start.duration_s])
     found = attempt(case_of(final), at.start, at.mesh, durations, "at its full length", history, say, warm=True)
-    plan = None if found is None else certified(final, found, at.mesh, history, say, warm=True)
+    plan = None if found is None else certified(final, found, history, say, warm=True)
     if plan is None or plan.status != "optimal":
         return None
     said = f"; its last {LENGTHENING - 1:.0%} of time saved less than {SAVED:.1%}, more was not tried" if at.enough else ""
@@ -169,7 +169,7 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
     if mesh.n_intervals > _COARSER * _COARSEST:
         coarse, lengths = first_mesh(problem, guess, mesh.n_intervals // _COARSER)
         found = attempt(case, guess, coarse, lengths, "a coarser mesh", history, say)
-        plan = None if found is None else certified(problem, found, coarse, history, say)
+        plan = None if found is None else certified(problem, found, history, say)
         if plan is not None and plan.status == "optimal":
             return replace(plan, problem=asked)
     say("no motion found; looking for the limit that forbids one")
@@ -183,7 +183,7 @@ def _explain(problem: PlanningProblem, guess: Guess, history: list[Step], say: S
         start, what = motion_of(least.trajectory), "start from the motion of least peak effort"
         found = attempt(case, start, least.mesh, least.durations, what, history, say)
         if found is not None:
-            return replace(certified(problem, found, least.mesh, history, say), problem=asked)
+            return replace(certified(problem, found, history, say), problem=asked)
     clear = kept_clear(problem, guesses(problem, guess.start_pose), history, say) if not over else None
     if clear is not None:
         return replace(clear, problem=asked)
@@ -242,7 +242,7 @@ def _without(problem: PlanningProblem, what: str, guess: Guess, history: list[St
     found = attempt(case_of(relaxed), guess, mesh, durations, f"without limits on {what}", history, say)
     if found is None:
         return None
-    motion = found[0]
+    motion = found.motion
     if what in RELAXABLE and violated_sentence(problem, motion, what) is not None:
         say(f"looking for the least that {what} has to be")
         motion = least_of(problem, what, motion, mesh, np.bincount(mesh.segment, np.diff(motion.breaks_s)), history)

@@ -12,13 +12,12 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search.durations import longer
 from linkplan.planner.search.first_mesh import PER_LEG, first_mesh, graded_mesh
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME
-from linkplan.planner.transcription.mesh import Mesh
 
 
 def first_of(
@@ -40,15 +39,15 @@ def first_of(
         if not solved and history and history[-1].solver_status in (OUT_OF_TIME, INVALID):
             return None
         missed = None
-        for found, mesh in solved:
-            if found[1].objective >= below:
+        for found in solved:
+            if found.solution.objective >= below:
                 continue
-            found, away = longer(patient, found, mesh, history, say)
+            found, away = longer(patient, found, history, say)
             if away is not None:
                 return Plan(problem=problem, status="failed", message=away, history=tuple(history))
             # Where time alone counts the phase plane's start comes next: the first is not worth a second way.
             patiently = number > 0 or list(problem.objective.weights) != ["time"]
-            missed = _refined(problem, found, mesh, history, say, again=patiently)
+            missed = _refined(problem, found, history, say, again=patiently)
             if missed.status == "optimal":
                 return missed
         if missed is None:
@@ -61,11 +60,11 @@ def first_of(
     return failed
 
 
-def _solved(patient: PlanningProblem, guess: Guess, word: str, history: list[Step], say: Say) -> list:
-    """Return solutions from a start, each with its mesh, the better first."""
+def _solved(patient: PlanningProblem, guess: Guess, word: str, history: list[Step], say: Say) -> list[Found]:
+    """Return solutions from a start, the better first."""
     mesh, durations = first_mesh(patient, guess)
     found = attempt(case_of(patient), guess, mesh, durations, word, history, say)
-    solved = [] if found is None else [(found, mesh)]
+    solved = [] if found is None else [found]
     if guess.cuts_s is not None and list(patient.objective.weights) == ["time"]:
         # Its switches are known: with cuts there and efforts held between them, the instants alone are to be found.
         cut, lengths = graded_mesh(guess, guess.cuts_s, max(patient.mesh.intervals, PER_LEG * guess.legs))
@@ -73,22 +72,22 @@ def _solved(patient: PlanningProblem, guess: Guess, word: str, history: list[Ste
             what = f"{word}, {how}"
             held = attempt(case_of(patient), guess, cut, lengths, what, history, say, pinned=guess.held, warm=warm)
             if held is not None:
-                solved.append((held, cut))
+                solved.append(held)
                 break
-    return sorted(solved, key=lambda item: item[0][1].objective)
+    return sorted(solved, key=lambda found: found.solution.objective)
 
 
-def _refined(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say, *, again: bool) -> Plan:
+def _refined(problem: PlanningProblem, found: Found, history: list[Step], say: Say, *, again: bool) -> Plan:
     """Return the plan of a first solution; where its certificate does not pass, refined in other ways too."""
-    plan, bends = certified(problem, found, mesh, history, say), True
-    if unsound(plan) and case_of(problem).switches and not case_of(problem, bends=False).switches:
+    plan, bends = certified(problem, found, history, say), True
+    if unsound(plan) and case_of(problem).aims.switches and not case_of(problem, bends=False).aims.switches:
         # Cuts at bends are worth a thousandth at the most: a motion that is lost with them is planned without.
-        plan, bends = certified(problem, found, mesh, history, say, bends=False), False
+        plan, bends = certified(problem, found, history, say, bends=False), False
     if unsound(plan) and again:
-        warm = certified(problem, found, mesh, history, say, warm=True, bends=bends)
+        warm = certified(problem, found, history, say, warm=True, bends=bends)
         plan = warm if warm.status == "optimal" else plan
     if plan.status == "failed":
-        plan = _plainer(problem, plan, found, mesh, history, say) or plan
+        plan = _plainer(problem, plan, found, history, say) or plan
     return plan
 
 
@@ -101,14 +100,14 @@ def best_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], histo
         word = f"start {number + 1} of {wanted}, {what}"
         solved = attempt(case_of(problem), guess, mesh, durations, word, history, say)
         if solved is not None:
-            found.append((solved[1].objective, number, solved, mesh))
+            found.append((solved.solution.objective, number, solved))
     failed = None
-    for _, number, solved, mesh in sorted(found, key=lambda item: item[:2]):
+    for _, number, solved in sorted(found, key=lambda item: item[:2]):
         say(f"refining start {number + 1}")
-        solved, away = longer(problem, solved, mesh, history, say)
+        solved, away = longer(problem, solved, history, say)
         if away is not None:
             return Plan(problem=problem, status="failed", message=away, history=tuple(history))
-        plan = certified(problem, solved, mesh, history, say)
+        plan = certified(problem, solved, history, say)
         if plan.status == "optimal":
             return replace(
                 plan, details={**plan.details, "starts": wanted, "starts_solved": len(found), "best_start": number + 1}
@@ -124,8 +123,7 @@ def unsound(plan: Plan) -> bool:
 
 def certified(
     problem: PlanningProblem,
-    found,
-    mesh: Mesh,
+    found: Found,
     history: list[Step],
     say: Say,
     *,
@@ -133,8 +131,7 @@ def certified(
     bends: bool = True,
 ) -> Plan:
     """Return the plan of a solution, refined until its certificate passes; `bends` as of `case_of`."""
-    case = case_of(problem, bends=bends)
-    refined = refine(case, found, mesh, history, say, warm=warm)
+    refined = refine(case_of(problem, bends=bends), found, history, say, warm=warm)
     if refined is None:
         return Plan(
             problem=problem,
@@ -142,19 +139,12 @@ def certified(
             message="failed: the motion that the solver returned leaves the branch on which the mechanism was assembled",
             history=tuple(history),
         )
-    trajectory, solution, certificate, _ = refined
-    plan = finished(problem, trajectory, certificate, solution.objective, history, None)
-    plan = replace(plan, solved=replace(solution.transcribed, start=solution.x))
-    if plan.status == "optimal" and case.tolerance_given and not case.exact(certificate):
-        missed = (
-            f"failed: the integrated model ends {certificate.integration_error_deg:.3g} deg from the plan on"
-            f" {plan.intervals} intervals, more than mesh.tolerance_deg = {problem.mesh.tolerance_deg:g}"
-        )
-        return replace(plan, status="failed", message=missed)
-    return plan
+    solution = refined.solution
+    plan = finished(problem, refined.motion, refined.certificate, solution.objective, history, None)
+    return replace(plan, solved=replace(solution.transcribed, start=solution.x))
 
 
-def _plainer(problem: PlanningProblem, plan: Plan, found, mesh: Mesh, history: list[Step], say: Say) -> Plan | None:
+def _plainer(problem: PlanningProblem, plan: Plan, found: Found, history: list[Step], say: Say) -> Plan | None:
     """Return a plan with an effort that is constant over intervals, where polynomials overrun limits between their nodes.
 
     Along an arc on a limit of force or power a polynomial effort swings about what keeps it, from node to node.
@@ -163,8 +153,8 @@ def _plainer(problem: PlanningProblem, plan: Plan, found, mesh: Mesh, history: l
     if problem.mesh.effort != "polynomial" or not overrun:
         return None
     plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=problem.solver.hurried())
-    durations = np.bincount(mesh.segment, np.diff(found[0].breaks_s))
+    durations = np.bincount(found.mesh.segment, np.diff(found.motion.breaks_s))
     what = "efforts constant over intervals"
-    again = attempt(case_of(plain), motion_of(found[0]), mesh, durations, what, history, say)
-    held = None if again is None else certified(plain, again, mesh, history, say)
+    again = attempt(case_of(plain), motion_of(found.motion), found.mesh, durations, what, history, say)
+    held = None if again is None else certified(plain, again, history, say)
     return replace(held, problem=problem) if held is not None and held.status == "optimal" else None

@@ -48,13 +48,13 @@ def kept_clear(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], hi
             clear = replace(problem, limits=replace(problem.limits, singular_margin=share * room))
             word = f"{what}, {clear.limits.singular_margin:.2g} clear of singular poses"
             solved = attempt(case_of(clear), guess, mesh, durations, word, history, say, warm=bool(found))
-            if solved is None or (found and solved[1].objective > (1 - _SETTLED) * found[-1][1][1].objective):
+            if solved is None or (found and solved.solution.objective > (1 - _SETTLED) * found[-1][1].solution.objective):
                 break
             found.append((clear, solved))
-            guess = motion_of(solved[0])
-            durations = np.bincount(mesh.segment, weights=np.diff(solved[0].breaks_s))
+            guess = motion_of(solved.motion)
+            durations = np.bincount(mesh.segment, weights=np.diff(solved.motion.breaks_s))
         for clear, solved in reversed(found):
-            plan = certified(clear, solved, mesh, history, say, warm=True)
+            plan = certified(clear, solved, history, say, warm=True)
             if plan.status == "optimal":
                 kept = f"kept clear of singular poses by {clear.limits.singular_margin:.2g} of home's |det J_z|"
                 return replace(plan, problem=problem, message=f"{plan.message}, {kept}: none was found without that")

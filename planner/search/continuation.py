@@ -106,12 +106,12 @@ def _step(
     durations = np.bincount(at.mesh.segment, weights=at.mesh.fraction) * start.duration_s
     what = f"the least-time motion lengthened to {longest:.4g} s"
     found = attempt(case, start, at.mesh, durations, what, history, say, warm=True)
-    refined = None if found is None else refine(case, found, at.mesh, history, say, warm=True)
-    if refined is None or not refined[2].passed:
+    refined = None if found is None else refine(case, found, history, say, warm=True)
+    if refined is None or not refined.certificate.passed:
         return None
-    trajectory, solution, _, _ = refined
+    solution = refined.solution
     done = Lengthened(
-        start=motion_of(trajectory),
+        start=motion_of(refined.motion),
         mesh=solution.transcribed.program.mesh,
         scheme=solution.transcribed.scheme.name,
         longest_s=longest,
