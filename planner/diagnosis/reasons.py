@@ -21,7 +21,7 @@ from linkplan.planner.search.ladder import HURRIED, Search
 from linkplan.planner.search.least_limit import least_limit_of_starts
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.starts import enough_time
-from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME
+from linkplan.planner.solvers.outcome import why_stopped
 
 
 def other_limits(problem: PlanningProblem) -> bool:
@@ -42,11 +42,8 @@ def contradicted(search: Search) -> Plan | None:
 
 def solver_stopped(search: Search) -> Plan | None:
     """Return the plan that says why the solver stopped before it had an answer."""
-    stopped = {
-        OUT_OF_TIME: f"the solver ran out of its {search.problem.solver.max_time_s:g} s (solver.max_time_s)",
-        INVALID: "the dynamics gave a number that is not finite (NaN) along the motion, or the solver could not begin",
-    }
-    return None if search.stopped is None else _failed(search, stopped[search.stopped])
+    reason = why_stopped(search.stopped or "", search.problem.solver.max_time_s)
+    return None if reason is None else _failed(search, reason)
 
 
 def one_limit(search: Search) -> Plan | None:

@@ -8,6 +8,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import Found, attempt
+from linkplan.planner.refinement.free_duration import LONGER, held_by_guess
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.phase_plane import stretched
@@ -16,8 +17,6 @@ from linkplan.planner.solvers.solve import Solution
 # A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth; along
 # speed limits, where joints fly, to half a hundredth.
 SURELY, SURELY_LIMITED = 1.001, 1.01
-# A duration within this share of where it may end is there.
-_AT_END = 0.01
 # A motion whose duration ended where its guess held it is begun so many times again, so many times longer; it has no end
 # where its objective falls to this share at once.
 _LONGER, _LONGER_BY, _FALLS = 2, 30.0, 1e-3
@@ -60,13 +59,9 @@ def runs_away(problem: PlanningProblem, solution: Solution) -> str | None:
     That end is a hundred times the guess and not the user's: there the objective still falls, and no best motion is found.
     """
     motion, transcribed = problem.motion, solution.transcribed
-    place = transcribed.program.layout.durations()
-    if motion.duration_s is not None or np.any(np.bincount(transcribed.program.mesh.leg) > 1):
+    if motion.duration_s is not None or held_by_guess(solution, 0.0, motion.max_duration_s or np.inf) != LONGER:
         return None
-    duration = float(solution.x[place].sum()) * transcribed.units.time_s
-    longest = motion.max_duration_s or np.inf
-    if duration >= (1 - _AT_END) * longest or not np.any(solution.x[place] >= (1 - _AT_END) * transcribed.upper[place]):
-        return None
+    duration = float(solution.x[transcribed.program.layout.durations()].sum()) * transcribed.units.time_s
     what = problem.objective.name.replace("_", " ")
     without = f"failed: the longer the motion the less its {what}, without end"
     return f"{without}: still at {duration:.4g} s; set motion.max_duration_s"

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import ProblemError, one_line
-from linkplan.planner.problem.planning_problem import SOLVERS, SolverSettings
+from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.solvers.fatrop import FatropSolver
 from linkplan.planner.solvers.outcome import ACCEPTABLE, INVALID, MAX_ITERATIONS, OUT_OF_TIME, TOLERANCE, Solver
 from linkplan.planner.transcription.collocation import Transcribed
@@ -73,8 +73,6 @@ def build_solver(
         ProblemError: when the solver cannot be set up for the program.
     """
     settings = settings or SolverSettings()
-    if settings.name not in SOLVERS:
-        raise ProblemError(f"solver.name is one of {', '.join(SOLVERS)}, got '{settings.name}'")
     iterations = MAX_ITERATIONS if settings.max_iterations is None else settings.max_iterations
     max_time_s = settings.max_time_s
     if settings.deadline is not None:

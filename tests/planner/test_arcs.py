@@ -8,7 +8,7 @@ from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.constrained_arcs import arc_ends, free_ends, held_paths, path_arcs, standing_off
+from linkplan.planner.refinement.constrained_arcs import Held, arc_ends, free_ends, held_paths, path_arcs, standing_off
 from linkplan.planner.refinement.history import silent
 from linkplan.planner.refinement.switch_search import settle_switches
 from linkplan.planner.refinement.switches import find_cuts
@@ -50,7 +50,8 @@ def test_a_curve_that_its_coefficients_keep_off_its_limit_is_found():
     mesh, durations = first_mesh(problem, guess)
     case, history = case_of(problem), []
     first = attempt(case, guess, mesh, durations, "first solve", history, silent)
-    motion, solution, *_ = settle_switches(case, *first, mesh, history, silent)
+    settled = settle_switches(case, first, history, silent)
+    motion, solution = settled.motion, settled.solution
     off = standing_off(solution.transcribed, solution.x)
     fastest = np.abs(motion.velocity[:, :, 0])
     limit = problem.limits.speed[0, 1]
@@ -101,10 +102,11 @@ def test_segments_hold_what_all_their_inner_intervals_follow_and_no_more_than_ef
 
 
 def test_the_ends_of_a_held_arc_are_split_off_and_free():
-    cuts, loose = free_ends(np.array([0.0, 1.0, 3.0]), np.array([[2.0], [NAN]]), np.array([[0], [1]]))
+    held = Held(efforts=np.array([[2.0], [NAN]]), paths=np.array([[0], [1]]))
+    cuts, loose = free_ends(np.array([0.0, 1.0, 3.0]), held)
     np.testing.assert_allclose(cuts, [1.3, 2.7])
-    np.testing.assert_array_equal(loose["held"], [[0], [0], [1], [0]])
-    np.testing.assert_array_equal(np.isnan(loose["pinned"]).ravel(), [False, True, True, True])
+    np.testing.assert_array_equal(loose.paths, [[0], [0], [1], [0]])
+    np.testing.assert_array_equal(np.isnan(loose.efforts).ravel(), [False, True, True, True])
 
 
 def with_efforts(efforts: list[float]) -> Trajectory:

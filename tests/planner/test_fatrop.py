@@ -14,7 +14,8 @@ from linkplan.planner.closed_chain.transcribe import Transcribed, transcribe
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem, SolverSettings
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.replan import Planner
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, solve
@@ -196,5 +197,5 @@ def test_bounds_that_contradict_each_other_end_in_a_status(settings):
 
 
 def test_an_unknown_solver_is_refused_in_one_line():
-    with pytest.raises(ProblemError, match=r"solver\.name is one of ipopt, fatrop, got 'snopt'"):
+    with pytest.raises(ProblemError, match=r"unknown solver\.name 'snopt'; legal: ipopt, fatrop"):
         solve(transcribed(problem_of("knee-reach")), SolverSettings(name="snopt"))

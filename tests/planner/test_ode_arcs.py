@@ -11,7 +11,7 @@ from scipy.optimize import brentq, fsolve, minimize
 
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.solve_ocp import OdePlan
-from linkplan.planner.problem.planning_problem import MeshSettings
+from linkplan.planner.problem.settings import MeshSettings
 from tests.planner.test_ode_closed_forms import OSCILLATOR, oscillator
 from tests.planner.test_ode_textbook import INF, NAN, double_integrator, duration, solved
 from tests.support.tolerances_planner import (

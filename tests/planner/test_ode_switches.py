@@ -103,7 +103,7 @@ def test_switching_functions_are_the_costates_of_the_closed_form():
     guess = straight_guess(problem)
     case = OdeCase(problem, problem, units_of(problem, guess))
     found = attempt(case, start_of(guess, case.units), uniform(40), np.array([guess.duration_s]), "", [], silent)
-    switching = switching_of(problem, *found)
+    switching = switching_of(problem, found.motion, found.solution)
     np.testing.assert_allclose(switching.value[:, :, 0], switching.time_s - 1.0, atol=ODE_STATE)
 
 

@@ -11,7 +11,7 @@ from scipy.optimize import fsolve
 
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
-from linkplan.planner.problem.planning_problem import SolverSettings
+from linkplan.planner.problem.settings import SolverSettings
 from tests.support.tolerances_planner import (
     ODE_BOUND_BY_A_STATE,
     ODE_CLOSED_FORM,

@@ -6,12 +6,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from linkplan.planner.certificate.certificate import INTEGRATION_DEG, certify
+from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.integration import GROWTH, integrate
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.settings import INTEGRATION_DEG
 from linkplan.planner.search.duration_continuation import SAVED, lengthened
 from tests.planner.test_objectives import body_plan, body_problem
 from tests.planner.test_schemes import HINGE, HINGE_INERTIA

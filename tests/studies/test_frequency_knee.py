@@ -11,7 +11,7 @@ from linkplan.controllers.sampling import sampling
 from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study, default_poses
 from linkplan.studies.bode.bode_report import bode_record, bode_text
 from linkplan.studies.frequency.excitation import Setup

@@ -7,7 +7,7 @@ import pytest
 from linkplan.controllers.sampling import sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.describing import balance, large_signals, saturation
 from linkplan.studies.frequency.feasible import feasible_curve
 from linkplan.studies.frequency.loops import feedback_loop, law_gain, operating_point

@@ -7,7 +7,7 @@ import pytest
 from linkplan.controllers.sampling import Sampling, sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.frequency.excitation import Setup, whole_samples
 from linkplan.studies.frequency.loops import feedback_loop, law_gain, operating_point

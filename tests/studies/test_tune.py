@@ -6,7 +6,7 @@ import pytest
 from linkplan.controllers.sampling import sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.loops import feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.tune.tune import Wanted, motor_gains, tune, tune_record, tune_text
