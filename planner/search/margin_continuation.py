@@ -23,7 +23,7 @@ from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.transcription.mesh import Mesh
 
 # Margins tried, as shares of what start and goal themselves keep: from the largest, by halves, to the least.
-_LARGEST, _HALF, _SMALLEST, _MARGINS = 0.5, 0.5, 0.03, 5
+_LARGEST, _HALF, _SMALLEST, _MARGINS = 0.48, 0.5, 0.03, 5
 # The objective has settled where a smaller margin saves less than this share of it.
 _SETTLED = 0.02
 # A motion nears a singular pose where it comes below this share of the distance at its ends, at so many instants.
@@ -56,7 +56,7 @@ def from_margins(search: Search, budget: Budget) -> Plan | None:
             if plan.status == "optimal":
                 margin = clear.problem.limits.singular_margin
                 kept = f"kept clear of singular poses by {margin:.2g} of home's |det J_z|"
-                return replace(plan, message=f"{plan.message}, {kept}: none was found without that")
+                return replace(plan, problem=search.problem, message=f"{plan.message}, {kept}: none was found without that")
     return None
 
 
