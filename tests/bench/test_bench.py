@@ -13,8 +13,8 @@ from tests.bench.__main__ import PARTS, between_nodes, main
 from tests.bench.opti_peer import build_peer, drift
 from tests.bench.shares import Timed
 from tests.bench.timing import GOAL, START, first_program
-from tests.planner.test_plans import problem_of
 from tests.support.planar import random_planar
+from tests.support.plans import problem_of
 
 # A fourth-order scheme on twice the intervals: its error falls by 16; quadratic torques leave some of that.
 _FOURTH_ORDER = 8.0

@@ -1,8 +1,5 @@
 """The hand-written yardstick of `make bench` is itself right, and shows what it is kept for."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,7 +8,6 @@ from linkplan.models.poses.assembly import close_at
 from tests.bench.__main__ import between_nodes
 from tests.bench.opti_peer import acceleration_function, build_peer
 
-KNEE = json.loads((Path(__file__).parent.parent / "data" / "knee.json").read_text(encoding="utf-8"))
 ENDS = np.radians([-49.07, 56.27])
 
 

@@ -16,10 +16,10 @@ from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.tracker import Tracker
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.payload import BODY_NAME
-from tests.controllers.test_trackers import hinge_reference
-from tests.planner.test_plans import GOAL, optimal
-from tests.planner.test_schemes import HINGE, HINGE_INERTIA
+from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.fourbar import KNEE_PROBLEMS
+from tests.support.plans import GOAL, optimal
+from tests.support.references import hinge_reference
 from tests.support.tolerances_planner import (
     DIED_OUT,
     FEEDFORWARD_GAIN,

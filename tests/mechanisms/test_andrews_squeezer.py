@@ -5,7 +5,6 @@ tests/data/andrews.json holds the test set's constants, equations and results (H
 
 import json
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,12 +12,13 @@ from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, reach
+from tests.support.data import DATA
 from tests.support.mechanism_checks import acceleration, mechanism_of, plan_of, rigid_acceleration, tracked
 from tests.support.tolerances import CLOSURE, DIFFERENCES, ENERGY, INTEGRATED_GAP, POWER, TREE, relative_error
 from tests.support.tolerances_planner import BOUNDARY, CLOSURE_M, ROLLOUT_GAP_M
 
 NAME, PROBLEM = "andrews-squeezer", "squeezer-turn"
-TABLE = json.loads((Path(__file__).parent.parent / "data" / "andrews.json").read_text(encoding="utf-8"))
+TABLE = json.loads((DATA / "andrews.json").read_text(encoding="utf-8"))
 LENGTH, MASS, MOMENT, POINT = TABLE["lengths"], TABLE["mass"], TABLE["inertia_com"], TABLE["fixed_points"]
 ANGLES = ("beta", "Theta", "gamma", "Phi", "delta", "Omega", "epsilon")
 # The test set's own result is good to about 1e-9 at t = 0.03 s; the reduced model is integrated to 1e-11.

@@ -1,7 +1,5 @@
 """The built-in mechanisms together: each checks clean, has a problem, and a picture that the README shows."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -14,6 +12,7 @@ from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN, gallery_figure
+from tests.support.data import ROOT
 from tests.support.mechanism_checks import mechanism_of, plan_of
 from tests.support.mechanisms import replaced
 from tests.support.tolerances import KNEE, relative_error
@@ -27,7 +26,6 @@ TWO_APART = """
   <actuator><motor name="motor" joint="driven" ctrlrange="-1 1"/></actuator>
 </mujoco>
 """
-ROOT = Path(__file__).parent.parent.parent
 SOUND = [name for name in MODELS if name != "optimus-knee-source"]
 every_mechanism = pytest.mark.parametrize("name", SOUND)
 

@@ -1,7 +1,6 @@
 """Mechanisms as others write them: an adaptive gripper and a sprung leg, with all that their files have in them."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,11 +12,11 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.compare.compare import track
+from tests.support.data import DATA
 from tests.support.mechanism_checks import acceleration, rigid_acceleration
 from tests.support.mechanisms import simulated
 from tests.support.tolerances import DIFFERENCES, TREE, relative_error
 
-DATA = Path(__file__).parent.parent / "data"
 GRIPPER = DATA / "adaptive_gripper.xml"
 LEG = DATA / "sprung_leg.xml"
 LOCKS = (

@@ -11,6 +11,7 @@ from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow, reach
+from tests.support.drive import line, line_rates
 from tests.support.fourbar import SHANK, FourBar, G, knee
 from tests.support.mechanism_checks import acceleration, mechanism_of, plan_of, rigid_acceleration, tracked
 from tests.support.mechanisms import derivative, replaced
@@ -19,30 +20,12 @@ from tests.support.tolerances_planner import CLOSURE_M, INTEGRATION_DEG, ROLLOUT
 
 NAME, PROBLEM = "optimus-knee-linear", "knee-linear-reach"
 BENT, STRAIGHT = np.radians([-49.07, 56.27])
-P_D = np.array([0.285, 0.0])
-ROCKER, P_C = 0.0855, np.array([0.057, 0.0])
 # Barrel and rod as cylinders [kg, m], and what of rotor and screw is felt along the slide [kg].
 BARREL = {"mass": 0.75, "length": 0.165, "radius": 0.02}
 ROD = {"mass": 0.15, "length": 0.15, "radius": 0.006}
 ARMATURE = 3.95
 DEAD_CENTRE_DEG = 61.43327954622908
 at_every_angle = pytest.mark.parametrize("q_O", np.radians([-75.0, -49.07, -20.0, 0.0, 25.0, 45.0, 56.27]))
-
-
-def line(fourbar: FourBar, q_O: float) -> tuple[float, float]:
-    """Return the length of DB and its angle from +z towards +x, in closed form."""
-    rocker = float(fourbar.angles(np.array([q_O]))[2, 0])
-    way = P_C + ROCKER * np.array([np.sin(rocker), np.cos(rocker)]) - P_D
-    return float(np.hypot(*way)), float(np.arctan2(way[0], way[1]))
-
-
-def line_rates(fourbar: FourBar, q_O: float) -> tuple[float, float]:
-    """Return dl/dq_O and the line's turning per knee angle, in closed form."""
-    rocker, rate = float(fourbar.angles(np.array([q_O]))[2, 0]), float(fourbar.rates(np.array([q_O]))[2, 0])
-    length, angle = line(fourbar, q_O)
-    velocity = ROCKER * rate * np.array([np.cos(rocker), -np.sin(rocker)])
-    along, across = np.array([np.sin(angle), np.cos(angle)]), np.array([np.cos(angle), -np.sin(angle)])
-    return float(velocity @ along), float(velocity @ across) / length
 
 
 def cylinder_moment(part: dict[str, float]) -> float:

@@ -10,19 +10,19 @@ from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
-from tests.support.fourbar import G
+from tests.support.gripper import (
+    DAMPING,
+    INERTIA,
+    PULLEY,
+    REST,
+    STIFFNESS,
+    WEIGHT,
+)
 from tests.support.mechanism_checks import acceleration, plan_of, tracked
 from tests.support.tolerances import ANGLE_RAD, KNEE, relative_error
 from tests.support.tolerances_planner import CLOSURE_M, ROLLOUT_GAP_M
 
 NAME, PROBLEM = "parallel-gripper", "gripper-close"
-CRANK, CENTRE, PULLEY = 0.06, 0.03, 0.008
-CRANK_MASS, CRANK_MOMENT = 0.02, 8e-6
-FOLLOWER_MASS, FOLLOWER_MOMENT = 0.015, 6e-6
-FINGER_MASS = 0.04
-STIFFNESS, REST, DAMPING = 0.05, np.radians(60.0), 1e-3
-INERTIA = 2 * (CRANK_MOMENT + FOLLOWER_MOMENT + (CRANK_MASS + FOLLOWER_MASS) * CENTRE**2 + FINGER_MASS * CRANK**2)
-WEIGHT = 2 * G * ((CRANK_MASS + FOLLOWER_MASS) * CENTRE + FINGER_MASS * CRANK)
 # MuJoCo's integrator and soft loops against the closed form over 0.2 s [rad]: first order in a step of 1e-5 s.
 SIMULATED_RAD = 1e-3
 

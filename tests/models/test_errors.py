@@ -1,7 +1,5 @@
 """Bad input to the models package: refused in one line that names what was asked and what is legal."""
 
-from collections.abc import Callable
-
 import mujoco
 import numpy as np
 import pytest
@@ -17,34 +15,9 @@ from linkplan.models.names import choose
 from linkplan.models.payload import SHANK, Payload
 from linkplan.models.poses.assembly import close_at
 from tests.support.mechanisms import CRANK_ROCKER, PENDULUM, TRUSS, replaced, simulated
+from tests.support.refusals import TWO_BODIES, assert_names, refusal
 
 FOUR_BAR = CRANK_ROCKER.mjcf(np.random.default_rng(0), bare=True)
-
-TWO_BODIES = """
-<mujoco model="two"><compiler angle="radian" autolimits="true"/>
-  <worldbody>
-    <body name="left"><joint name="ja" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/><site name="sa" pos="0.1 0 0"/></body>
-    <body name="right" pos="5 0 0"><joint name="jb" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/></body>
-  </worldbody>
-  <tendon><fixed name="cable"><joint joint="ja" coef="1"/><joint joint="jb" coef="2"/></fixed></tendon>
-  %s
-</mujoco>"""
-
-
-def refusal(action: Callable[[], object], kind: type[LinkplanError] = ModelError) -> str:
-    """Return the message of the refusal, which is ours and one line."""
-    with pytest.raises(LinkplanError) as refused:
-        action()
-    message = str(refused.value)
-    assert isinstance(refused.value, kind)
-    assert message.strip()
-    assert len(message.splitlines()) == 1, f"not one line: {message!r}"
-    return message
-
-
-def assert_names(message: str, *words: str) -> None:
-    missing = [word for word in words if word not in message]
-    assert not missing, f"{missing} not in: {message}"
 
 
 # Sources

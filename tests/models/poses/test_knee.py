@@ -1,8 +1,6 @@
 """The Optimus knee against closed forms that were worked out apart from this project (tests/data/knee.json)."""
 
-import json
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,10 +13,10 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import Reach, close_at, follow, reach
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.skeleton import sticks
+from tests.support.data import KNEE_TABLE as REFERENCE
 from tests.support.mechanisms import FourBar, stated_gap_mm
 from tests.support.tolerances import ANGLE_RAD, BRACKET_RAD, KNEE, LEAST_GAP, SAMPLED_PEAK, SINGULAR_RAD, relative_error
 
-REFERENCE = json.loads((Path(__file__).parent.parent / "data" / "knee.json").read_text())
 CONFIGURATIONS = REFERENCE["configurations"]
 GRAVITY = 9.81
 BAR = FourBar(crank=0.057, coupler=0.0741, rocker=0.0855, ground=0.057, branch=1, drawn=0.0)

@@ -9,10 +9,9 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.trajectory import Trajectory
-from tests.planner.test_objectives import body_problem
-from tests.planner.test_plans import planned, problem_of
-from tests.planner.test_schemes import HINGE
+from tests.support.bodies import HINGE, body_problem
 from tests.support.fourbar import KNEE_PROBLEMS, SHANK, knee
+from tests.support.plans import planned, problem_of
 from tests.support.tolerances_planner import CLOSURE_M, EXCESS, EXTREME, PEAK_ON_A_GRID, SAME_FIGURE, SINGULARITY
 
 

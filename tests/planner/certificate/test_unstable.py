@@ -13,9 +13,7 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.search.continuation import SAVED, lengthened
-from tests.planner.test_objectives import body_plan, body_problem
-from tests.planner.test_schemes import HINGE, HINGE_INERTIA
-from tests.planner.test_swing import PENDULUM
+from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, body_plan, body_problem
 from tests.support.fourbar_problems import random_case
 
 # The rod about upright: an error grows by e for every 1 / RATE [s].

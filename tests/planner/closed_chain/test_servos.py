@@ -1,6 +1,6 @@
 """Servos as bounded efforts: what their ctrl cannot give is said at once, and no finer mesh is tried for it."""
 
-from tests.planner.test_objectives import body_plan
+from tests.support.bodies import body_plan
 
 SERVO = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0"/>
 <inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>

@@ -1,8 +1,6 @@
 """Problems without an answer: which limit, which joint, when, by how much; and none that has an answer among them."""
 
-import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,12 +8,12 @@ from scipy.optimize import brentq
 
 from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
 from linkplan.planner.plan import Plan
-from tests.planner.test_plans import GOAL, LIMIT, START, planned
+from tests.support.data import KNEE_TABLE
 from tests.support.fourbar import SHANK, knee
+from tests.support.plans import GOAL, LIMIT, START, planned
 from tests.support.tolerances_planner import MINIMUM_TIME, NEEDED_EFFORT, PEAK
 
-TABLE = json.loads((Path(__file__).parent.parent / "data" / "knee.json").read_text(encoding="utf-8"))
-SHORTEST = TABLE["min_time_rest_to_rest"]["shank_s"]
+SHORTEST = KNEE_TABLE["min_time_rest_to_rest"]["shank_s"]
 LOADED = knee().carrying("crank", SHANK)
 HURRIED = ("knee-reach", "motion.duration_s=0.10")
 
@@ -134,7 +132,7 @@ def test_a_little_less_than_the_shortest_duration_is_infeasible(share):
 
 def test_an_exact_reference_s_worst_instant_is_the_reference_table_s():
     details = refused("an exact reference").details
-    assert details["needed"] == pytest.approx(TABLE["seed_sine"]["shank"]["max_Nm"], rel=PEAK)
+    assert details["needed"] == pytest.approx(KNEE_TABLE["seed_sine"]["shank"]["max_Nm"], rel=PEAK)
     assert details["time_s"] == pytest.approx(0.1875, abs=PEAK)
     assert details["limit"] == LIMIT
 
@@ -146,13 +144,13 @@ def test_an_exact_reference_points_to_the_motion_that_keeps_the_limits():
 def test_a_limit_on_one_side_is_named_by_its_own_end():
     plan = planned("knee-sine-shank", "motion.kind=track", "limits.effort.act_O=[-100, 130]")
     assert plan.status == "infeasible"
-    needed = TABLE["seed_sine"]["shank"]["min_Nm"]
+    needed = KNEE_TABLE["seed_sine"]["shank"]["min_Nm"]
     assert plan.details["needed"] == pytest.approx(needed, rel=PEAK)
     assert plan.details["limit"] == -LIMIT
 
 
 def test_a_reference_just_within_the_limits_is_followed():
-    peak = TABLE["seed_sine"]["shank"]["max_Nm"]
+    peak = KNEE_TABLE["seed_sine"]["shank"]["max_Nm"]
     plan = planned("knee-sine-shank", "motion.kind=track", f"limits.effort.act_O=[{-peak - 1e-6}, {peak + 1e-6}]")
     assert plan.status == "optimal", plan.message
 

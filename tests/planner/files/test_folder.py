@@ -16,8 +16,8 @@ from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import RECORDS, check_target, plain, write_json, write_whole
 from linkplan.planner.files.plan_folder import FORMAT, read_plan, record, write_plan
-from tests.planner.test_plans import optimal, planned
 from tests.support.fourbar import KNEE_PROBLEMS
+from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import CERTIFIED_AGAIN, CSV, ROUNDING
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")

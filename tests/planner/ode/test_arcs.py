@@ -12,8 +12,7 @@ from scipy.optimize import brentq, fsolve, minimize
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.solve_ocp import OdePlan
 from linkplan.planner.problem.planning_problem import MeshSettings
-from tests.planner.test_ode_closed_forms import OSCILLATOR, oscillator
-from tests.planner.test_ode_textbook import INF, NAN, double_integrator, duration, solved
+from tests.support.ode import INF, NAN, OSCILLATOR, double_integrator, duration, oscillator, solved
 from tests.support.tolerances_planner import (
     ODE_CHATTERING,
     ODE_CLOSED_FORM,

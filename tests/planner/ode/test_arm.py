@@ -11,7 +11,7 @@ from scipy.optimize import fsolve
 
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import OdePlan
-from tests.planner.test_ode_textbook import FREE_STATE, duration, solved
+from tests.support.ode import FREE_STATE, duration, solved
 from tests.support.tolerances_planner import ODE_CLOSED_FORM, ODE_STATE, ODE_SWITCH
 
 REACH = 5.0

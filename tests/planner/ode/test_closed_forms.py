@@ -7,7 +7,17 @@ from scipy.integrate import quad_vec, solve_ivp
 from scipy.linalg import expm
 
 from linkplan.planner.ode.problem import OdeProblem
-from tests.planner.test_ode_textbook import FREE_EFFORT, INF, NAN, double_integrator, duration, solved, squared_effort
+from tests.support.ode import (
+    FREE_EFFORT,
+    INF,
+    NAN,
+    OSCILLATOR,
+    double_integrator,
+    duration,
+    oscillator,
+    solved,
+    squared_effort,
+)
 from tests.support.tolerances_planner import (
     ODE_BOUND_BY_A_STATE,
     ODE_CLOSED_FORM,
@@ -214,12 +224,7 @@ def test_time_and_effort_are_balanced_where_their_sum_is_least(weight):
 
 # Linear systems with quadratic cost.
 
-OSCILLATOR = np.array([[0.0, 1.0], [-1.0, 0.0]])
 PUSH = np.array([0.0, 1.0])
-
-
-def oscillator(x, u, p, t):  # noqa: ARG001
-    return [x[1], -x[0] + u[0]]
 
 
 @pytest.mark.parametrize("T", [1.0, 2 * np.pi])

@@ -8,7 +8,7 @@ from scipy.optimize import brentq, fsolve
 
 from linkplan.planner.ode.certificate import OVERRUN
 from linkplan.planner.ode.problem import OdeProblem
-from tests.planner.test_ode_textbook import FREE_EFFORT, INF, NAN, double_integrator, duration, solved
+from tests.support.ode import FREE_EFFORT, INF, NAN, double_integrator, duration, solved
 from tests.support.tolerances_planner import (
     ODE_CLOSED_FORM,
     ODE_FOUR_DIGITS,

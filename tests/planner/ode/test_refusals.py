@@ -8,7 +8,7 @@ from linkplan.models.errors import InfeasibleError, ProblemError
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
 from linkplan.planner.problem.planning_problem import MeshSettings, SolverSettings
-from tests.planner.test_ode_textbook import INF, NAN, double_integrator, duration, squared_effort
+from tests.support.ode import INF, NAN, double_integrator, duration, squared_effort
 from tests.support.tolerances_planner import ODE_CLOSED_FORM
 
 SOUND = {

@@ -15,8 +15,7 @@ from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import silent
 from linkplan.planner.transcription.mesh import uniform
-from tests.planner.test_ode_closed_forms import oscillator
-from tests.planner.test_ode_textbook import FREE_EFFORT, double_integrator, duration, solved, squared_effort
+from tests.support.ode import FREE_EFFORT, double_integrator, duration, oscillator, solved, squared_effort
 from tests.support.tolerances_planner import (
     ODE_CLOSED_FORM,
     ODE_COLLAPSED_ARC,

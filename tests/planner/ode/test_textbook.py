@@ -10,8 +10,9 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import fsolve
 
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
+from linkplan.planner.ode.solve_ocp import OdePlan
 from linkplan.planner.problem.planning_problem import SolverSettings
+from tests.support.ode import FREE_EFFORT, FREE_STATE, INF, NAN, double_integrator, duration, solved, squared_effort
 from tests.support.tolerances_planner import (
     ODE_BOUND_BY_A_STATE,
     ODE_CLOSED_FORM,
@@ -23,29 +24,6 @@ from tests.support.tolerances_planner import (
     ODE_STATE,
     ODE_SWITCH,
 )
-
-INF, NAN = np.inf, np.nan
-FREE_EFFORT = [[-INF, INF]]
-FREE_STATE = [-INF, INF]
-
-
-def duration(x0, xT, T, p):  # noqa: ARG001
-    return T
-
-
-def squared_effort(x, u, p, t):  # noqa: ARG001
-    return u[0] ** 2
-
-
-def double_integrator(x, u, p, t):  # noqa: ARG001
-    return [x[1], u[0]]
-
-
-def solved(problem: OdeProblem) -> OdePlan:
-    plan = plan_ode(problem)
-    assert plan.status == "optimal", f"{problem.name}: {plan.message}"
-    return plan
-
 
 # Double integrator.
 

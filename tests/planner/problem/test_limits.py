@@ -10,10 +10,10 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.margins import actuator_speeds, singularity_ratios
 from linkplan.planner.plan import Plan
-from tests.planner.test_objectives import QUARTER_TURN, body_plan, effort_rate, hinge, pin_forces, power
-from tests.planner.test_plans import optimal, planned
-from tests.planner.test_schemes import HINGE, HINGE_INERTIA, TURN
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan, hinge
 from tests.support.mechanisms import CRANK_ROCKER
+from tests.support.motions import effort_rate, pin_forces, power
+from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import BINDS, FURTHER_LIMIT, MINIMUM_TIME, SOFT_PIN, TIME_WITH_ARCS
 
 # The hinge's own effort limit [N.m].

@@ -1,23 +1,17 @@
 """Objectives of mechanisms: closed forms of single bodies, and every term against its integral along the planned motion."""
 
-import tempfile
 from collections.abc import Callable
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.margins import actuator_speeds
-from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
-from tests.planner.test_plans import optimal, planned
-from tests.planner.test_schemes import HINGE, HINGE_INERTIA, LIFT, TURN
+from tests.support.bodies import HINGE_INERTIA, LIFT, TURN, body_plan, hinge
 from tests.support.mechanisms import simulated
+from tests.support.motions import effort_rate, pin_forces, power
+from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import (
     EXACT_EFFORT,
     LEAST_WORK,
@@ -28,33 +22,11 @@ from tests.support.tolerances_planner import (
     WORK_INTEGRAL,
 )
 
-# A quarter turn of the hinge, and the lift's rise.
-QUARTER_TURN = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\n'
+# The lift's rise [m], mass [kg] and gravity [m/s2].
 RISE, WEIGHT, GRAVITY = 0.8, 2.0, 9.81
 LIFTED = 'kind = "reach"\nstart_m = { J = 0.1 }\ngoal_m = { J = 0.9 }\n'
 MOTOR = "motors.{}={{torque_constant=0.5,resistance_ohm=0.1}}"
 LOSS = 0.1 / 0.5**2
-
-
-def body_problem(mjcf: str, motion: str, *overrides: str) -> PlanningProblem:
-    """Return the problem of a motion (the lines of a [motion] table) of an inline model."""
-    with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "model.xml").write_text(mjcf, encoding="utf-8")
-        path = Path(folder) / "problem.toml"
-        path.write_text(f'[mechanism]\nmodel = "model.xml"\n[motion]\n{motion}', encoding="utf-8")
-        return load_problem(path, overrides)
-
-
-@cache
-def body_plan(mjcf: str, motion: str, *overrides: str) -> Plan:
-    return plan_motion(body_problem(mjcf, motion, *overrides))
-
-
-def hinge(*overrides: str, duration: float | str = 1.5) -> Plan:
-    """Return the plan of a pure inertia's quarter turn."""
-    plan = body_plan(HINGE, QUARTER_TURN + f"duration_s = {duration!r}\n".replace("'", '"'), *overrides)
-    assert plan.status == "optimal", plan.message
-    return plan
 
 
 def instants(plan: Plan, per_interval: int) -> tuple[np.ndarray, np.ndarray]:
@@ -63,40 +35,6 @@ def instants(plan: Plan, per_interval: int) -> tuple[np.ndarray, np.ndarray]:
     breaks = plan.trajectory.breaks_s
     widths = np.diff(breaks)[:, None]
     return (breaks[:-1, None] + widths * (nodes + 1) / 2).ravel(), (widths * weights / 2).ravel()
-
-
-def effort_rate(plan: Plan, time: np.ndarray) -> np.ndarray:
-    """Return u' (n, n_u) inside the intervals, from the Bernstein coefficients' differences."""
-    effort, breaks = plan.trajectory.effort, plan.trajectory.breaks_s
-    degree = len(effort) - 1
-    index = np.searchsorted(breaks, time, side="right") - 1
-    widths = np.diff(breaks)[index]
-    tau = (time - breaks[index]) / widths
-    points = degree * np.diff(effort, axis=0)[:, index] / widths[:, None]
-    while len(points) > 1:
-        points = points[:-1] + tau[:, None] * np.diff(points, axis=0)
-    return points[0]
-
-
-def pin_forces(plan: Plan, time: np.ndarray) -> np.ndarray:
-    """Return the size (n,) [N] of the knee's pin force by MuJoCo: of its stiff constraint, driven as planned."""
-    problem, motion = plan.problem, plan.trajectory
-    mechanism = problem.mechanism
-    poses = follow(mechanism, motion.position_at(time), motion.start_pose)
-    speeds = motion.velocity_at(time)
-    efforts = motion.effort_at(time)
-    found = []
-    for q, v, u in zip(poses, speeds, efforts, strict=True):
-        rates = np.array(mechanism.dynamics.velocity_map(q)) @ v
-        found.append(np.linalg.norm(simulated(mechanism.model, q, rates, u).row_force))
-    return np.array(found)
-
-
-def power(plan: Plan, time: np.ndarray) -> np.ndarray:
-    """Return the actuators' mechanical power (n, n_u) [W]."""
-    motion = plan.trajectory
-    poses = follow(plan.problem.mechanism, motion.position_at(time), motion.start_pose)
-    return motion.effort_at(time) * actuator_speeds(plan.problem, poses, motion.velocity_at(time))
 
 
 # A pure inertia and a lift: closed forms.

@@ -6,9 +6,8 @@ from scipy.optimize import minimize
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.plan import Plan
-from tests.planner.test_objectives import QUARTER_TURN, body_plan
-from tests.planner.test_plans import optimal, planned
-from tests.planner.test_schemes import HINGE, HINGE_INERTIA, TURN
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan
+from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import BOUNDARY, CONTINUITY, EXACT_EFFORT, MINIMUM_TIME, SPEED_DEG_S, WAYPOINT_EFFORT
 
 TIMED = "duration_s = 1.5\n"

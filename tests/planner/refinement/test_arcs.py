@@ -16,8 +16,8 @@ from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.schemes import NAMES, scheme
-from tests.planner.test_plans import optimal
 from tests.support.fourbar_problems import random_case
+from tests.support.plans import optimal
 from tests.support.tolerances_planner import LEAST_TIME_ON_ARCS, UNIT
 
 NAN = np.nan

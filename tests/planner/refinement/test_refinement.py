@@ -2,13 +2,14 @@
 
 import pytest
 
-from tests.planner.test_plans import TABLE, optimal, planned
+from tests.support.data import KNEE_TABLE
+from tests.support.plans import optimal, planned
 
 
 def test_least_times_are_exact_to_a_billionth_and_their_state_to_a_millionth_of_a_degree():
     for name, key in (("knee-sprint", "shank_s"), ("knee-sprint-bare", "unloaded_s")):
         plan = optimal(name)
-        exact = TABLE["min_time_rest_to_rest"][key]
+        exact = KNEE_TABLE["min_time_rest_to_rest"][key]
         assert plan.objective == pytest.approx(exact, rel=1e-8)
         assert plan.certificate.integration_error_deg < 1e-6
         assert plan.intervals <= 100

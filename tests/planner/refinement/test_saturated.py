@@ -9,9 +9,8 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.certificate import integration
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.plan import Plan
-from tests.planner.test_objectives import QUARTER_TURN, body_plan
-from tests.planner.test_plans import planned
-from tests.planner.test_schemes import HINGE, HINGE_INERTIA, TURN
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan
+from tests.support.plans import planned
 from tests.support.tolerances_planner import SATURATED
 
 J, LIMIT = HINGE_INERTIA, 4.0

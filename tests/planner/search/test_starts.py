@@ -10,9 +10,8 @@ from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from tests.planner.test_objectives import QUARTER_TURN, body_plan
-from tests.planner.test_plans import optimal, planned
-from tests.planner.test_schemes import HINGE, HINGE_INERTIA, LIFT, TURN
+from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, QUARTER_TURN, TURN, body_plan
+from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import EXACT_EFFORT, LEAST_EFFORT, MINIMUM_TIME
 
 # Several starts.

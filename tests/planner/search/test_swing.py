@@ -5,10 +5,8 @@ import pytest
 
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
+from tests.support.bodies import PENDULUM
 
-PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0"/>
-<inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
-<actuator><motor name="m" joint="J" ctrlrange="-{limit} {limit}"/></actuator></mujoco>"""
 PROBLEM = """[mechanism]
 model = "pendulum.xml"
 [motion]

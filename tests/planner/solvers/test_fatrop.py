@@ -19,7 +19,7 @@ from linkplan.planner.replan import Planner
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, solve
 from linkplan.planner.transcription.mesh import segmented, uniform
-from tests.planner.test_plans import planned, problem_of
+from tests.support.plans import planned, problem_of
 
 # Two solvers on one program, each asked for 1e-10, relative. Measured 3e-14; 3e-11 where the objective has kinks.
 SAME_ANSWER = 1e-8

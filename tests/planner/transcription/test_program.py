@@ -11,7 +11,7 @@ from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.closed_chain.transcribe import Transcribed, choose_scales, trajectory_of, transcribe
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import Mesh, halved, segmented, uniform
-from tests.planner.test_plans import planned, problem_of
+from tests.support.plans import planned, problem_of
 from tests.support.tolerances_planner import DERIVATIVE, DIFFERENCE, ROWS, SAME_MOTION, STILL
 
 BASES = {"effort": "knee-reach", "tracking": "knee-sine-shank", "time": "knee-sprint"}

@@ -23,6 +23,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import uniform
 from linkplan.planner.transcription.schemes import NAMES, bernstein_gram, bernstein_integral, bernstein_matrix, scheme
+from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, TURN
 from tests.support.tolerances_planner import EFFORT_JUMP, EXACT_EFFORT, MINIMUM_TIME, ORDER, UNIT, UNIT_VALUES
 
 FIRST_ORDER = ("trapezoid", "hermite-simpson")
@@ -213,14 +214,6 @@ def test_a_higher_order_pays_on_one_mesh():
 
 
 # A single body: its optimum has a closed form.
-
-HINGE = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint name="J" type="hinge" axis="0 1 0"/>
-<inertial pos="0 0 0" mass="1" diaginertia="0.3 0.3 0.3"/></body></worldbody>
-<actuator><motor name="motor" joint="J" ctrlrange="-4 4"/></actuator></mujoco>"""
-HINGE_INERTIA, TURN = 0.3, np.radians(90)
-LIFT = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="cage"><joint name="J" type="slide" axis="0 0 1"/>
-<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
-<actuator><motor name="motor" joint="J" ctrlrange="-30 50"/></actuator></mujoco>"""
 
 
 TURN_MOTION = "start_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\n"

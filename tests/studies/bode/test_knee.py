@@ -18,7 +18,7 @@ from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.measure import measure
-from tests.studies.test_frequency_models import MEASURED_DB, MEASURED_DEG
+from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG
 
 # Measured closed loops against the prediction where the coherence is above 0.99. The loop constraint of the model gives way
 # by a thousandth of its load, which the rigid prediction leaves out. Measured 0.018 dB and 0.11 deg, near Nyquist.

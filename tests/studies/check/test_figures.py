@@ -10,7 +10,7 @@ from linkplan.studies.check.draw_loop_report import draw_weight, shares
 from linkplan.studies.check.draw_mechanism import draw_holding, inspection_figure
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.loop_report import measure
-from tests.mechanisms.test_parallel_gripper import REST, STIFFNESS, WEIGHT
+from tests.support.gripper import REST, STIFFNESS, WEIGHT
 from tests.support.mechanism_checks import mechanism_of
 from tests.support.tolerances import KNEE, relative_error
 

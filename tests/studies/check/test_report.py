@@ -3,7 +3,6 @@
 import json
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,16 +14,17 @@ from linkplan.planner.files.problem_file import load_problem
 from linkplan.studies.check.check_report import path_text
 from linkplan.studies.check.loop_report import LoopPath, measure, motion_path, path_record, reach_paths, swept
 from linkplan.studies.cli.main import main
-from tests.mechanisms.test_optimus_knee_linear import line, line_rates
-from tests.mechanisms.test_parallel_gripper import INERTIA, PULLEY, REST, STIFFNESS, WEIGHT
-from tests.mechanisms.test_slider_crank import CRANK, CRANK_CENTRE, CRANK_MASS, ROD, ROD_CENTRE, ROD_MASS, inertia, slider
+from tests.support.data import KNEE_TABLE
+from tests.support.drive import line, line_rates
 from tests.support.fourbar import G, knee
+from tests.support.gripper import INERTIA, PULLEY, REST, STIFFNESS, WEIGHT
 from tests.support.linkages import WELDED
 from tests.support.mechanism_checks import mechanism_of
 from tests.support.mechanisms import simulated
+from tests.support.slider_crank import CRANK, CRANK_CENTRE, CRANK_MASS, ROD, ROD_CENTRE, ROD_MASS, inertia, slider
 from tests.support.tolerances import BRACKET_RAD, KNEE, REDUCED, relative_error
 
-CONFIGURATIONS = json.loads((Path(__file__).parent.parent / "data" / "knee.json").read_text())["configurations"]
+CONFIGURATIONS = KNEE_TABLE["configurations"]
 # Samples at which a sweep may stand at a singular pose's edge, where MuJoCo's own numbers lose digits with the condition.
 CLEAR = 0.2
 # Where a full turn's samples come back to their start [rad]: the sum of Newton's rounding over the turn.

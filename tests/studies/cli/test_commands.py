@@ -3,12 +3,11 @@
 import errno
 import json
 import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from linkplan.studies.cli.main import main
+from tests.support.data import ROOT
 
 KNEE_KEYS = {
     "status",
@@ -52,37 +51,11 @@ LOOP_KEYS = {
 }
 
 
-@pytest.fixture
-def ask(capsys):
-    """Run a command; return its exit code, its stdout and its stderr."""
-
-    def run(*argv: str) -> tuple[int, str, str]:
-        capsys.readouterr()
-        code = main(list(argv))
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
-
-
-@pytest.fixture
-def ask_json(ask):
-    """Run a command with --json; return its exit code and the one object that it prints."""
-
-    def run(*argv: str) -> tuple[int, dict]:
-        code, out, _ = ask(*argv, "--json")
-        assert out.count("\n") == 1
-        return code, json.loads(out)
-
-    return run
-
-
 def test_list_names_every_built_in(ask_json):
     code, said = ask_json("list")
     assert code == 0
-    root = Path(__file__).parent.parent.parent
-    assert set(said["models"]) == {path.stem for path in (root / "models" / "mjcf").glob("*.xml")}
-    assert set(said["problems"]) == {path.stem for path in (root / "planner" / "problems").glob("*.toml")}
+    assert set(said["models"]) == {path.stem for path in (ROOT / "models" / "mjcf").glob("*.xml")}
+    assert set(said["problems"]) == {path.stem for path in (ROOT / "planner" / "problems").glob("*.toml")}
 
 
 def test_check_of_the_mended_knee_finds_one_freedom_rank_two_and_no_problem(ask_json):

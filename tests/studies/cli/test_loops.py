@@ -5,21 +5,7 @@ import tomllib
 
 import pytest
 
-from linkplan.studies.cli.main import main
 from tests.support.oscillators import mass_on_a_spring
-
-
-@pytest.fixture
-def ask(capsys):
-    """Run a command; return its exit code, its stdout and its stderr."""
-
-    def run(*argv: str) -> tuple[int, str, str]:
-        capsys.readouterr()
-        code = main(list(argv))
-        out, err = capsys.readouterr()
-        return code, out, err
-
-    return run
 
 
 def test_bode_measures_draws_and_says_how_well_the_two_agree(ask, tmp_path):

@@ -16,13 +16,12 @@ from linkplan.studies.frequency.excitation import METHODS, Setup
 from linkplan.studies.frequency.loops import CONTINUOUS, EXACT, SIMULATED, feedback_loop, operating_point
 from linkplan.studies.frequency.measure import measure
 from tests.support.oscillators import mass_on_a_spring, pendulum
+from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG
 
 # Closed forms, relative: only rounding, times the loop's condition. Measured 4e-13.
 CLOSED_FORM = 1e-9
 # One step of MuJoCo differenced with steps of 1e-4, relative. Measured 1e-9.
 DIFFERENCED = 1e-7
-# Measured against sampled prediction, up to a tenth of the sampling rate. Measured 2e-3 dB, 0.01 deg.
-MEASURED_DB, MEASURED_DEG = 0.02, 0.2
 
 KP, KD = 40.0, 3.0
 MODELS = {"mass on a spring": mass_on_a_spring, "pendulum": pendulum}
