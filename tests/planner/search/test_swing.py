@@ -32,4 +32,4 @@ def test_a_pendulum_too_heavy_for_its_motor_swings_back_first(tmp_path, limit):
     angles = np.degrees(plan.trajectory.position_at(plan.trajectory.dense_times(20))[:, 0])
     assert angles[0] == pytest.approx(0.0, abs=1e-6)
     assert angles[-1] == pytest.approx(120.0, abs=1e-3)
-    assert angles.min() < -5.0 or angles.max() > 125.0
+    assert angles.min() < -5.0, "it swings back before it goes up"

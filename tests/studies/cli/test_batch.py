@@ -5,7 +5,8 @@ import json
 import pytest
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.batch import plan_batch, read_batch
+from linkplan.planner.batch import plan_batch
+from linkplan.planner.files.batch_file import read_batch
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.main import main
