@@ -3,6 +3,7 @@
 from typing import Any
 
 import numpy as np
+import pytest
 from matplotlib.figure import Figure
 
 from linkplan.models.poses.assembly import reach
@@ -10,6 +11,7 @@ from linkplan.studies.check.draw_loop_report import draw_weight, shares
 from linkplan.studies.check.draw_mechanism import draw_holding, inspection_figure
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.loop_report import measure
+from tests.support.figures import labels, saved_figures
 from tests.support.gripper import REST, STIFFNESS, WEIGHT
 from tests.support.mechanism_checks import mechanism_of
 from tests.support.tolerances import KNEE, relative_error
@@ -53,9 +55,23 @@ def test_the_drawing_of_two_freedoms_sweeps_both(tmp_path, monkeypatch):
         draw_holding(axes, mechanism, can)
 
     monkeypatch.setattr("linkplan.studies.check.draw_mechanism.draw_holding", note)
-    inspection_figure(inspect(mechanism_of("five-bar"), []), tmp_path / "five-bar.png")
+    saved = saved_figures(monkeypatch)
+    mechanism = mechanism_of("five-bar")
+    inspection_figure(inspect(mechanism, []), tmp_path / "five-bar.png")
     assert swept == [0, 1]
-    assert (tmp_path / "five-bar.png").stat().st_size > 10_000
+    assert (tmp_path / "five-bar.png").exists()
+    first, second = (f"{joint.name} [deg]" for joint in mechanism.independent_joints)
+    sketch, dependent = ("[m]", "[m]"), "dependent joints [deg]"
+    inertia, holding = "reduced inertia [kg m2]", "effort that holds it still [N.m]"
+    of_both = [[sketch, (x, dependent), (x, inertia), (x, holding)] for x in (first, second)]
+    figure = saved["five-bar.png"]
+    assert labels(figure) == [*of_both[0], *of_both[1]]
+    for column, axes in enumerate((figure.axes[2], figure.axes[6])):
+        can = reach(mechanism, column)
+        (position, drawn), *_ = (np.array(line.get_data()) for line in axes.lines)
+        assert position == pytest.approx(np.degrees(can.poses[:, mechanism.independent[column]]))
+        M = [np.array(mechanism.dynamics.reduced_inertia(q))[column, column] for q in can.poses]
+        assert relative_error(drawn, M) < KNEE
 
 
 def test_lines_of_three_units_are_drawn_as_shares_of_their_largest():

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from tests.support.data import ROOT
+from tests.support.figures import curves, saved_figures
+from tests.support.tolerances_planner import SINE_RMS_DEG
 
 KNEE_KEYS = {
     "status",
@@ -146,13 +148,27 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
     assert {path.name for path in (tmp_path / "compared").iterdir()} == {"compare.json", "compare.png"}
 
 
-def test_compare_of_the_sine_draws_the_documents_figure_for_both_gain_sets(ask_json, tmp_path):
+def test_compare_of_the_sine_draws_the_documents_figure_for_both_gain_sets(ask_json, tmp_path, monkeypatch):
+    saved = saved_figures(monkeypatch)
     code, said = ask_json("compare", "knee-sine", "-o", str(tmp_path / "sine"))
     assert code == 0
-    assert said["trackers"]["pd"]["rms_error_deg"] < 0.03
+    assert said["trackers"]["pd"]["rms_error_deg"] < SINE_RMS_DEG
     assert [row["kd"] for row in said["document"]] == [1.0, 10.0]
     assert [row["stable"] for row in said["document"]] == [True, False]
-    assert (tmp_path / "sine" / "desired_and_actual.png").stat().st_size > 10_000
+    figure = saved["desired_and_actual.png"]
+    assert {path.name for path in (tmp_path / "sine").iterdir()} >= {"desired_and_actual.png", "compare.png"}
+    assert [axes.get_ylabel() for axes in figure.axes] == ["joint O [deg]"] * 2
+    assert figure.axes[-1].get_xlabel() == "time [s]"
+    cells = [axes.get_title().split("\n")[0] for axes in figure.axes]
+    assert cells == [f"mended: KP = 200, KD = {kd}" for kd in ("1", "10")]
+    for cell, axes in zip(cells, figure.axes, strict=True):
+        drawn = curves(axes)
+        assert set(drawn) == {"actual", "desired"}
+        time, desired = drawn["desired"]
+        assert (time.min(), time.max()) == pytest.approx((0.0, 2.0), abs=1e-3)
+        assert desired == pytest.approx(3.6 + 52.67 * np.sin(2 * np.pi * 4 * time), abs=1e-6)
+        off = np.sqrt(np.mean((drawn["actual"][1] - desired) ** 2))
+        assert (off < SINE_RMS_DEG) == cell.endswith("KD = 1")
 
 
 @pytest.mark.parametrize(

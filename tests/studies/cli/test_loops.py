@@ -3,12 +3,28 @@
 import json
 import tomllib
 
+import numpy as np
 import pytest
 
+from tests.support.figures import curves, dots, labels, saved_figures
 from tests.support.oscillators import mass_on_a_spring
 
+OF_HERTZ = "frequency [Hz]"
+LABELS = {
+    "bode.png": [
+        *(("", "gain [dB]"), ("", ""), ("", "phase [deg]"), ("", "")),
+        *(("", "measured less\npredicted [dB]"), ("", ""), (OF_HERTZ, "[deg]"), (OF_HERTZ, "")),
+    ],
+    "nyquist.png": [("real part of L", "imaginary part of L")],
+    "sensitivity.png": [
+        *((OF_HERTZ, "|S| [dB]"), (OF_HERTZ, "|T| [dB]"), (OF_HERTZ, "reference to effort [dB of (N.m)/rad]")),
+    ],
+    "margins.png": [("", OF_HERTZ), ("O [deg]", "margin [deg]"), ("", "|S| [dB]: red amplifies")],
+}
 
-def test_bode_measures_draws_and_says_how_well_the_two_agree(ask, tmp_path):
+
+def test_bode_measures_draws_and_says_how_well_the_two_agree(ask, tmp_path, monkeypatch):
+    saved = saved_figures(monkeypatch)
     folder = tmp_path / "loop"
     command = ["bode", "optimus-knee", "--at-deg", "O=0", "--from-hz", "100", "--to-hz", "2000", "--frequencies", "4"]
     code, out, err = ask(*command, "-o", str(folder))
@@ -20,8 +36,22 @@ def test_bode_measures_draws_and_says_how_well_the_two_agree(ask, tmp_path):
     measured = said["points"][0]["loops"]["pd"]["measured"]["loop"]
     assert len(measured["frequency_hz"]) == len(measured["coherence"]) == 4
     assert max(abs(x) for x in measured["less_predicted_db"]) < 0.1
-    for name in ("bode", "nyquist", "sensitivity", "margins"):
-        assert (folder / f"{name}.png").stat().st_size > 10_000
+    assert set(saved) == {path.name for path in folder.glob("*.png")} == set(LABELS)
+    assert {name: labels(figure) for name, figure in saved.items()} == LABELS
+    bode = np.reshape(saved["bode.png"].axes, (4, 2))
+    for row, values in ((0, "gain_db"), (2, "less_predicted_db"), (3, "less_predicted_deg")):
+        drawn = np.hstack(dots(bode[row, 0]))  # of differences the incoherent ones are a line apart
+        drawn = drawn[:, np.argsort(drawn[0])]
+        assert drawn == pytest.approx(np.array([measured["frequency_hz"], measured[values]]))
+    (nyquist,) = dots(saved["nyquist.png"].axes[0])
+    assert 20 * np.log10(np.hypot(*nyquist)) == pytest.approx(measured["gain_db"])
+    for axes in saved["sensitivity.png"].axes:
+        assert list(curves(axes)) == ["O = 0 deg"]
+        (drawn,) = dots(axes)
+        assert drawn[0] == pytest.approx(measured["frequency_hz"])
+    margins = said["points"][0]["loops"]["pd"]["phase_margin_deg"]
+    positions, drawn = curves(saved["margins.png"].axes[1])["phase margin"]
+    assert np.interp(0.0, positions, drawn) == pytest.approx(margins, rel=0.05)
 
 
 def test_bode_of_an_unstable_loop_says_so_and_measures_nothing(ask):

@@ -9,7 +9,10 @@ from linkplan.planner.problem.limits import Limits, free
 from linkplan.planner.problem.planning_problem import Motion, PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.output.draw_plan import draw_effort, draw_position, plan_figure
+from tests.support.figures import saved_figures
 
+# A line's points against the cubics that it shows, relative to the largest: rounding of Bernstein polynomials.
+DRAWN = 1e-12
 KINDS = ["hinge"] * 5 + ["slide"] * 4
 
 
@@ -41,9 +44,31 @@ def many() -> Plan:
     return Plan(problem=problem, status="optimal", message="cubics", trajectory=trajectory)
 
 
-def test_more_coordinates_than_colours_are_told_apart_by_their_styles(tmp_path):
+def test_a_plan_s_page_has_every_coordinate_s_position_speed_and_effort_in_its_unit(tmp_path, monkeypatch):
+    saved = saved_figures(monkeypatch)
     plan_figure(many(), tmp_path / "plan.png")
-    assert (tmp_path / "plan.png").stat().st_size > 10_000
+    assert (tmp_path / "plan.png").exists()
+    time, n_hinges = many().trajectory.dense_times(10), KINDS.count("hinge")
+    cubic, speed, effort = 3 * time**2 - 2 * time**3, 6 * time * (1 - time), 6 - 12 * time
+    shown = {
+        "position [deg]": (n_hinges, np.degrees(cubic)),
+        "position [m]": (len(KINDS) - n_hinges, cubic),
+        "speed [deg/s]": (n_hinges, np.degrees(speed)),
+        "speed [m/s]": (len(KINDS) - n_hinges, speed),
+        "effort [N.m]": (n_hinges, effort),
+        "effort [N]": (len(KINDS) - n_hinges, effort),
+    }
+    sides = {axes.get_ylabel(): axes for axes in saved["plan.png"].axes}
+    assert set(sides) == set(shown)
+    assert sides["effort [N.m]"].get_xlabel() == "time [s]"
+    for label, (n, expected) in shown.items():
+        drawn = [np.array(line.get_data()) for line in sides[label].lines if len(line.get_xdata()) == len(time)]
+        assert len(drawn) == n
+        for line in drawn:
+            np.testing.assert_allclose(line, [time, expected], atol=DRAWN * np.abs(expected).max())
+
+
+def test_more_coordinates_than_colours_are_told_apart_by_their_styles():
     axes = Figure().subplots()
     draw_position(axes, many())
     looks = [(line.get_color(), line.get_linestyle()) for line in axes.get_legend_handles_labels()[0]]
