@@ -90,6 +90,7 @@ def rms_deg(rollout: Rollout) -> float:
 # Every run.
 
 
+@pytest.mark.slow
 @every_plan
 @every_tracker
 def test_the_loop_stays_closed_to_ten_micrometres(kind, name):

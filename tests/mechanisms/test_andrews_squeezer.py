@@ -191,6 +191,7 @@ def test_the_crank_turns_fully():
     assert can.singular == ()
 
 
+@pytest.mark.slow
 def test_a_turn_is_planned_and_passes_its_certificate():
     plan = plan_of(PROBLEM)
     assert plan.certificate.failures == ()
@@ -209,6 +210,7 @@ def test_over_a_planned_turn_from_rest_to_rest_the_torque_does_no_work():
     assert abs(np.trapezoid(power, time)) < 1e-3 * spent
 
 
+@pytest.mark.slow
 def test_lqr_tracks_the_turn_in_mujoco():
     rollout = tracked(PROBLEM, "lqr")
     assert rollout.stable

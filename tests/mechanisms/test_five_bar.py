@@ -140,6 +140,7 @@ def test_the_motors_hold_both_ends_of_the_swing_up_and_cannot_hold_what_lies_bet
     assert between.max() == pytest.approx(3.6, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problem", ["five-bar-reach", "five-bar-swing-up"])
 def test_a_plan_passes_its_certificate_within_torque_and_speed_limits(problem):
     plan = plan_of(problem)
@@ -175,6 +176,7 @@ def test_the_swing_up_gathers_way_before_it_goes_over():
     assert np.degrees(mean.min()) < -100.0
 
 
+@pytest.mark.slow
 def test_no_other_reach_of_the_same_duration_costs_less():
     """Sixteen smooth motions of both joints between the same states, near the plan and far from it, on either side."""
     plan = plan_of("five-bar-reach")
@@ -197,6 +199,7 @@ def test_no_other_reach_of_the_same_duration_costs_less():
     assert max(costs) > 1.1 * plan.objective
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problem", ["five-bar-reach", "five-bar-swing-up"])
 def test_lqr_tracks_a_plan_in_mujoco(problem):
     rollout = tracked(problem, "lqr")

@@ -37,6 +37,7 @@ SOUND = [name for name in MODELS if name != "optimus-knee-source"]
 every_mechanism = pytest.mark.parametrize("name", SOUND)
 
 
+@pytest.mark.slow
 @every_mechanism
 def test_check_finds_no_fault(name):
     assert inspect(mechanism_of(name), []).problems == ()
@@ -68,6 +69,7 @@ def test_the_gallery_s_picture_shows_every_body_in_its_colour_and_no_other(name)
             assert pixels_of(path, colour, drawing) > STROKE, colours[colour].body
 
 
+@pytest.mark.slow
 def test_a_gallery_s_picture_is_drawn_from_a_plan(tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
     plan = plan_of("cart-pole-swing-up")

@@ -170,6 +170,7 @@ def test_the_force_limit_does_the_work_of_100_newton_metres_over_the_swing():
     assert 1.0 < actuator.upper / force < 1.05
 
 
+@pytest.mark.slow
 def test_the_planned_swing_passes_its_certificate_within_the_force_limit():
     plan = plan_of(PROBLEM)
     assert plan.certificate.failures == ()
@@ -189,6 +190,7 @@ def test_the_force_of_the_plan_does_the_work_that_lifts_the_shank():
     assert np.trapezoid(power, time) == pytest.approx(V[1] - V[0], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_lqr_tracks_the_swing_in_mujoco_within_a_tenth_of_a_millimetre():
     rollout = tracked(PROBLEM, "lqr")
     assert rollout.stable

@@ -80,6 +80,7 @@ def test_the_slider_turns_back_at_both_dead_centres_and_the_crank_turns_fully():
     assert np.abs(np.array([at for _, at in can.toggles]) - [-np.pi, 0.0, np.pi]).max() < BRACKET_RAD
 
 
+@pytest.mark.slow
 def test_no_other_turn_of_the_same_duration_costs_less():
     """Sixteen smooth motions between the same states, near the plan and far from it, on either side."""
     plan = plan_of(PROBLEM)
@@ -109,6 +110,7 @@ def test_the_planned_turn_passes_its_certificate():
     assert plan.certificate.closure_gap_m < CLOSURE_M
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tracker", ["pd", "pd+ff", "lqr"])
 def test_every_tracker_carries_the_turn_through_both_dead_centres(tracker):
     rollout = tracked(PROBLEM, tracker)

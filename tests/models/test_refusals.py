@@ -174,6 +174,7 @@ FALSE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("text", "words"), FALSE.values(), ids=FALSE)
 def test_what_would_make_a_plan_false_is_named_in_one_line(text, words):
     (found,) = [item for item in audit(load_mechanism(text).model) if item.falsifies]

@@ -85,6 +85,7 @@ def plan_swing(swing: Swing, folder: Path, *overrides: str) -> Plan:
     return plan_motion(load_problem("knee-sprint", settings))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_any_four_bar_takes_the_least_time_that_its_energies_allow(seed, tmp_path):
     swing = random_swing(seed)
@@ -92,6 +93,7 @@ def test_any_four_bar_takes_the_least_time_that_its_energies_allow(seed, tmp_pat
     assert plan.trajectory.duration_s == pytest.approx(swing.minimum_time, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_a_payload_s_weight_and_inertia_enter_the_least_time(tmp_path):
     swing = random_swing(3)
     lump = Lump(mass=0.4, centre=(0.03, 0.1), inertia=0.002)
@@ -103,12 +105,14 @@ def test_a_payload_s_weight_and_inertia_enter_the_least_time(tmp_path):
     assert plan.trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_the_way_back_takes_as_long_as_the_energies_say():
     plan = optimal("knee-sprint", "motion.start_deg.O=56.27", "motion.goal_deg.O=-49.07")
     expected = carried_by("knee-sprint").minimum_time(GOAL, START, -LIMIT, LIMIT)
     assert plan.trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_a_lower_limit_on_one_side_moves_the_switch_and_the_time():
     plan = optimal("knee-sprint", "limits.effort.act_O=[-40.0, 100.0]")
     expected = carried_by("knee-sprint").minimum_time(START, GOAL, -40.0, LIMIT)
@@ -288,6 +292,7 @@ def test_the_work_of_the_effort_is_the_rise_in_energy(name):
 # Limits that bind between the nodes.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "override", "joint", "limit"),
     [
@@ -311,6 +316,7 @@ def test_a_speed_limit_that_binds_holds_between_the_nodes(name, override, joint,
     assert speed > 0.98 * limit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("override", "joint", "limit", "sign"),
     [
@@ -334,6 +340,7 @@ def test_a_range_that_binds_holds_between_the_nodes(override, joint, limit, sign
 # Tracking.
 
 
+@pytest.mark.slow
 def test_a_reference_within_the_limits_is_followed():
     plan = optimal("knee-sine", "motion.kind=periodic")
     assert plan.details["tracking_rms_deg"] < FOLLOWED_DEG

@@ -89,6 +89,7 @@ def limit(c: Case, k: int, quantity: str) -> np.ndarray:
     return (SOFTNESS[0] * second - SOFTNESS[1] * first) / (SOFTNESS[0] - SOFTNESS[1])
 
 
+@pytest.mark.slow
 def test_the_generator_makes_mechanisms_of_every_kind():
     made = [random_planar(seed) for seed in range(30)]
     assert {planar.n_loops for planar in made} == {1, 2, 3}

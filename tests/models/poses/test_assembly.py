@@ -67,6 +67,7 @@ def random_bars(n: int = 6) -> tuple[FourBar, ...]:
 # Rank and rows
 
 
+@pytest.mark.slow
 @deterministic
 @given(bar=four_bars, seed=seeds)
 def test_any_four_bar_in_any_plane_has_three_rows_of_rank_two(bar, seed):
@@ -181,6 +182,7 @@ def test_a_gap_across_the_plane_is_refused_with_its_size(offset_mm, aslant):
 # Home
 
 
+@pytest.mark.slow
 @deterministic
 @given(bar=four_bars, seed=seeds, ahead=st.floats(-0.2, 0.2))
 def test_any_four_bar_assembles_where_two_circles_meet(bar, seed, ahead):
@@ -201,6 +203,7 @@ def test_home_at_an_asked_angle_is_on_the_drawn_branch(seed):
     assert np.abs(wrapped(home - bar.pose(asked)[0])).max() < ANGLE_RAD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("named", ["A", "C", "AC"])
 @pytest.mark.parametrize("seed", range(6))
 def test_dependent_angles_in_home_choose_the_other_branch(seed, named):
@@ -222,6 +225,7 @@ def test_the_keyframe_named_home_is_where_assembly_starts():
 # Paths
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_a_path_stays_on_the_closed_forms_branch(seed):
     bar = random_bars()[seed]
@@ -285,6 +289,7 @@ def test_a_parallelogram_is_not_led_through_its_flat_pose_where_two_branches_cro
 # Reach
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bar", [TRIPLE_ROCKER, *random_bars()], ids=lambda bar: f"crank {bar.crank:.3g}")
 def test_the_reach_of_a_four_bar_ends_at_its_singular_poses(bar):
     r = reach(load(bar, 1, aslant=True))
@@ -389,6 +394,7 @@ def test_the_other_motor_of_a_five_bar_stays_at_home_over_the_reach(coordinate):
     assert not np.ptp(r.poses[:, still])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["optimus-knee", "optimus-knee-source", *CHAINS])
 def test_the_poses_of_a_reach_are_closed_and_in_order(name):
     mechanism = load_mechanism(CHAINS.get(name, name))

@@ -193,6 +193,7 @@ def sine(payload: str | None) -> np.ndarray:
     return effort[:, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", [None, "shank"])
 def test_torque_of_the_documents_sinusoid_has_the_known_extremes(payload):
     expected = REFERENCE["seed_sine"][payload or "unloaded"]

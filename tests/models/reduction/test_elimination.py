@@ -22,6 +22,7 @@ def structured(n: int, density: float, seed: int) -> tuple[ca.SX, np.ndarray]:
     return ca.vertcat(ca.vec(symbol), ca.vec(matrix)), there
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 6, 9])
 @pytest.mark.parametrize("density", [0.0, 0.3, 0.6, 1.0])
 def test_a_linear_system_of_any_structure_is_solved_as_numpy_does(n, density):

@@ -41,6 +41,7 @@ def states(name: str) -> tuple[np.ndarray, np.ndarray, tuple[Simulated, ...]]:
     return q, v, tuple(simulated(model, *state) for state in zip(q, v, strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_mass_matrix_is_mujocos(name):
     q, _, expected = states(name)

@@ -64,6 +64,7 @@ def refused(case: str) -> Plan:
     return planned(*INFEASIBLE[case][0])
 
 
+@pytest.mark.slow
 @every_case
 def test_a_problem_without_an_answer_is_called_infeasible(case):
     plan = refused(case)
@@ -111,18 +112,21 @@ def test_the_details_hold_the_effort_with_which_the_time_would_do():
     assert details["needed_limit_factor"] == pytest.approx(enough / LIMIT, rel=NEEDED_EFFORT)
 
 
+@pytest.mark.slow
 def test_the_effort_that_the_sentence_names_is_enough():
     needed = 1.0001 * planned(*HURRIED).details["needed_effort"]
     plan = planned(*HURRIED, f"limits.effort.act_O=[{-needed}, {needed}]")
     assert plan.status == "optimal", plan.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1.0001, 1.01, 1.2])
 def test_a_little_more_than_the_shortest_duration_is_feasible(share):
     plan = planned("knee-reach", f"motion.duration_s={share * SHORTEST}")
     assert plan.status == "optimal", plan.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.9999, 0.99])
 def test_a_little_less_than_the_shortest_duration_is_infeasible(share):
     plan = planned("knee-reach", f"motion.duration_s={share * SHORTEST}")
@@ -141,6 +145,7 @@ def test_an_exact_reference_points_to_the_motion_that_keeps_the_limits():
     assert 'motion.kind = "periodic"' in refused("an exact reference").message
 
 
+@pytest.mark.slow
 def test_a_limit_on_one_side_is_named_by_its_own_end():
     plan = planned("knee-sine-shank", "motion.kind=track", "limits.effort.act_O=[-100, 130]")
     assert plan.status == "infeasible"
@@ -149,6 +154,7 @@ def test_a_limit_on_one_side_is_named_by_its_own_end():
     assert plan.details["limit"] == -LIMIT
 
 
+@pytest.mark.slow
 def test_a_reference_just_within_the_limits_is_followed():
     peak = KNEE_TABLE["seed_sine"]["shank"]["max_Nm"]
     plan = planned("knee-sine-shank", "motion.kind=track", f"limits.effort.act_O=[{-peak - 1e-6}, {peak + 1e-6}]")
@@ -162,6 +168,7 @@ def test_an_infeasible_plan_keeps_the_history_of_what_was_tried():
     assert history[0].solver_status != "Solve_Succeeded"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("overrides", "words"),
     [
@@ -187,6 +194,7 @@ def test_a_reference_that_the_linkage_cannot_follow_is_refused_with_the_interval
         planned("knee-sine", "reference.amplitude_deg.O=80")
 
 
+@pytest.mark.slow
 def test_a_goal_just_short_of_the_singular_pose_is_not_refused():
     plan = planned("knee-reach", "motion.goal_deg.O=77", "motion.duration_s=0.25")
     assert plan.status == "optimal", plan.message
@@ -202,6 +210,7 @@ def test_a_least_time_without_effort_limits_is_not_called_optimal():
     assert plan.status != "optimal", plan.message
 
 
+@pytest.mark.slow
 def test_the_longest_duration_is_no_hindrance_where_the_least_time_is_shorter():
     plan = planned("knee-sprint", "motion.max_duration_s=0.2")
     assert plan.trajectory.duration_s == pytest.approx(SHORTEST, rel=MINIMUM_TIME)
@@ -213,6 +222,7 @@ def test_a_longest_duration_bounds_a_least_effort():
     assert plan.trajectory.duration_s == pytest.approx(0.3, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", ["limits.effort.act_O=[-100, 100]", "limits.speed_deg_s.O=1000"])
 def test_the_highest_frequency_is_the_border_between_feasible_and_not(limit):
     asked = ("knee-sine", "mechanism.payload=shank", limit)
@@ -227,6 +237,7 @@ def test_a_speed_limit_s_highest_frequency_is_speed_over_two_pi_amplitude():
     assert frequency == pytest.approx(1000 / (2 * np.pi * 52.67), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_range_that_the_amplitude_itself_leaves_has_no_highest_frequency():
     plan = planned("knee-sine", "limits.range_deg.A=[20, 150]")
     assert plan.status == "infeasible"

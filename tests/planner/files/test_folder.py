@@ -44,6 +44,7 @@ def stored(path: Path) -> dict[str, np.ndarray]:
 # What is written is read back.
 
 
+@pytest.mark.slow
 @every_plan
 def test_a_plan_that_is_read_back_has_the_same_motion(name, tmp_path):
     plan, again = optimal(name), read_plan(save(name, tmp_path))
@@ -52,6 +53,7 @@ def test_a_plan_that_is_read_back_has_the_same_motion(name, tmp_path):
     assert again.trajectory.periodic == plan.trajectory.periodic
 
 
+@pytest.mark.slow
 @every_plan
 def test_a_plan_that_is_read_back_says_the_same(name, tmp_path):
     plan, again = optimal(name), read_plan(save(name, tmp_path))
@@ -60,6 +62,7 @@ def test_a_plan_that_is_read_back_says_the_same(name, tmp_path):
     assert again.problem.source == plan.problem.source
 
 
+@pytest.mark.slow
 @every_plan
 def test_a_plan_that_is_read_back_is_certified_anew(name, tmp_path):
     certificate, before = read_plan(save(name, tmp_path)).certificate, optimal(name).certificate
@@ -93,6 +96,7 @@ def test_the_record_is_json_with_its_units_in_its_names(saved):
     assert {"linkplan", "mujoco", "casadi", "numpy", "scipy"} <= set(said["versions"])
 
 
+@pytest.mark.slow
 def test_the_record_of_an_infeasible_plan_is_json_too(tmp_path):
     plan = planned("knee-reach", "limits.speed_deg_s.O=500")
     write_json(tmp_path / "plan.json", record(plan))
@@ -276,6 +280,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", BROKEN)
 def test_a_broken_folder_is_refused_in_one_line(case, saved):
     change, words = BROKEN[case]

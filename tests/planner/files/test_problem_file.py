@@ -128,6 +128,7 @@ def assert_one_line(error: Exception, words: list[str]) -> None:
         assert word in text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("overrides", "words"), MALFORMED, ids=lambda value: repr(value)[:40])
 def test_a_malformed_setting_is_refused_in_one_line(overrides, words):
     with pytest.raises(LinkplanError) as raised:
@@ -212,6 +213,7 @@ def test_a_periodic_motion_lasts_whole_periods_of_its_reference():
         load_problem("knee-sine-shank", ["motion.duration_s=0.3"])
 
 
+@pytest.mark.slow
 @settings(derandomize=True, deadline=None, max_examples=150)
 @given(st.sampled_from([f"{table}.{key}" for table, keys in KEYS.items() for key in keys]), st.text(max_size=12))
 def test_no_text_whatever_gets_past_the_reader_as_another_error(key, text):
@@ -287,6 +289,7 @@ def test_free_is_a_duration():
     assert load_problem(REACH, ["motion.duration_s=free"]).motion.duration_s is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_scheme_can_be_named(name):
     assert load_problem(REACH, [f"mesh.scheme={name}"]).mesh.scheme == name
@@ -295,6 +298,7 @@ def test_every_scheme_can_be_named(name):
 # What files mean.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_a_built_in_problem_is_a_file_like_any_other(name, tmp_path):
     path = tmp_path / f"{name}.toml"
@@ -306,6 +310,7 @@ def test_a_built_in_problem_is_a_file_like_any_other(name, tmp_path):
     np.testing.assert_array_equal(read.limits.effort, built_in.limits.effort)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_a_problem_s_source_means_the_problem(name):
     motor = load_problem(name).mechanism.actuators[0].name

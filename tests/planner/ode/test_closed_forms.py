@@ -141,6 +141,7 @@ def test_a_bound_on_a_combination_of_ends_binds_on_its_cheaper_side():
     assert plan.objective == pytest.approx((8 / 5) ** 2 + (4 / 5) ** 2, rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [0.05, 2.0])
 def test_a_periodic_follower_of_a_sinusoid_has_the_amplitude_of_its_fourier_balance(weight):
     omega, T = 3.0, 2 * np.pi / 3.0
@@ -184,6 +185,7 @@ def test_a_free_first_state_is_the_cheapest():
     np.testing.assert_allclose(plan.trajectory.state_at([0.0])[0], [0.4, 0.5], atol=ODE_STATE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("bounds", "T"), [((0.5, 2.0), 2.0), ((0.5, 0.9), 0.9)])
 def test_less_effort_takes_the_longest_duration_allowed(bounds, T):
     plan = solved(
@@ -201,6 +203,7 @@ def test_less_effort_takes_the_longest_duration_allowed(bounds, T):
     assert plan.objective == pytest.approx(12 / T**3, rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [0.1, 10.0])
 def test_time_and_effort_are_balanced_where_their_sum_is_least(weight):
     """T + w 12 d^2 / T^3 is least at T^4 = 36 w d^2."""
@@ -227,6 +230,7 @@ def test_time_and_effort_are_balanced_where_their_sum_is_least(weight):
 PUSH = np.array([0.0, 1.0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("T", [1.0, 2 * np.pi])
 def test_the_least_energy_to_move_an_oscillator_is_that_of_its_gramian(T):
     start, goal = np.array([0.5, -1.0]), np.array([1.0, 2.0])
@@ -286,6 +290,7 @@ def test_the_gramian_of_the_oscillator_is_the_integral_that_defines_it():
 # Parameters.
 
 
+@pytest.mark.slow
 def test_parameters_enter_the_rate_the_cost_the_path_and_the_ends():
     """x' = a u, cost b int u^2 + c T, u <= d, x(T) - x(0) = e: with u = d all along, T = e / (a d)."""
     a, b, c, d, e = 2.0, 0.1, 5.0, 0.5, 3.0

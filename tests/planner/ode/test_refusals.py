@@ -170,6 +170,7 @@ def test_a_boundary_state_beyond_its_limit_is_said_at_once(asked):
     assert plan.history == ()
 
 
+@pytest.mark.slow
 def test_a_goal_that_no_effort_reaches_is_not_called_solved():
     plan = planned(rate=lambda x, u, p, t: [x[1] ** 2, u[0]], goal=[-1, 0])  # noqa: ARG005
     assert plan.status in ("failed", "infeasible")
@@ -198,6 +199,7 @@ def test_a_plan_without_an_answer_raises_with_its_sentence():
     assert raised.value.plan is plan
 
 
+@pytest.mark.slow
 def test_an_integrated_state_that_misses_its_tolerance_is_said():
     plan = planned(
         rate=lambda x, u, p, t: [x[1], u[0] - ca.sin(5 * x[0])],  # noqa: ARG005
@@ -211,6 +213,7 @@ def test_an_integrated_state_that_misses_its_tolerance_is_said():
     assert "integrated state" in plan.message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("longest", [INF, 1e9])
 def test_an_effort_that_falls_for_ever_with_time_has_no_optimum_and_says_so(longest):
     """Rest to rest over 1 in T costs 12 / T^3."""
@@ -221,6 +224,7 @@ def test_an_effort_that_falls_for_ever_with_time_has_no_optimum_and_says_so(long
     assert "\n" not in plan.message
 
 
+@pytest.mark.slow
 def test_a_best_duration_far_from_any_guess_is_found_all_the_same():
     """Least time 2 sqrt(d / u) for a micrometre under 1000: 63 us, where a second is begun from."""
     plan = planned(goal=[1e-6, 0], effort_limit=[[-1e3, 1e3]], duration_s=(1e-6, 10))
@@ -228,6 +232,7 @@ def test_a_best_duration_far_from_any_guess_is_found_all_the_same():
     assert plan.objective == pytest.approx(2 * np.sqrt(1e-6 / 1e3), rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shortest", [0.3, 0.7, 1.1, 1.3])
 def test_a_shortest_duration_that_binds_is_the_user_s_own(shortest):
     """Nothing is asked of the end: the least time is the shortest allowed, whatever units it went through."""

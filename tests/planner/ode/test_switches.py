@@ -68,11 +68,13 @@ def test_the_half_circles_lead_an_oscillator_to_rest(x0):
     np.testing.assert_allclose(state, 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("x0", [0.7, 1.5, 3.0, 5.5, 8.3])
 def test_an_oscillator_comes_to_rest_in_the_time_of_its_half_circles(x0):
     assert settled_oscillator(x0).objective == pytest.approx(sum(half_circles(x0)), rel=ODE_SHORT)
 
 
+@pytest.mark.slow
 def test_an_oscillator_an_even_way_out_comes_to_rest_under_one_constant_effort():
     """From x0 = 2 the switching curve is met at once: u = 1 for half a turn, and no mesh has a switch to show."""
     assert settled_oscillator(2.0).objective == pytest.approx(np.pi, rel=ODE_COLLAPSED_ARC)
@@ -109,6 +111,7 @@ def test_switching_functions_are_the_costates_of_the_closed_form():
 # Bang-bang.
 
 
+@pytest.mark.slow
 def test_three_integrators_in_a_row_take_the_cube_root_of_32_distances():
     plan = solved(
         OdeProblem(
@@ -124,6 +127,7 @@ def test_three_integrators_in_a_row_take_the_cube_root_of_32_distances():
     assert plan.objective == pytest.approx(32 ** (1 / 3), rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("drag", ["linear", "quadratic"])
 def test_a_cart_with_drag_takes_the_time_of_its_two_arcs(drag):
     def times(push: float) -> tuple[float, float]:
@@ -149,6 +153,7 @@ def test_a_cart_with_drag_takes_the_time_of_its_two_arcs(drag):
     assert plan.objective == pytest.approx(times(push)[1], rel=ODE_SHORT)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "rate", "start", "goal", "published"),
     [
@@ -178,6 +183,7 @@ def test_oscillators_are_brought_where_they_are_asked_in_the_published_least_tim
     assert plan.objective == pytest.approx(published, rel=ODE_PUBLISHED)
 
 
+@pytest.mark.slow
 def test_a_lander_falls_and_brakes_at_the_last_instant():
     """Meditch: h'' = -1.5 + u, 0 <= u <= 3, from 10 at -2 to rest, least int u."""
     fall = brentq(lambda t: (-2 - 1.5 * t) ** 2 - 2 * 1.5 * (10 - 2 * t - 0.75 * t**2), 0, 2.5, xtol=1e-15)

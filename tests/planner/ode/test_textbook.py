@@ -43,6 +43,7 @@ def rest_to_rest_in_least_time(distance: float, effort: float) -> OdePlan:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("distance", "effort"), [(1.0, 1.0), (3.0, 0.5), (-2.0, 7.0)])
 def test_a_double_integrator_s_least_time_is_twice_the_root_of_distance_over_effort(distance, effort):
     plan = rest_to_rest_in_least_time(distance, effort)
@@ -109,6 +110,7 @@ def brachistochrone() -> OdePlan:
     )
 
 
+@pytest.mark.slow
 def test_the_brachistochrone_takes_the_cycloid_s_time():
     theta = fsolve(lambda a: (a - np.sin(a)) / (1 - np.cos(a)) - 1, 2.4, xtol=1e-15)[0]
     cycloid = theta * np.sqrt(2 / (1 - np.cos(theta)) / G)
@@ -166,6 +168,7 @@ def cart_pole_swing_up(starts: int) -> OdePlan:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("starts", "published"), [(1, 58.8077), (12, 57.9449)])
 def test_the_cart_pole_s_optima_are_the_published_ones(starts, published):
     """From the linear guess the nearby optimum, from several starts the best."""
@@ -232,6 +235,7 @@ def extremal(plan: OdePlan, effort_of: Callable[[np.ndarray], np.ndarray]) -> fl
     return float(answer.y[-1, -1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("starts", [1, 12])
 def test_the_cart_pole_s_optima_satisfy_pontryagin_s_conditions(starts):
     plan = cart_pole_swing_up(starts)
@@ -258,6 +262,7 @@ def bryson_denham(limit: float) -> OdePlan:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("limit", "exact"),
     [(0.3, 2.0), (0.2, 2 + 6 * (1 - 4 * 0.2) ** 2), (1 / 9, 4.0), (0.125, 4 / (9 * 0.125))],
@@ -289,6 +294,7 @@ def van_der_pol_plan(low: float, high: float) -> OdePlan:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("low", "high"), [(-INF, INF), (-0.75, 1.0), (-INF, 0.8)])
 def test_van_der_pol_s_oscillator_costs_what_pontryagin_s_conditions_say(low, high):
     plan = van_der_pol_plan(low, high)

@@ -42,6 +42,7 @@ def line(plan: Plan, stall: float, no_load: float) -> np.ndarray:
 # A pure inertia in least time: closed forms.
 
 
+@pytest.mark.slow
 def test_a_slow_effort_ramps_all_the_way():
     """Within the effort's limit u falls along one ramp: turn = r T^3 / (12 J)."""
     rate = 6.0
@@ -82,6 +83,7 @@ def least_time_with_power(drive: float, brake: float) -> float:
     return arc(drive, top)[0] + arc(brake, top)[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("given", "drive", "brake"), [("9.0", 9.0, 9.0), ("[-1000.0,7.0]", 7.0, 1000.0)])
 def test_power_makes_energy_grow_in_proportion_to_time(given, drive, brake):
     bare = quick_hinge()
@@ -93,6 +95,7 @@ def test_power_makes_energy_grow_in_proportion_to_time(given, drive, brake):
     assert powers.min() >= -brake * (1 + FURTHER_LIMIT)
 
 
+@pytest.mark.slow
 def test_a_motor_s_line_makes_speed_approach_its_no_load_speed():
     """w = w0 (1 - exp(-t / tau)), tau = J w0 / stall, then full braking, which the line does not limit."""
     no_load = np.radians(270.0)
@@ -150,6 +153,7 @@ def amount(plan: Plan, what: str) -> float:
 every_limit = pytest.mark.parametrize("what", KNEE)
 
 
+@pytest.mark.slow
 @every_limit
 def test_a_limit_that_a_motion_exceeds_is_kept_at_every_instant_once_it_is_asked_for(what):
     given, override, limit = KNEE[what]
@@ -163,6 +167,7 @@ def test_a_limit_that_a_motion_exceeds_is_kept_at_every_instant_once_it_is_asked
         assert amount(kept, what) <= limit * (1 + slack)
 
 
+@pytest.mark.slow
 @every_limit
 def test_a_limit_that_binds_costs_something_and_is_used_to_the_full(what):
     given, override, limit = KNEE[what]
@@ -171,6 +176,7 @@ def test_a_limit_that_binds_costs_something_and_is_used_to_the_full(what):
     assert amount(kept, what) == pytest.approx(limit, rel=SOFT_PIN if what == "closure_force" else BINDS)
 
 
+@pytest.mark.slow
 @every_limit
 def test_the_certificate_says_what_each_limit_comes_to(what):
     given, override, limit = KNEE[what]
@@ -181,6 +187,7 @@ def test_the_certificate_says_what_each_limit_comes_to(what):
     assert abs(margin.value) == pytest.approx(amount(optimal(*given, override), what), rel=BINDS)
 
 
+@pytest.mark.slow
 @every_limit
 def test_a_limit_that_is_far_away_changes_nothing(what):
     given, _, limit = KNEE[what]
@@ -213,6 +220,7 @@ def two_motors(*overrides: str) -> Plan:
     return plan
 
 
+@pytest.mark.slow
 def test_the_line_of_a_motor_on_a_dependent_joint_is_kept():
     bare = two_motors()
     mechanism, time = bare.problem.mechanism, inner(bare)
@@ -235,6 +243,7 @@ FORBIDDING = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", FORBIDDING)
 def test_a_limit_that_forbids_a_motion_is_named_with_amount_and_instant(case):
     override, name, limit, unit = FORBIDDING[case]

@@ -114,12 +114,14 @@ def value(plan: Plan, term: str) -> float:
     return float(weights @ TERMS[term](plan, time))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("term", ["effort", "copper_loss", "effort_rate"])
 def test_a_term_s_value_is_its_integral_along_the_motion(term):
     plan = optimal(*KNEE, f"objective.minimize={term}")
     assert plan.objective == pytest.approx(value(plan, term), rel=TERM_INTEGRAL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("term", "other"), [("effort", "effort_rate"), ("effort_rate", "effort"), ("closure_force", "work")]
 )
@@ -141,6 +143,7 @@ def test_a_sum_s_value_is_the_sum_of_its_terms_integrals():
     assert plan.objective == pytest.approx(sum(parts.values()), rel=TERM_INTEGRAL)
 
 
+@pytest.mark.slow
 def test_the_work_of_the_knee_is_the_integral_of_its_positive_power():
     plan = optimal("knee-reach", "objective.minimize=work")
     time, weights = instants(plan, 60)
@@ -161,6 +164,7 @@ def test_the_work_of_the_knee_is_no_less_than_the_energy_that_it_gains():
     assert weights @ np.maximum(0.0, power(effort, time)[:, 0]) > 1.05 * plan.objective
 
 
+@pytest.mark.slow
 def test_the_closure_force_of_the_knee_is_what_mujoco_s_pin_carries():
     plan = optimal("knee-reach", "objective.minimize=closure_force")
     time, weights = instants(plan, 3)

@@ -104,6 +104,7 @@ def test_a_waypoint_on_the_way_costs_nothing_at_a_free_instant():
     assert via.objective == pytest.approx(bare.objective, rel=EXACT_EFFORT)
 
 
+@pytest.mark.slow
 def test_the_quickest_way_by_a_stop_takes_the_sum_of_both_ways():
     plan = hinge(
         QUARTER_TURN + FREE + "waypoints = [{ at_deg = { J = 40.0 }, speed_deg_s = { J = 0.0 } }]\n",
@@ -113,6 +114,7 @@ def test_the_quickest_way_by_a_stop_takes_the_sum_of_both_ways():
     assert plan.objective == pytest.approx(exact, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_a_speed_just_below_the_quickest_is_braked_for_at_the_last_moment():
     """Braking takes less than an interval of the mesh: a hundredth of the way there."""
     a, half = EFFORT / HINGE_INERTIA, TURN / 2
@@ -123,6 +125,7 @@ def test_a_speed_just_below_the_quickest_is_braked_for_at_the_last_moment():
     assert plan.objective == pytest.approx(2 * (2 * top - speed) / a, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_the_quickest_way_there_and_back_turns_at_full_effort():
     """By 160 deg to 100 with no stop asked for: it turns there, so both ways are from rest to rest."""
     plan = hinge(QUARTER_TURN + FREE + "waypoints = [{ at_deg = { J = 160.0 } }]\n", "objective.minimize=time")
@@ -132,6 +135,7 @@ def test_the_quickest_way_there_and_back_turns_at_full_effort():
     assert plan.objective == pytest.approx(exact, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_the_knee_passes_its_waypoints():
     plan = optimal(
         "knee-reach", "motion.duration_s=0.25", "motion.waypoints=[{at_deg={O=-60.0}},{at_deg={O=20.0},time_s=0.18}]"
@@ -170,6 +174,7 @@ def test_the_shortest_period_between_two_poses_is_twice_the_quickest_way():
     assert plan.objective == pytest.approx(2 * 2 * np.sqrt(HINGE_INERTIA * TURN / EFFORT), rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_the_shortest_period_by_waypoints_is_twice_the_quickest_way():
     plan = hinge(
         'kind = "periodic"\nwaypoints = [{ at_deg = { J = 10.0 } }, { at_deg = { J = 100.0 } }]\n' + FREE,
@@ -188,11 +193,13 @@ def test_less_effort_takes_the_longest_duration_allowed(bound, T):
     assert plan.objective == pytest.approx(12 * HINGE_INERTIA**2 * TURN**2 / T**3, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_least_time_is_no_shorter_than_the_shortest_allowed():
     plan = hinge(QUARTER_TURN + FREE + "min_duration_s = 1.1\n", "objective.minimize=time")
     assert plan.objective == pytest.approx(1.1, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_least_time_within_wide_bounds_is_least_time():
     plan = hinge(QUARTER_TURN + FREE + "min_duration_s = 0.1\nmax_duration_s = 5.0\n", "objective.minimize=time")
     assert plan.objective == pytest.approx(2 * np.sqrt(HINGE_INERTIA * TURN / EFFORT), rel=MINIMUM_TIME)

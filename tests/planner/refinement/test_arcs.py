@@ -23,6 +23,7 @@ from tests.support.tolerances_planner import LEAST_TIME_ON_ARCS, UNIT
 NAN = np.nan
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [62, 92, 136])
 def test_a_speed_limit_on_a_dependent_joint_is_followed_in_the_least_time(number):
     """The phase plane's trapezia know the least time of a four-bar whose coupler or rocker may only turn so fast."""
@@ -34,6 +35,7 @@ def test_a_speed_limit_on_a_dependent_joint_is_followed_in_the_least_time(number
     assert plan.trajectory.duration_s == pytest.approx(case.duration, rel=LEAST_TIME_ON_ARCS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [94, 236, 365])
 def test_a_speed_limit_on_the_driven_joint_is_entered_and_left_in_the_least_time(number):
     """Two of them touch the limit where effort and its own limit let them: in an instant, not at a corner."""
@@ -44,6 +46,7 @@ def test_a_speed_limit_on_the_driven_joint_is_entered_and_left_in_the_least_time
     assert plan.trajectory.duration_s == pytest.approx(case.duration, rel=LEAST_TIME_ON_ARCS)
 
 
+@pytest.mark.slow
 def test_a_curve_that_its_coefficients_keep_off_its_limit_is_found():
     problem = problem_from_tables("limited", random_case(1, 365).tables)
     guess = first_guess(problem, start_pose_of(problem))
@@ -61,6 +64,7 @@ def test_a_curve_that_its_coefficients_keep_off_its_limit_is_found():
     assert max(inside[k == interval].max() for interval in np.flatnonzero(off)) < limit * (1 - 1e-7)  # they are not
 
 
+@pytest.mark.slow
 def test_a_plan_along_a_power_limit_is_at_it_at_all_nodes_of_an_arc_and_nowhere_else():
     plan = optimal("knee-sprint", "limits.power_w.act_O=[-1e6,900]")
     arcs = path_arcs(plan.solved, plan.solved.start)

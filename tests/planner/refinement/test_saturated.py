@@ -24,6 +24,7 @@ def turn(duration: float | str, *overrides: str) -> Plan:
     return plan
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1.0001, 1.001, 1.02, 1.1])
 def test_least_effort_in_little_time_is_full_effort_and_a_line_between(ratio):
     """u = clip(c (1 - 2 t / T)): for ratios near one the line is shorter than an interval of the mesh."""
@@ -38,6 +39,7 @@ def test_least_effort_in_little_time_is_full_effort_and_a_line_between(ratio):
     assert turn(T).objective == pytest.approx(exact, rel=SATURATED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [1.05, 1.1, 1.3, 1.45])
 def test_least_effort_below_a_speed_limit_is_two_lines_and_nothing_between(ratio):
     T = 1.5
@@ -48,6 +50,7 @@ def test_least_effort_below_a_speed_limit_is_two_lines_and_nothing_between(ratio
     assert plan.objective == pytest.approx(8 * J**2 * speed**2 / (3 * slope), rel=5 * SATURATED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [0.05, 1.0, 5.0])
 def test_time_and_work_together_push_coast_and_brake(weight):
     exact = min(
@@ -57,6 +60,7 @@ def test_time_and_work_together_push_coast_and_brake(weight):
     assert plan.objective == pytest.approx(exact, rel=SATURATED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("stall", "no_load"), [(5.0, 6.0), (4.0, 8.0), (8.0, 10.0)])
 def test_the_least_time_along_a_torque_speed_line_is_its_quadrature(stall, no_load):
     def inertia_over_effort(v: float) -> float:

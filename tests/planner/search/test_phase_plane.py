@@ -40,6 +40,7 @@ def spring(tmp_path):
     return problem
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("half_swings", [1, 2, 5])
 def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring, half_swings):
     """Each half swing about +-1 m takes pi and brings the end 2 m nearer."""
@@ -52,6 +53,7 @@ def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring
     assert plan.objective == pytest.approx(np.pi * half_swings, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["knee-sprint", "knee-sprint-bare"])
 def test_a_straight_least_time_is_met_to_the_grid(name):
     problem = load_problem(name)
@@ -60,6 +62,7 @@ def test_a_straight_least_time_is_met_to_the_grid(name):
     assert guess.duration_s == pytest.approx(plan_motion(problem).objective, rel=GRID)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [247, 474, 758])
 def test_a_least_time_next_to_a_singular_pose_or_a_rest_that_torque_barely_leaves_is_met_to_the_grid(number):
     case = random_case(1, number)
@@ -69,6 +72,7 @@ def test_a_least_time_next_to_a_singular_pose_or_a_rest_that_torque_barely_leave
     assert guess.duration_s == pytest.approx(case.shortest, rel=FINE_GRID)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [13, 672])
 def test_a_motion_that_turns_back_at_a_waypoint_takes_the_least_time_of_its_two_parts(number):
     """Left to a smooth path through the waypoint, a solver answers with one that is 5 % (13) or 46 % (672) slower."""
@@ -85,6 +89,7 @@ def test_a_motion_that_turns_back_at_a_waypoint_takes_the_least_time_of_its_two_
     assert plan.objective == pytest.approx(case.duration, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
     problem = spring(1.9)
     way = replace(problem.motion, waypoints=tuple(Waypoint(position=[x]) for x in (1.5, 0.3)))
@@ -96,6 +101,7 @@ def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
     assert passed.position(passed.knots_s)[:, 0] == pytest.approx([1.9, 1.5, 0.3, 0.0])
 
 
+@pytest.mark.slow
 def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
     problem = spring(2.0)
     asked = replace(problem.motion, waypoints=(Waypoint(position=[1.0], speed=[-0.5]),))

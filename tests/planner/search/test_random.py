@@ -95,12 +95,14 @@ def test_a_motion_with_speeds_at_its_ends_arrives_when_the_phase_plane_says(seed
     assert last.y[1, -1] == pytest.approx(vb, abs=INTEGRATED * abs(last.y[1, 0]))
 
 
+@pytest.mark.slow
 def test_the_sample_has_every_kind_and_problems_of_both_answers():
     cases = [case_of(number) for number in SAMPLE]
     assert {case.kind for case in cases} == set(KINDS)
     assert {case.feasible for case in cases} == {True, False}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", SAMPLE)
 def test_a_random_problem_is_answered_as_the_phase_plane_says(number):
     case = case_of(number)

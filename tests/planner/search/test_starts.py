@@ -21,6 +21,7 @@ from tests.support.tolerances_planner import EXACT_EFFORT, LEAST_EFFORT, MINIMUM
 STARTS = ("knee-reach", "solver.starts=4", "mesh.intervals=20")
 
 
+@pytest.mark.slow
 def test_every_start_is_reported_and_the_best_is_kept():
     plan = optimal(*STARTS)
     tried = [step for step in plan.history if step.what.startswith("start ")]
@@ -32,6 +33,7 @@ def test_every_start_is_reported_and_the_best_is_kept():
     assert plan.objective == pytest.approx(min(solved), rel=LEAST_EFFORT * 100)
 
 
+@pytest.mark.slow
 def test_several_starts_are_the_same_in_every_run():
     again = plan_motion(load_problem(STARTS[0], STARTS[1:]))
     assert [step.objective for step in again.history] == [step.objective for step in optimal(*STARTS).history]
@@ -92,6 +94,7 @@ def test_the_history_ends_with_what_was_planned_and_no_step_of_it_is_faster():
     assert first.objective > plan.objective  # its switches were smeared
 
 
+@pytest.mark.slow
 def test_more_starts_are_never_slower():
     one, many = (body_plan(PENDULUM, UP, "objective.minimize=time", f"solver.starts={k}") for k in (1, 5))
     assert many.status == "optimal", many.message
@@ -109,6 +112,7 @@ def test_an_earlier_plan_is_a_guess_for_another_problem(tmp_path):
     assert plan.objective == pytest.approx(optimal("knee-reach", "motion.duration_s=0.18").objective, rel=LEAST_EFFORT)
 
 
+@pytest.mark.slow
 def test_the_guess_given_is_tried_first_and_named(tmp_path):
     (tmp_path / "saved").mkdir()
     write_plan(optimal("knee-reach"), tmp_path / "saved")
@@ -117,12 +121,14 @@ def test_the_guess_given_is_tried_first_and_named(tmp_path):
     assert plan.history[1].what == "start 2 of 2, a smooth path"
 
 
+@pytest.mark.slow
 def test_a_guessed_path_is_begun_from():
     plan = optimal("knee-reach", "solver.starts=2", "guess.path_deg.O=[-49.07,-80,20,50,56.27]")
     assert plan.history[0].what.endswith("the guess given")
     assert plan.objective == pytest.approx(optimal("knee-reach").objective, rel=LEAST_EFFORT)
 
 
+@pytest.mark.slow
 def test_a_guess_decides_which_of_two_local_optima_is_found():
     """In 4 s the weak pendulum goes up by swings that begin to one side or to the other; the first is the better."""
     fixed = UP.replace('"free"', "4.0")
@@ -180,6 +186,7 @@ def refined(mode: str, tolerance: str = "1e-7") -> Plan:
     return optimal(*COARSE, f"mesh.refine={mode}", f"mesh.tolerance_deg={tolerance}")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["intervals", "degree", "both"])
 def test_each_way_of_refining_reaches_the_tolerance(mode):
     plan = refined(mode)
@@ -204,6 +211,7 @@ def test_raising_the_degree_takes_fewer_intervals_than_halving():
     assert refined("both").intervals < refined("intervals").intervals
 
 
+@pytest.mark.slow
 def test_a_transcription_that_is_named_is_kept():
     plan = optimal(*COARSE, "mesh.scheme=radau-2", "mesh.tolerance_deg=1e-4")
     assert {step.scheme for step in plan.history} == {"radau-2"}
@@ -227,6 +235,7 @@ def test_the_history_holds_each_step_s_mesh_error_objective_and_time():
     assert history[-1].objective == refined("both").objective
 
 
+@pytest.mark.slow
 def test_least_time_finds_its_switch_from_a_mesh_that_has_none_there():
     lift = 'kind = "reach"\nstart_m = { J = 0.1 }\ngoal_m = { J = 0.9 }\nduration_s = "free"\n'
     plan = body_plan(LIFT, lift, "objective.minimize=time", "mesh.intervals=10")

@@ -83,6 +83,7 @@ def transcribed(problem: PlanningProblem, intervals: int = 20, segments: int = 1
     return transcribe(problem, guess, mesh, durations)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "overrides"),
     [
@@ -101,6 +102,7 @@ def test_a_mechanisms_plan_is_ipopts_and_certified(name, overrides):
     assert plan.certificate.effort_excess == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problem", [DOUBLE_INTEGRATOR, KIRK, BOTH_ENDS, RETURNING], ids=lambda problem: problem.name)
 def test_a_differential_equations_answer_is_ipopts_and_certified(problem):
     expected = plan_ode(problem).require()
@@ -109,11 +111,13 @@ def test_a_differential_equations_answer_is_ipopts_and_certified(problem):
     assert plan.certificate.passed
 
 
+@pytest.mark.slow
 def test_the_double_integrators_least_time_is_two():
     plan = plan_ode(replace(DOUBLE_INTEGRATOR, solver=FATROP)).require()
     assert plan.objective == pytest.approx(2.0, rel=CLOSED_FORM)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segments", [1, 2])
 def test_every_unknown_and_bound_of_the_program_is_ipopts(segments):
     program = transcribed(problem_of("knee-sprint", "mesh.intervals=20"), segments=segments)
@@ -137,6 +141,7 @@ def test_the_least_effort_of_a_motion_too_short_is_ipopts():
     assert found.objective == pytest.approx(expected.objective, rel=SAME_ANSWER)
 
 
+@pytest.mark.slow
 def test_a_built_program_is_solved_again_with_new_numbers():
     problem = problem_of("knee-reach")
     goal = np.radians([50.0])

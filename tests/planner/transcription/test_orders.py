@@ -28,6 +28,7 @@ def error_after(constants: Scheme, steps: int) -> float:
     return float(np.hypot(s - np.cos(PHASE), v + np.sin(PHASE)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_scheme_has_the_order_that_it_claims(name):
     constants = scheme(name)

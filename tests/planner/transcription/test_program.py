@@ -80,6 +80,7 @@ def assert_same(actual, expected) -> None:
 every_case = pytest.mark.parametrize("case", CASES, ids=name_of)
 
 
+@pytest.mark.slow
 @every_case
 def test_the_assembled_jacobian_is_the_derivative_of_the_rows(case):
     transcribed = built(case)
@@ -195,6 +196,7 @@ def test_an_open_loop_breaks_the_closure_rows_by_its_gap():
     assert kinds <= {"closure", "dynamics"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["time_s", "position", "effort", "residual", "length_m"])
 def test_a_plan_does_not_depend_on_the_units_of_its_program(what):
     plan = planned("knee-reach")

@@ -187,6 +187,7 @@ def knee_error(name: str, intervals: int) -> float:
     return certify(problem, trajectory_of(transcribed, solution.x, problem.limits.effort)).integration_error_deg
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "order"),
     [
@@ -227,6 +228,7 @@ def plan_body(folder: Path, mjcf: str, motion: str, *overrides: str) -> Plan:
     return plan_motion(load_problem(path, overrides)).require()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in ("radau-1", "gauss-1", "trapezoid")])
 def test_a_pure_inertia_is_turned_with_twelve_inertia_squared_angle_squared_over_time_cubed(name, tmp_path):
     plan = plan_body(tmp_path, HINGE, TURN_MOTION + "duration_s = 1.5", f"mesh.scheme={name}", "mesh.intervals=4")
@@ -240,11 +242,13 @@ def test_the_least_effort_of_a_pure_inertia_is_a_straight_line(tmp_path):
     np.testing.assert_allclose(plan.trajectory.effort_at(time)[:, 0], line, atol=EFFORT_JUMP)
 
 
+@pytest.mark.slow
 def test_a_pure_inertia_turns_fastest_in_twice_the_root_of_inertia_times_angle_over_torque(tmp_path):
     plan = plan_body(tmp_path, HINGE, TURN_MOTION, *FREE)
     assert plan.objective == pytest.approx(2 * np.sqrt(HINGE_INERTIA * TURN / 4), rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_a_pure_inertia_under_a_speed_limit_turns_fastest_by_a_trapezium(tmp_path):
     speed = np.radians(120)
     assert np.sqrt(4 * TURN / HINGE_INERTIA) > 2 * speed  # the limit binds
@@ -252,6 +256,7 @@ def test_a_pure_inertia_under_a_speed_limit_turns_fastest_by_a_trapezium(tmp_pat
     assert plan.objective == pytest.approx(TURN / speed + speed * HINGE_INERTIA / 4, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_a_lift_rises_fastest_with_its_weight_helping_the_brake(tmp_path):
     plan = plan_body(tmp_path, LIFT, "start_m = { J = 0.1 }\ngoal_m = { J = 0.9 }\n", *FREE)
     rise, brake = 50 / 2 - 9.81, 30 / 2 + 9.81

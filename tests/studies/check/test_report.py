@@ -256,6 +256,7 @@ def test_json_holds_every_sample_of_every_quantity_with_null_for_what_is_infinit
     assert len(said["branch"]) == 2
 
 
+@pytest.mark.slow
 def test_figures_of_each_sweep_are_written_beside_the_record(ask_json, tmp_path):
     code, said = ask_json("five-bar", "-o", str(tmp_path / "checked"))
     assert code == 0

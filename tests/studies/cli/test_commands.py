@@ -105,6 +105,7 @@ def test_a_payload_set_on_the_command_line_reaches_the_inertia(ask_json):
     assert added == pytest.approx(0.02 + 2.0 * 0.1**2, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_plan_gives_the_promised_keys_and_saves_a_whole_folder(ask_json, tmp_path):
     code, said = ask_json("plan", "knee-reach", "-o", str(tmp_path / "reach"))
     assert code == 0
@@ -121,6 +122,7 @@ def test_plan_gives_the_promised_keys_and_saves_a_whole_folder(ask_json, tmp_pat
     assert json.loads((tmp_path / "reach" / "plan.json").read_text())["status"] == "optimal"
 
 
+@pytest.mark.slow
 def test_an_infeasible_problem_is_answered_in_a_sentence_and_writes_nothing(ask_json, tmp_path):
     code, said = ask_json("plan", "knee-sine", "--set", "mechanism.payload=shank", "-o", str(tmp_path / "none"))
     assert code == 1
@@ -130,6 +132,7 @@ def test_an_infeasible_problem_is_answered_in_a_sentence_and_writes_nothing(ask_
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.slow
 def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
     folder = str(tmp_path / "reach")
     assert ask_json("plan", "knee-reach", "-o", folder)[0] == 0
@@ -148,6 +151,7 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
     assert {path.name for path in (tmp_path / "compared").iterdir()} == {"compare.json", "compare.png"}
 
 
+@pytest.mark.slow
 def test_compare_of_the_sine_draws_the_documents_figure_for_both_gain_sets(ask_json, tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
     code, said = ask_json("compare", "knee-sine", "-o", str(tmp_path / "sine"))
@@ -171,6 +175,7 @@ def test_compare_of_the_sine_draws_the_documents_figure_for_both_gain_sets(ask_j
         assert (off < SINE_RMS_DEG) == cell.endswith("KD = 1")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kd", "period", "stable"),
     [("10", "1e-4", False), ("10", "1e-5", True), ("1", "1e-4", True)],
@@ -190,6 +195,7 @@ def test_bode_says_which_loop_is_stable_and_mujoco_agrees(ask_json, kd, period, 
         assert point["reduced_inertia_kgm2"] > 0
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_one_line_and_leaves_the_earlier_result_alone(tmp_path, ask, monkeypatch):
     target = tmp_path / "reach"
     assert ask("plan", "knee-reach", "-o", str(target))[0] == 0
@@ -207,6 +213,7 @@ def test_a_full_disk_is_one_line_and_leaves_the_earlier_result_alone(tmp_path, a
     assert [path.name for path in tmp_path.iterdir()] == ["reach"]
 
 
+@pytest.mark.slow
 def test_set_takes_toml_and_bare_words(ask_json):
     code, said = ask_json("plan", "knee-reach", "--set", "mesh.scheme=radau-2", "--set", "limits.effort.act_O=[-95, 95.0]")
     assert code == 0
@@ -215,6 +222,7 @@ def test_set_takes_toml_and_bare_words(ask_json):
     assert said["peak_effort"]["act_O"] <= 95.0
 
 
+@pytest.mark.slow
 def test_progress_goes_to_stderr_and_results_to_stdout(ask):
     code, out, err = ask("plan", "knee-sprint")
     assert code == 0
@@ -237,6 +245,7 @@ def test_a_folder_of_somebody_elses_is_not_overwritten(ask, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
+@pytest.mark.slow
 def test_a_newer_result_replaces_an_older_one_whole(ask, tmp_path):
     folder = tmp_path / "plan"
     assert ask("plan", "knee-reach", "-o", str(folder))[0] == 0

@@ -115,6 +115,7 @@ def places(tmp_path_factory):
     return places
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("argv", "words"), REFUSALS, ids=[" ".join(argv) for argv, _ in REFUSALS])
 def test_bad_input_gets_one_line_and_exit_code_two(argv, words, places, capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

@@ -178,6 +178,7 @@ def test_a_period_of_several_steps_with_a_late_command_is_what_mujoco_does():
     assert np.abs(state[:2]).max() > 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 @pytest.mark.parametrize("delay", [0, 1.5])
 def test_measured_responses_are_the_sampled_prediction(model, delay):
@@ -199,6 +200,7 @@ def test_measured_responses_are_the_sampled_prediction(model, delay):
     assert np.abs(measured.against(other.response("loop", measured.frequency_hz))[1]).max() > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_every_way_to_measure_finds_the_same_loop(method):
     oscillator = pendulum()

@@ -87,6 +87,7 @@ def five_bar_loops():
     return mechanism, feedback_loop(point, gain, sampling(mechanism, 1e-3)), settings
 
 
+@pytest.mark.slow
 def test_each_joints_loop_is_predicted_and_measured_with_the_others_closed():
     mechanism, loop, _ = five_bar_loops()
     for channel in range(2):
