@@ -7,6 +7,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from tests.bench.__main__ import between_nodes
 from tests.bench.opti_peer import acceleration_function, build_peer
+from tests.support.tolerances_planner import TYPED_BY_HAND
 
 ENDS = np.radians([-49.07, 56.27])
 
@@ -16,7 +17,7 @@ def test_the_closed_form_typed_by_hand_is_the_reduced_model():
     for s in np.linspace(-1.2, 1.2, 9):
         pose = close_at(mechanism, np.array([s]))
         assert float(by_hand(s, 3.0, 50.0)) == pytest.approx(
-            float(mechanism.dynamics.acceleration(pose, 3.0, 50.0)), rel=1e-11
+            float(mechanism.dynamics.acceleration(pose, 3.0, 50.0)), rel=TYPED_BY_HAND
         )
 
 

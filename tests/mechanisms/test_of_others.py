@@ -15,7 +15,7 @@ from linkplan.studies.compare.compare import track
 from tests.support.data import DATA
 from tests.support.mechanism_checks import acceleration, rigid_acceleration
 from tests.support.mechanisms import simulated
-from tests.support.tolerances import DIFFERENCES, TREE, relative_error
+from tests.support.tolerances import DIFFERENCES, REST_EFFORT, TREE, relative_error
 
 GRIPPER = DATA / "adaptive_gripper.xml"
 LEG = DATA / "sprung_leg.xml"
@@ -115,7 +115,7 @@ def test_a_sprung_leg_rests_where_mujocos_forces_leave_nothing_to_its_springs():
     T = np.array([leg().qvel_of(q, rate) for rate in np.eye(leg().n_q)]).T
     along = T @ np.array(leg().dynamics.velocity_map(q))
     forces = along.T @ (at.passive - at.bias)
-    assert forces[list(columns)] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert forces[list(columns)] == pytest.approx([0.0, 0.0], abs=REST_EFFORT)
     assert np.abs(forces).max() > 0.1
     # Home is no rest: there the springs are bent by the loop's assembly.
     at_home = simulated(leg().model, leg().qpos_of(leg().home), leg().qvel_of(leg().home, still))

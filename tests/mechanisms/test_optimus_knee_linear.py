@@ -15,8 +15,17 @@ from tests.support.drive import line, line_rates
 from tests.support.fourbar import SHANK, FourBar, G, knee
 from tests.support.mechanism_checks import acceleration, mechanism_of, plan_of, rigid_acceleration, tracked
 from tests.support.mechanisms import derivative, replaced
-from tests.support.tolerances import ANGLE_RAD, BRACKET_RAD, DIFFERENCES, KNEE, relative_error
-from tests.support.tolerances_planner import CLOSURE_M, INTEGRATION_DEG, ROLLOUT_GAP_M
+from tests.support.tolerances import (
+    ANGLE_RAD,
+    BRACKET_RAD,
+    DIFFERENCES,
+    KNEE,
+    PRINTED_DEG,
+    PRINTED_M,
+    PRINTED_N,
+    relative_error,
+)
+from tests.support.tolerances_planner import CLOSURE_M, INTEGRATION_DEG, LQR_M, ROLLOUT_GAP_M, WORK
 
 NAME, PROBLEM = "optimus-knee-linear", "knee-linear-reach"
 BENT, STRAIGHT = np.radians([-49.07, 56.27])
@@ -156,15 +165,15 @@ def test_the_slide_stops_short_of_the_dead_centre_where_it_no_longer_moves_the_k
     can = reach(mechanism)
     assert (can.lower.reason, can.upper.reason) == ("range of DB", "range of DB")
     assert abs(can.lower.position - 0.1815) < BRACKET_RAD
-    assert np.degrees(can.poses[0, 0]) == pytest.approx(58.08, abs=0.01)
-    assert line(knee(), np.radians(DEAD_CENTRE_DEG))[0] == pytest.approx(0.181059, abs=1e-6)
+    assert np.degrees(can.poses[0, 0]) == pytest.approx(58.08, abs=PRINTED_DEG)
+    assert line(knee(), np.radians(DEAD_CENTRE_DEG))[0] == pytest.approx(0.181059, abs=PRINTED_M)
     assert abs(line_rates(knee(), np.radians(DEAD_CENTRE_DEG))[0]) < KNEE
 
 
 def test_the_force_limit_does_the_work_of_100_newton_metres_over_the_swing():
     stroke = line(knee(), BENT)[0] - line(knee(), STRAIGHT)[0]
     force = 100.0 * (STRAIGHT - BENT) / stroke
-    assert force == pytest.approx(1950, abs=1)
+    assert force == pytest.approx(1950, abs=PRINTED_N)
     (actuator,) = mechanism_of(NAME).actuators
     assert (actuator.name, actuator.unit, actuator.lower, actuator.upper) == ("act_B_to_D", "N", -2000.0, 2000.0)
     assert 1.0 < actuator.upper / force < 1.05
@@ -187,12 +196,12 @@ def test_the_force_of_the_plan_does_the_work_that_lifts_the_shank():
     loaded = knee().carrying("crank", SHANK)
     V = [float(loaded.potential(np.array([q]))[0]) + drive_potential(loaded, q) for q in (BENT, STRAIGHT)]
     assert np.trapezoid(np.abs(power), time) > 5 * abs(V[1] - V[0]) > 1.0
-    assert np.trapezoid(power, time) == pytest.approx(V[1] - V[0], rel=1e-3)
+    assert np.trapezoid(power, time) == pytest.approx(V[1] - V[0], rel=WORK)
 
 
 @pytest.mark.slow
 def test_lqr_tracks_the_swing_in_mujoco_within_a_tenth_of_a_millimetre():
     rollout = tracked(PROBLEM, "lqr")
     assert rollout.stable
-    assert np.abs(rollout.error).max() < 1e-4
+    assert np.abs(rollout.error).max() < LQR_M
     assert rollout.gap_m.max() < ROLLOUT_GAP_M

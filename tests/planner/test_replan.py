@@ -10,7 +10,7 @@ from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.replan import Planner, structure
-from tests.support.tolerances_planner import SAME_FIGURE
+from tests.support.tolerances_planner import SAME_FIGURE, TIGHTENED_ANEW
 
 
 def with_goal(problem: PlanningProblem, degrees: float) -> PlanningProblem:
@@ -112,7 +112,9 @@ def test_further_limits_weights_and_waypoints_are_numbers(settings, changes):
     changed = load_problem("knee-reach", changes)
     fresh, again = plan_motion(changed), planner.solve_again(changed)
     assert again is not None
-    assert again.objective == pytest.approx(fresh.objective, rel=1e-4)  # a limit that binds is drawn in after certifying
+    assert again.objective == pytest.approx(
+        fresh.objective, rel=TIGHTENED_ANEW
+    )  # a limit that binds is drawn in after certifying
 
 
 @pytest.mark.slow

@@ -12,7 +12,8 @@ from linkplan.models.poses.controls import control_excess, needed_controls
 from linkplan.models.tree.dynamics import build_tree
 from tests.support.linkages import GRIPPER
 from tests.support.mechanisms import SLIDER_CRANK, replaced, simulated
-from tests.support.tolerances import MOMENT, TREE, relative_error
+from tests.support.tolerances import ACTION, MOMENT, TREE, relative_error
+from tests.support.tolerances_planner import ROUNDING
 
 # A crank and rod with all that an actuator can act through.
 BENCH = """
@@ -75,7 +76,7 @@ def test_an_effort_acts_as_in_mujoco(transmission):
     for q, v in rng.uniform(-1, 1, (10, 2, 3)):
         expected = simulated(mechanism.model, q, v, np.array([0.7])).acceleration
         actual = np.array(mechanism.dynamics.acceleration(q, v, [0.7])).ravel()
-        assert relative_error(actual, expected) < 1e-9
+        assert relative_error(actual, expected) < ACTION
 
 
 @pytest.mark.parametrize(
@@ -141,7 +142,7 @@ def test_mujoco_gives_no_more_than_the_limits_and_all_that_they_allow(actuator, 
         data = mujoco.MjData(mechanism.model)
         data.ctrl[:] = ctrl
         mujoco.mj_forward(mechanism.model, data)
-        assert abs(data.qfrc_actuator[column] - moment[column] * end) < 1e-12 * max(1.0, abs(end))
+        assert abs(data.qfrc_actuator[column] - moment[column] * end) < ROUNDING * max(1.0, abs(end))
 
 
 def test_a_clamp_on_a_sum_that_no_single_limit_stands_for_falsifies():
@@ -182,14 +183,14 @@ def test_a_servos_ctrl_for_an_effort_gives_that_effort_in_mujoco(servo):
         length, velocity = float(data.actuator_length[0]), float(data.actuator_velocity[0])
         data.ctrl[0] = actuator.control(0.8, length, velocity)
         mujoco.mj_forward(mechanism.model, data)
-        assert abs(data.actuator_force[0] - 0.8) < 1e-12 * max(1.0, abs(data.ctrl[0]))
-        assert abs(actuator.effort(float(data.ctrl[0]), length, velocity) - 0.8) < 1e-12 * max(1.0, abs(data.ctrl[0]))
+        assert abs(data.actuator_force[0] - 0.8) < ROUNDING * max(1.0, abs(data.ctrl[0]))
+        assert abs(actuator.effort(float(data.ctrl[0]), length, velocity) - 0.8) < ROUNDING * max(1.0, abs(data.ctrl[0]))
 
 
 def test_a_servos_ctrl_is_cut_at_its_range():
     actuator = only('<position joint="crank" kp="5" ctrlrange="-0.4 0.4"/>')
     assert actuator.control(100.0, 0.1, 0.0) == 0.4
-    assert abs(actuator.effort(7.0, 0.1, 0.0) - 5 * (0.4 - 0.1)) < 1e-12
+    assert abs(actuator.effort(7.0, 0.1, 0.0) - 5 * (0.4 - 0.1)) < ROUNDING
 
 
 def test_the_ctrl_that_efforts_need_is_mujocos_and_its_excess_is_counted():
@@ -198,10 +199,10 @@ def test_the_ctrl_that_efforts_need_is_mujocos_and_its_excess_is_counted():
     rng = np.random.default_rng(0)
     q, v, u = rng.uniform(-0.5, 0.5, (10, 3)), rng.normal(size=(10, 3)), rng.uniform(-4, 4, (10, 2))
     controls = needed_controls(mechanism, q, v, u)
-    assert np.abs(controls[:, 0] - (u[:, 0] + 5 * q[:, 0] + 0.3 * v[:, 0]) / 5).max() < 1e-12
-    assert np.abs(controls[:, 1] - u[:, 1]).max() < 1e-12
+    assert np.abs(controls[:, 0] - (u[:, 0] + 5 * q[:, 0] + 0.3 * v[:, 0]) / 5).max() < ROUNDING
+    assert np.abs(controls[:, 1] - u[:, 1]).max() < ROUNDING
     excess = control_excess(mechanism, q, v, u)
-    assert np.abs(excess - (np.abs(controls) - [0.4, 3.0])).max() < 1e-12
+    assert np.abs(excess - (np.abs(controls) - [0.4, 3.0])).max() < ROUNDING
     assert np.any(excess > 0)
     assert np.any(excess < 0)
 
@@ -294,8 +295,8 @@ def test_springs_dampers_and_armature_of_a_tendon_are_mujocos():
         assert relative_error(np.array(chain.dynamics.mass_matrix(q)), expected.mass_matrix) < TREE
         assert relative_error(np.array(chain.dynamics.bias(q, v)).ravel(), expected.bias) < TREE
         kinetic, potential = (float(e) for e in energy(chain, q, v))
-        assert abs(kinetic - expected.energy[1]) < 1e-12 * max(1.0, kinetic)
-        assert abs(potential - expected.energy[0]) < 1e-12 * max(1.0, abs(potential))
+        assert abs(kinetic - expected.energy[1]) < ROUNDING * max(1.0, kinetic)
+        assert abs(potential - expected.energy[0]) < ROUNDING * max(1.0, abs(potential))
 
 
 def energy(chain: Mechanism, q: np.ndarray, rates: np.ndarray):

@@ -26,6 +26,7 @@ from tests.support.tolerances import (
     DIFFERENCES,
     ENERGY,
     INTEGRATED_GAP,
+    MOTION_FROM_EFFORT,
     POWER,
     REDUCED,
     SOFT_LIMIT,
@@ -388,7 +389,7 @@ def test_needed_efforts_produce_the_motion(name):
     effort, missed = needed_effort(c.mechanism, c.q, c.v, c.a)
     assert np.abs(missed).max() < REDUCED * np.abs(sampled(c.mechanism.dynamics.inverse_dynamics, c.q, c.v, c.a)).max()
     actual = sampled(c.mechanism.dynamics.acceleration, c.q, c.v, effort)[:, :, 0]
-    assert relative_error(actual, c.a) < 1e-8
+    assert relative_error(actual, c.a) < MOTION_FROM_EFFORT
 
 
 def test_needed_efforts_are_the_least_that_do():

@@ -11,10 +11,17 @@ from linkplan.models.tree.dynamics import build_tree
 from tests.support.linkages import GRIPPER, UNCUT, WELDED, loaded
 from tests.support.mechanisms import replaced, simulated
 from tests.support.tolerances import (
+    BRANCHING,
     CLOSURE,
+    COUPLED,
+    GAP_M,
+    POSE,
     REDUCED,
+    WELD,
+    WELD_NM,
     relative_error,
 )
+from tests.support.tolerances_planner import ROUNDING
 
 N_POSES = 3
 
@@ -26,11 +33,11 @@ def test_a_welded_four_bar_moves_as_the_one_in_one_piece():
     cut, whole = loaded("welded"), load_mechanism(UNCUT)
     for angle in (-0.4, 0.0, 0.7):
         q, p = (close_at(mechanism, np.array([angle])) for mechanism in (cut, whole))
-        assert np.abs(q[[0, 1, 2]] - p).max() < 1e-9
+        assert np.abs(q[[0, 1, 2]] - p).max() < POSE
         first, second = (float(m.dynamics.gravity_effort(x)) for m, x in ((cut, q), (whole, p)))
-        assert abs(first - second) < 1e-9 * abs(second) + 1e-12
+        assert abs(first - second) < WELD * abs(second) + WELD_NM
         first, second = (float(m.dynamics.reduced_inertia(x)) for m, x in ((cut, q), (whole, p)))
-        assert abs(first - second) < 1e-9 * second
+        assert abs(first - second) < WELD * second
 
 
 def test_a_weld_without_torque_scale_is_a_connect():
@@ -46,7 +53,7 @@ def test_an_angle_open_in_a_weld_counts_by_what_it_moves():
     orientation = next(closure for closure in mechanism.closures if closure.kind == "orientation")
     phi = np.array(mechanism.dynamics.closure(q)).ravel()
     assert orientation.unit == "rad"
-    assert abs(orientation.gap(phi) - 2 * np.sin(0.005)) < 1e-12
+    assert abs(orientation.gap(phi) - 2 * np.sin(0.005)) < ROUNDING
     assert mechanism.gap_m(q) >= orientation.gap(phi) * mechanism.model.stat.extent * (1 - 1e-12)
 
 
@@ -113,9 +120,9 @@ def test_two_geared_pendulums_have_the_inertia_of_the_ratio_squared():
     mechanism = load_mechanism(text)
     for x in (-0.3, 0.0, 0.4):
         q = close_at(mechanism, np.array([0.2 + x]))
-        assert abs(q[1] - (-0.1 - 4 * x + 0.5 * x**2)) < 1e-10
+        assert abs(q[1] - (-0.1 - 4 * x + 0.5 * x**2)) < COUPLED
         expected = 0.3 + 0.02 * (-4 + x) ** 2
-        assert abs(float(mechanism.dynamics.reduced_inertia(q)) - expected) < 1e-10
+        assert abs(float(mechanism.dynamics.reduced_inertia(q)) - expected) < COUPLED
 
 
 def test_a_joint_equality_of_one_joint_locks_it_where_it_says():
@@ -126,7 +133,7 @@ def test_a_joint_equality_of_one_joint_locks_it_where_it_says():
     text = replaced(open_tree, "</equality>", '<joint joint1="C" polycoef="0.1 0 0 0 0"/></equality>')
     mechanism = load_mechanism(text)
     assert mechanism.dof == 3
-    assert abs(mechanism.home[mechanism.joint_index("C")] - 0.1) < 1e-11
+    assert abs(mechanism.home[mechanism.joint_index("C")] - 0.1) < GAP_M
 
 
 def test_a_tendon_equality_of_one_joint_each_is_the_joint_equality():
@@ -137,7 +144,7 @@ def test_a_tendon_equality_of_one_joint_each_is_the_joint_equality():
     plain = loaded("gripper")
     s = plain.home[plain.independent] + 0.1
     q, p = close_at(plain, s), close_at(tied, s)
-    assert np.abs(q - p).max() < 1e-10
+    assert np.abs(q - p).max() < COUPLED
     assert relative_error(np.array(tied.dynamics.reduced_inertia(p)), np.array(plain.dynamics.reduced_inertia(q))) < REDUCED
 
 
@@ -155,8 +162,8 @@ def test_the_fingers_of_the_gripper_stay_mirrored_and_upright():
     mechanism = loaded("gripper")
     for s in ([0.0, 0.3], [0.1, -0.25]):
         q = dict(zip([j.name for j in mechanism.joints], close_at(mechanism, np.array(s)), strict=True))
-        assert abs(q["crank_r"] + q["crank_l"]) < 1e-10
-        assert abs(q["finger_r"] + q["crank_r"]) < 1e-9, "a parallelogram keeps its finger's direction"
+        assert abs(q["crank_r"] + q["crank_l"]) < COUPLED
+        assert abs(q["finger_r"] + q["crank_r"]) < POSE, "a parallelogram keeps its finger's direction"
 
 
 def test_a_grippers_reach_ends_where_both_of_its_parallelograms_lie_flat():
@@ -166,8 +173,8 @@ def test_a_grippers_reach_ends_where_both_of_its_parallelograms_lie_flat():
     flat = np.arctan2(0.04, 0.03) - np.arctan2(-0.002, 0.015)  # crank along the line of the pivots
     assert (can.lower.reason, can.upper.reason) == ("singular pose", "singular pose")
     # A flat parallelogram is a branching point, where Newton on phi = 0, det J_z = 0 converges as on a double root.
-    assert abs(can.lower.position + flat) < 1e-6
-    assert abs(can.upper.position - (np.pi - flat)) < 1e-6
+    assert abs(can.lower.position + flat) < BRANCHING
+    assert abs(can.upper.position - (np.pi - flat)) < BRANCHING
 
 
 def test_a_chart_that_ends_is_not_called_a_range():

@@ -9,7 +9,10 @@ from linkplan.models.poses.assembly import close_at, follow, reach
 from tests.support.linkages import GRIPPER, PRESS, RSSR, WELDED, loaded
 from tests.support.mechanisms import FLAT_PARALLELOGRAM, replaced
 from tests.support.tolerances import (
+    POSE,
+    REACH_END,
     REDUCED,
+    UNIT_VECTOR,
 )
 
 # Choice of coordinates and singular poses
@@ -21,7 +24,7 @@ def test_the_named_joint_is_the_independent_one():
     plain = loaded("welded")
     q = close_at(plain, np.array([0.3]))
     there = close_at(mechanism, q[[2]])
-    assert np.abs(there - q).max() < 1e-9
+    assert np.abs(there - q).max() < POSE
     ratio = np.array(plain.dynamics.velocity_map(q))[2, 0]
     inertia = [float(m.dynamics.reduced_inertia(q)) for m in (plain, mechanism)]
     assert abs(inertia[1] * ratio**2 / inertia[0] - 1) < REDUCED
@@ -51,8 +54,8 @@ def test_a_floor_or_the_viewers_extent_changes_no_assembly(world):
     assert abs(np.log10(mechanism.model.stat.extent / plain.model.stat.extent)) > 1, "it says something else"
     assert 0.3 < mechanism.extent_m / plain.extent_m < 3
     first, second = reach(mechanism), reach(plain)
-    assert abs(first.upper.position - second.upper.position) < 1e-8
-    assert abs(first.lower.position - second.lower.position) < 1e-8
+    assert abs(first.upper.position - second.upper.position) < REACH_END
+    assert abs(first.lower.position - second.lower.position) < REACH_END
 
 
 def test_light_bodies_change_no_rank():
@@ -75,10 +78,10 @@ def test_the_rod_between_two_balls_spins_idly_and_that_is_said():
 def test_the_first_coordinate_of_such_a_rod_is_its_spin():
     mechanism = loaded("rssr")
     rates = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, 1]
-    assert np.abs(rates - np.eye(5)[1]).max() < 1e-14, "it alone moves"
+    assert np.abs(rates - np.eye(5)[1]).max() < UNIT_VECTOR, "it alone moves"
     line = np.array([0.25, 0.08, 0.06])
     spin = mechanism.qvel_of(mechanism.home, rates)[1:4]
-    assert np.abs(spin - line / np.linalg.norm(line)).max() < 1e-14
+    assert np.abs(spin - line / np.linalg.norm(line)).max() < UNIT_VECTOR
 
 
 def test_a_rod_on_three_hinges_spins_idly_as_one_on_a_ball():

@@ -14,10 +14,12 @@ from linkplan.models.poses.assembly import close_at, reach
 from tests.support.linkages import COUNTS, LEG, LINKAGES, loaded
 from tests.support.mechanisms import Simulated, replaced, simulated
 from tests.support.tolerances import (
+    GAP_M,
     INTEGRATED_GAP,
     MOMENT,
     POWER,
     RANDOM_LIMIT,
+    REACH_END,
     REDUCED,
     TREE,
     relative_error,
@@ -69,7 +71,7 @@ def velocity_matrix(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
 def test_freedom_rows_and_rank_are_those_counted_by_hand(name):
     mechanism = loaded(name)
     assert (mechanism.dof, mechanism.n_closure_rows, len(mechanism.closure_rows)) == COUNTS[name]
-    assert mechanism.gap_m(mechanism.home) < 1e-11
+    assert mechanism.gap_m(mechanism.home) < GAP_M
 
 
 @on_every_linkage
@@ -174,4 +176,4 @@ def test_a_reach_of_a_leg_ends_where_its_own_loop_does():
     turned = replaced(LEG, '<body name="hip" pos="0 0 1">', '<body name="hip" pos="0 0 1" quat="0.3 0.8 -0.1 0.5">')
     first, second = (reach(load_mechanism(text), 2) for text in (LEG, turned))
     assert first.upper.reason == second.upper.reason
-    assert abs(first.upper.position - second.upper.position) < 1e-8
+    assert abs(first.upper.position - second.upper.position) < REACH_END

@@ -19,7 +19,16 @@ from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import close_at
 from tests.support.mechanisms import Simulated, simulated
 from tests.support.planar import Planar, random_planar
-from tests.support.tolerances import MOMENT, POWER_RATE, RANDOM_LIMIT, RANDOM_ORDER, TREE, relative_error
+from tests.support.tolerances import (
+    GAP_M,
+    MOMENT,
+    POWER_RATE,
+    RANDOM_LIMIT,
+    RANDOM_ORDER,
+    SERVO_EFFORT,
+    TREE,
+    relative_error,
+)
 
 N_SEEDS = int(os.environ.get("LINKPLAN_PLANAR", "30"))
 N_POSES = 2
@@ -105,7 +114,7 @@ def test_the_generator_makes_mechanisms_of_every_kind():
 def test_each_loop_takes_its_own_freedom_and_leaves_that_of_the_crank(seed):
     c = case(seed)
     assert c.mechanism.dof == c.planar.dof
-    assert max(c.mechanism.gap_m(q) for q in c.q) < 1e-11
+    assert max(c.mechanism.gap_m(q) for q in c.q) < GAP_M
 
 
 @on_every_seed
@@ -145,7 +154,7 @@ def test_a_servos_ctrl_is_inverted_to_the_effort_asked(seed):
         data.qpos[:], data.qvel[:], data.ctrl[:] = q, rates, controls(c.mechanism, q, rates, u)
         mujoco.mj_forward(c.mechanism.model, data)
         acted = data.actuator_force[[actuator.output for actuator in c.mechanism.actuators]]
-        assert np.abs(acted - u).max() < 1e-12 * max(1.0, np.abs(data.ctrl).max())
+        assert np.abs(acted - u).max() < SERVO_EFFORT * max(1.0, np.abs(data.ctrl).max())
 
 
 @on_every_seed

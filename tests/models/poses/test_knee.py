@@ -15,7 +15,18 @@ from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.skeleton import sticks
 from tests.support.data import KNEE_TABLE as REFERENCE
 from tests.support.mechanisms import FourBar, stated_gap_mm
-from tests.support.tolerances import ANGLE_RAD, BRACKET_RAD, KNEE, LEAST_GAP, SAMPLED_PEAK, SINGULAR_RAD, relative_error
+from tests.support.tolerances import (
+    ANGLE_RAD,
+    BRACKET_RAD,
+    DRAWN_GAP_M,
+    KNEE,
+    LEAST_GAP,
+    MISSED_NM,
+    ROOT_ORDER,
+    SAMPLED_PEAK,
+    SINGULAR_RAD,
+    relative_error,
+)
 
 CONFIGURATIONS = REFERENCE["configurations"]
 GRAVITY = 9.81
@@ -85,7 +96,7 @@ def test_home_is_the_drawn_pose_with_the_crank_upright():
 
 
 def test_the_drawn_pose_is_closed():
-    assert knee().home_gap_m < 1e-15
+    assert knee().home_gap_m < DRAWN_GAP_M
 
 
 def test_the_sources_drawn_pose_stands_open_by_73_mm():
@@ -157,7 +168,7 @@ def test_the_determinant_vanishes_with_the_root_of_the_distance_to_the_singular_
     poses = [pose(knee(), REFERENCE["singular_q_O_deg"] - d) for d in distance_deg]
     determinant = np.array([abs(float(knee().dynamics.singularity(q))) for q in poses])
     order = np.diff(np.log(determinant)) / np.diff(np.log(distance_deg))
-    assert np.abs(order - 0.5).max() < 0.001
+    assert np.abs(order - 0.5).max() < ROOT_ORDER
 
 
 def test_home_by_a_dependent_joint_alone_holds_that_joint():
@@ -189,7 +200,7 @@ def sine(payload: str | None) -> np.ndarray:
     s = np.radians(3.6) + amplitude * np.sin(rate * t)
     v, a = amplitude * rate * np.cos(rate * t), -amplitude * rate**2 * np.sin(rate * t)
     effort, missed = needed_effort(mechanism, follow(mechanism, s), v, a)
-    assert not np.any(np.abs(missed) > 1e-9), "one motor is enough for one degree of freedom"
+    assert not np.any(np.abs(missed) > MISSED_NM), "one motor is enough for one degree of freedom"
     return effort[:, 0]
 
 

@@ -11,7 +11,19 @@ from hypothesis import strategies as st
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.tree.coordinates import CHART_RANGE
 from tests.support.mechanisms import derivative, numbers, random_quaternion, replaced, simulated
-from tests.support.tolerances import DIFFERENCES, ENERGY, MOMENT, TREE, TREE_ACCELERATION, relative_error
+from tests.support.tolerances import (
+    CENTRED,
+    CONSERVED,
+    DIFFERENCES,
+    ENERGY,
+    MOMENT,
+    SPIN,
+    TREE,
+    TREE_ACCELERATION,
+    UNIT_VECTOR,
+    relative_error,
+)
+from tests.support.tolerances_planner import ROUNDING
 
 # A free body that carries a ball-jointed arm with a forearm: off-centre masses and anchors, damping, armature, actuators.
 ACROBAT = """
@@ -66,16 +78,16 @@ def test_a_ball_joint_has_three_coordinates_and_a_free_joint_six():
 
 def test_the_charts_are_centred_at_the_home_orientation():
     home = acrobat().home
-    assert np.abs(home[[3, 4, 5, 6, 7, 8]]).max() < 1e-15
-    assert np.abs(acrobat().qpos_of(home) - acrobat().model.key_qpos[0]).max() < 1e-15
+    assert np.abs(home[[3, 4, 5, 6, 7, 8]]).max() < CENTRED
+    assert np.abs(acrobat().qpos_of(home) - acrobat().model.key_qpos[0]).max() < CENTRED
 
 
 def test_coordinates_come_back_from_mujocos_positions():
     q, rates = states()
     qpos, qvel = acrobat().qpos_of(q), acrobat().qvel_of(q, rates)
-    assert np.abs(np.linalg.norm(qpos[:, 3:7], axis=1) - 1).max() < 1e-14
-    assert np.abs(acrobat().q_of(qpos) - q).max() < 1e-12
-    assert np.abs(acrobat().rates_of(q, qvel) - rates).max() < 1e-12
+    assert np.abs(np.linalg.norm(qpos[:, 3:7], axis=1) - 1).max() < UNIT_VECTOR
+    assert np.abs(acrobat().q_of(qpos) - q).max() < ROUNDING
+    assert np.abs(acrobat().rates_of(q, qvel) - rates).max() < ROUNDING
 
 
 @settings(max_examples=50, deadline=None, derandomize=True, database=None)
@@ -88,8 +100,8 @@ def test_a_coordinate_is_four_times_the_tangent_of_a_quarter_of_the_angle(angle,
     q[6:9] = 4 * np.tan(angle / 4) * unit
     expected = np.zeros(4)
     mujoco.mju_mulQuat(expected, acrobat().model.key_qpos[0, 7:11], turn)
-    assert np.abs(acrobat().qpos_of(q)[7:11] - expected).max() < 1e-14
-    assert np.abs(acrobat().q_of(acrobat().qpos_of(q)) - q).max() < 1e-12
+    assert np.abs(acrobat().qpos_of(q)[7:11] - expected).max() < UNIT_VECTOR
+    assert np.abs(acrobat().q_of(acrobat().qpos_of(q)) - q).max() < ROUNDING
 
 
 def test_rates_are_the_derivative_of_what_mujoco_integrates():
@@ -121,7 +133,7 @@ def test_the_bias_is_mujocos_by_the_change_of_coordinates():
     for q, rates in zip(*states(), strict=True):
         T, s, convective = velocity_matrix(q), at(q, rates), np.zeros(acrobat().n_q)
         for turning in (slice(3, 6), slice(6, 9)):
-            assert np.abs(spin(q[turning], rates[turning]) - (T @ rates)[turning]).max() < 1e-13 * np.abs(rates).max()
+            assert np.abs(spin(q[turning], rates[turning]) - (T @ rates)[turning]).max() < SPIN * np.abs(rates).max()
             # The derivative of G c' along c', exact by a complex step.
             convective[turning] = spin(q[turning] + 1e-30j * rates[turning], rates[turning]).imag / 1e-30
         expected = T.T @ (s.bias + s.mass_matrix @ convective)
@@ -183,9 +195,9 @@ def test_a_spinning_body_keeps_its_angular_momentum_and_energy():
         mujoco.mju_quat2Mat(turn, top.qpos_of(y[:3]))
         momenta.append(turn.reshape(3, 3) @ (np.array([0.3, 0.2, 0.12]) * w))
     assert np.abs(path[-1, :3] - path[0, :3]).max() > 1, "it has turned"
-    assert np.abs(momenta[1] - momenta[0]).max() < 1e-9
+    assert np.abs(momenta[1] - momenta[0]).max() < CONSERVED
     energies = [float(top.dynamics.energy(y[:3], y[3:])[0]) for y in (path[0], path[-1])]
-    assert abs(energies[1] / energies[0] - 1) < 1e-9
+    assert abs(energies[1] / energies[0] - 1) < CONSERVED
 
 
 def test_a_chart_centred_elsewhere_describes_the_same_body():

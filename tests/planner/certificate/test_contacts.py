@@ -20,6 +20,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.studies.cli.main import main
+from tests.support.tolerances_planner import TOUCHING
 
 KNEE = built_in_text("optimus-knee")
 # The rod of the rocker, and the ball on its tip, can meet what has bit 2; nothing else does.
@@ -156,7 +157,7 @@ def test_a_gate_thinner_than_a_step_of_the_samples_is_not_jumped():
     assert {met.first, met.second} == {"plate", "tip"}
     data.qpos[:] = follow(mechanism, position_at(np.array([met.since])))[0]
     mujoco.mj_fwdPosition(mechanism.model, data)
-    assert data.contact.dist.min() == pytest.approx(0.0, abs=mechanism.extent_m * 2e-6)
+    assert data.contact.dist.min() == pytest.approx(0.0, abs=mechanism.extent_m * TOUCHING)
 
 
 def test_a_filtered_pair_is_no_contact(free):

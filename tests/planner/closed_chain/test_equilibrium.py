@@ -10,6 +10,7 @@ from linkplan.models.poses.equilibrium import resting, sprung_freedoms
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from tests.support.fourbar import G
+from tests.support.tolerances_planner import SAME_FIGURE
 
 MASS, STIFFNESS = 2.0, 400.0
 # An arm on a motor, and a weight that hangs from its tip on a spring along the arm.
@@ -54,7 +55,9 @@ def test_from_rest_to_rest_a_plan_needs_no_effort_beyond_the_arm_s_at_its_ends(a
     plan = plan_motion(problem_from_tables("arm", tables(arm, {"arm": -30.0}, {"arm": 20.0}))).require()
     assert plan.certificate.passed
     ends = plan.trajectory.position_at(np.array([0.0, plan.trajectory.duration_s]))
-    assert ends[:, 1] == pytest.approx([-MASS * G * np.sin(np.radians(a)) / STIFFNESS for a in (-30.0, 20.0)], abs=1e-9)
+    assert ends[:, 1] == pytest.approx(
+        [-MASS * G * np.sin(np.radians(a)) / STIFFNESS for a in (-30.0, 20.0)], abs=SAME_FIGURE
+    )
 
 
 def test_without_a_spring_the_value_is_asked_for(tmp_path):
@@ -91,5 +94,5 @@ def test_a_rest_within_a_loop_is_where_no_effort_is_missing():
     still = np.zeros(2)
     pose = close_at(mechanism, s)
     tau = np.array(mechanism.dynamics.inverse_dynamics(pose, still, still)).ravel()
-    assert abs(tau[1]) < 1e-9
+    assert abs(tau[1]) < SAME_FIGURE
     assert abs(tau[0]) > 1e-3

@@ -11,7 +11,7 @@ from linkplan.planner.plan import Plan
 from tests.support.data import KNEE_TABLE
 from tests.support.fourbar import SHANK, knee
 from tests.support.plans import GOAL, LIMIT, START, planned
-from tests.support.tolerances_planner import MINIMUM_TIME, NEEDED_EFFORT, PEAK
+from tests.support.tolerances_planner import HIGHEST_FREQUENCY, MINIMUM_TIME, NEEDED_EFFORT, PEAK
 
 SHORTEST = KNEE_TABLE["min_time_rest_to_rest"]["shank_s"]
 LOADED = knee().carrying("crank", SHANK)
@@ -234,7 +234,7 @@ def test_the_highest_frequency_is_the_border_between_feasible_and_not(limit):
 
 def test_a_speed_limit_s_highest_frequency_is_speed_over_two_pi_amplitude():
     frequency = planned("knee-sine", "limits.speed_deg_s.O=1000").details["highest_frequency_hz"]
-    assert frequency == pytest.approx(1000 / (2 * np.pi * 52.67), rel=1e-4)
+    assert frequency == pytest.approx(1000 / (2 * np.pi * 52.67), rel=HIGHEST_FREQUENCY)
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ from linkplan.planner.files.folders import RECORDS, check_target, plain, write_j
 from linkplan.planner.files.plan_folder import FORMAT, read_plan, record, write_plan
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.plans import optimal, planned
-from tests.support.tolerances_planner import CERTIFIED_AGAIN, CSV, ROUNDING
+from tests.support.tolerances_planner import CERTIFIED_AGAIN, CSV, PRINTED_NM, ROUNDING
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 FILES = ["plan.json", "trajectory.csv", "trajectory.npz"]
@@ -89,7 +89,7 @@ def test_the_record_is_json_with_its_units_in_its_names(saved):
     assert said["format"] == FORMAT
     assert said["status"] == "optimal"
     assert said["duration_s"] == pytest.approx(0.16)
-    assert said["peak_effort"]["act_O"] == pytest.approx(86.3, abs=0.1)
+    assert said["peak_effort"]["act_O"] == pytest.approx(86.3, abs=PRINTED_NM)
     assert said["effort_unit"] == {"act_O": "N.m"}
     assert said["certificate"]["passed"] is True
     assert set(said["certificate"]["joint_margin_deg"]) == {"O", "A", "C"}

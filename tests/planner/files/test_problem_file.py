@@ -14,6 +14,7 @@ from linkplan.planner.files.problem_file import KEYS, MAX_INTERVALS, load_proble
 from linkplan.planner.files.tables import BUILT_IN, built_in_text
 from linkplan.planner.problem.planning_problem import Limits, Motion, PlanningProblem
 from linkplan.planner.transcription.schemes import NAMES
+from tests.support.tolerances_planner import ROUNDING
 
 REACH = "knee-reach"
 
@@ -373,7 +374,7 @@ def test_the_independent_joint_can_be_named():
     problem = load_problem(REACH, ['mechanism.independent=["A"]', "motion.start_deg={A=10}", "motion.goal_deg={A=40}"])
     assert [joint.name for joint in problem.mechanism.independent_joints] == ["A"]
     assert problem.motion.start is not None
-    assert abs(float(problem.motion.start[0]) - np.radians(10)) < 1e-12
+    assert abs(float(problem.motion.start[0]) - np.radians(10)) < ROUNDING
 
 
 @pytest.mark.parametrize(

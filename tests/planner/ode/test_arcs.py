@@ -14,6 +14,9 @@ from linkplan.planner.ode.solve_ocp import OdePlan
 from linkplan.planner.problem.planning_problem import MeshSettings
 from tests.support.ode import INF, NAN, OSCILLATOR, double_integrator, duration, oscillator, solved
 from tests.support.tolerances_planner import (
+    BOOK_TIME,
+    COPS_CATALYST,
+    COPS_ROCKET,
     ODE_CHATTERING,
     ODE_CLOSED_FORM,
     ODE_EFFORT,
@@ -118,7 +121,7 @@ def test_a_boat_in_a_current_with_shear_steers_by_zermelo_s_formula():
         return solve_ivp(rate, (0, unknowns[1]), start, method="DOP853", rtol=1e-12, atol=1e-12).y[:2, -1]
 
     angle, T = fsolve(missed, [np.radians(105), 5.46], xtol=1e-13)
-    assert pytest.approx(5.46, abs=0.01) == T  # the book's figure
+    assert pytest.approx(5.46, abs=BOOK_TIME) == T  # the book's figure
     path = np.column_stack([np.linspace(3.66, 0, 11), np.linspace(-1.86, 0, 11)])
     plan = solved(
         OdeProblem(
@@ -254,7 +257,7 @@ def test_a_rocket_s_height_is_that_of_its_bang_singular_and_coasting_arcs():
         )
         assert arc.status == 1
         state = arc.y[:, -1]
-    assert state[0] == pytest.approx(1.01283, abs=1e-5)  # COPS
+    assert state[0] == pytest.approx(1.01283, abs=COPS_ROCKET)  # COPS
 
     def rocket(x, u, p, t):  # noqa: ARG001
         D, g = forces(x[0], x[1], ca.exp)
@@ -290,7 +293,7 @@ def test_catalysts_are_mixed_by_a_bang_a_singular_arc_and_a_rest():
         return float(state.sum() - 1)
 
     best = minimize(left, [0.14, 0.73, 0.23], method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-15}).fun
-    assert best == pytest.approx(-0.0480556, abs=2e-7)  # COPS
+    assert best == pytest.approx(-0.0480556, abs=COPS_CATALYST)  # COPS
     plan = solved(
         OdeProblem(
             name="catalyst mixing",

@@ -21,6 +21,7 @@ from tests.support.ode import (
 from tests.support.tolerances_planner import (
     ODE_BOUND_BY_A_STATE,
     ODE_CLOSED_FORM,
+    ODE_GAIN,
     ODE_LIMIT,
     ODE_STATE,
 )
@@ -277,7 +278,7 @@ def test_a_regulator_over_a_finite_horizon_costs_what_riccati_s_equation_says():
     )
     assert plan.objective == pytest.approx(x0 @ first @ x0, rel=ODE_CLOSED_FORM)
     gain = -np.linalg.solve(R, B.T @ first) @ x0
-    np.testing.assert_allclose(plan.trajectory.effort_at([0.0])[0], gain, atol=100 * ODE_STATE)
+    np.testing.assert_allclose(plan.trajectory.effort_at([0.0])[0], gain, atol=ODE_GAIN)
 
 
 def test_the_gramian_of_the_oscillator_is_the_integral_that_defines_it():

@@ -23,6 +23,7 @@ from tests.support.tolerances_planner import (
     ODE_SHORT,
     ODE_STATE,
     ODE_SWITCH,
+    ROUNDING,
 )
 
 # Least time of an oscillator x'' = -x + u with |u| <= 1, from rest at x0 to rest at 0: circles about -1 and 1 in turn.
@@ -65,7 +66,7 @@ def test_the_half_circles_lead_an_oscillator_to_rest(x0):
         u = -1.0 if number % 2 == 0 else 1.0
         c, s = np.cos(arc), np.sin(arc)
         state = np.array([u + (state[0] - u) * c + state[1] * s, state[1] * c - (state[0] - u) * s])
-    np.testing.assert_allclose(state, 0.0, atol=1e-12)
+    np.testing.assert_allclose(state, 0.0, atol=ROUNDING)
 
 
 @pytest.mark.slow

@@ -8,7 +8,15 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.plan import Plan
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan
 from tests.support.plans import optimal, planned
-from tests.support.tolerances_planner import BOUNDARY, CONTINUITY, EXACT_EFFORT, MINIMUM_TIME, SPEED_DEG_S, WAYPOINT_EFFORT
+from tests.support.tolerances_planner import (
+    BOUNDARY,
+    CONTINUITY,
+    EXACT_EFFORT,
+    MINIMUM_TIME,
+    SPEED_DEG_S,
+    WAYPOINT_DEG,
+    WAYPOINT_EFFORT,
+)
 
 TIMED = "duration_s = 1.5\n"
 FREE = 'duration_s = "free"\n'
@@ -96,7 +104,7 @@ def test_a_waypoint_at_a_free_instant_is_passed_when_it_is_cheapest():
 
     best = minimize(cost, [0.8, 0.0], tol=1e-13, bounds=[(0.1, 1.4), (-10, 10)])
     assert plan.objective == pytest.approx(float(best.fun), rel=WAYPOINT_EFFORT)
-    assert np.degrees(plan.trajectory.position_at([best.x[0]])[0, 0]) == pytest.approx(160, abs=1e-2)
+    assert np.degrees(plan.trajectory.position_at([best.x[0]])[0, 0]) == pytest.approx(160, abs=WAYPOINT_DEG)
 
 
 def test_a_waypoint_on_the_way_costs_nothing_at_a_free_instant():

@@ -18,7 +18,7 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.schemes import NAMES, scheme
 from tests.support.fourbar_problems import random_case
 from tests.support.plans import optimal
-from tests.support.tolerances_planner import LEAST_TIME_ON_ARCS, UNIT
+from tests.support.tolerances_planner import LEAST_TIME_ON_ARCS, ON_THE_ARC, UNIT
 
 NAN = np.nan
 
@@ -77,7 +77,7 @@ def test_a_plan_along_a_power_limit_is_at_it_at_all_nodes_of_an_arc_and_nowhere_
     at = np.flatnonzero(arcs[:, 0])[[0, -1]]
     inside = np.linspace(motion.breaks_s[at[0]], motion.breaks_s[at[1] + 1], 500)[1:-1]
     power = motion.effort_at(inside)[:, 0] * gear * motion.velocity_at(inside)[:, 0]
-    np.testing.assert_allclose(power, 900.0, rtol=1e-6)
+    np.testing.assert_allclose(power, 900.0, rtol=ON_THE_ARC)
     before = np.linspace(motion.breaks_s[0], motion.breaks_s[at[0]], 100)[:-1]
     assert (motion.effort_at(before)[:, 0] * gear * motion.velocity_at(before)[:, 0]).max() < 900.0
 

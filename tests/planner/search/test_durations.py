@@ -4,6 +4,7 @@ import pytest
 
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
+from tests.support.tolerances_planner import BEST_DURATION, LEAST_EFFORT, LONGEST_DURATION
 
 ARM = """<mujoco model="arm">
   <option gravity="0 0 0"/>
@@ -60,9 +61,9 @@ def test_a_longest_duration_is_used_to_the_full_however_long(longest, tmp_path):
     """Without gravity, effort is 12 (J angle)^2 / T^3: the last of them far beyond what a guess allows at once."""
     plan = planned(tmp_path, f"motion.max_duration_s={longest}")
     assert plan.status == "optimal", plan.message
-    assert plan.trajectory.duration_s == pytest.approx(longest, rel=1e-6)
+    assert plan.trajectory.duration_s == pytest.approx(longest, rel=LONGEST_DURATION)
     shorter = planned(tmp_path, "motion.duration_s=1.0")
-    assert plan.objective == pytest.approx(shorter.objective / longest**3, rel=1e-6)
+    assert plan.objective == pytest.approx(shorter.objective / longest**3, rel=LONGEST_DURATION)
 
 
 def test_weight_gives_a_motion_a_best_duration(tmp_path):
@@ -72,5 +73,5 @@ def test_weight_gives_a_motion_a_best_duration(tmp_path):
     plan = plan_motion(load_problem(tmp_path / "lift.toml"))
     assert plan.status == "optimal", plan.message
     T = (36 * 0.3**2 / 9.81**2) ** 0.25
-    assert plan.trajectory.duration_s == pytest.approx(T, rel=1e-5)
-    assert plan.objective == pytest.approx(2.0**2 * 9.81**2 * T * 4 / 3, rel=1e-8)
+    assert plan.trajectory.duration_s == pytest.approx(T, rel=BEST_DURATION)
+    assert plan.objective == pytest.approx(2.0**2 * 9.81**2 * T * 4 / 3, rel=LEAST_EFFORT)

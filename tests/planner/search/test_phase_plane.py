@@ -11,7 +11,7 @@ from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.search.phase_plane import least_time_guess
 from linkplan.planner.search.presolve import start_pose_of
 from tests.support.fourbar_problems import random_case
-from tests.support.tolerances_planner import MINIMUM_TIME
+from tests.support.tolerances_planner import MINIMUM_TIME, SAME_FIGURE
 
 SPRING = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" stiffness="1"/>
 <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
@@ -107,7 +107,7 @@ def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
     asked = replace(problem.motion, waypoints=(Waypoint(position=[1.0], speed=[-0.5]),))
     guess = least_time_guess(replace(problem, motion=asked), start_pose_of(problem))
     assert guess is not None
-    assert guess.velocity(guess.knots_s)[:, 0] == pytest.approx([0.0, -0.5, 0.0], abs=1e-9)
+    assert guess.velocity(guess.knots_s)[:, 0] == pytest.approx([0.0, -0.5, 0.0], abs=SAME_FIGURE)
 
 
 def test_a_start_too_fast_to_stop_at_the_goal_turns_back_beyond_it():

@@ -15,7 +15,7 @@ from linkplan.planner.transcription import compiled as module
 from linkplan.planner.transcription.compiled import cache_folder, cached, compiled, compiler, key_of
 from linkplan.planner.transcription.interval import NAMES, IntervalRows, build_interval
 from linkplan.planner.transcription.schemes import scheme
-from tests.support.tolerances_planner import ROUNDING
+from tests.support.tolerances_planner import COMPILED, ROUNDING
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
 
@@ -120,7 +120,7 @@ def test_a_plan_is_the_same_compiled_and_interpreted(folder):
         warnings.simplefilter("error")
         plans = [plan_motion(load_problem("knee-reach", [f"solver.compile={mode}"])) for mode in ("never", "always")]
     assert list(folder.glob("*.so"))
-    assert plans[1].objective == pytest.approx(plans[0].objective, rel=1e-10)
+    assert plans[1].objective == pytest.approx(plans[0].objective, rel=COMPILED)
 
 
 def test_payloads_have_functions_of_their_own():

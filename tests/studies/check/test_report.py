@@ -22,7 +22,7 @@ from tests.support.linkages import WELDED
 from tests.support.mechanism_checks import mechanism_of
 from tests.support.mechanisms import simulated
 from tests.support.slider_crank import CRANK, CRANK_CENTRE, CRANK_MASS, ROD, ROD_CENTRE, ROD_MASS, inertia, slider
-from tests.support.tolerances import BRACKET_RAD, KNEE, REDUCED, relative_error
+from tests.support.tolerances import BRACKET_RAD, KNEE, POLE_INERTIA, REDUCED, SWEPT_GAP_M, relative_error
 
 CONFIGURATIONS = KNEE_TABLE["configurations"]
 # Samples at which a sweep may stand at a singular pose's edge, where MuJoCo's own numbers lose digits with the condition.
@@ -163,7 +163,9 @@ def test_the_cart_feels_the_pole_s_mass_only_as_far_as_the_pole_pulls_along_the_
     """m_eff = M + m sin^2(pole); the pole itself is held by nothing."""
     _, path = swept_paths("cart-pole")
     pole = path.positions[:, 1]
-    assert relative_error(path.reflected_inertia[:, 0], 1.0 + 0.3 * np.sin(pole) ** 2) < 1e-8  # its moment of 1e-10 kg m2
+    assert (
+        relative_error(path.reflected_inertia[:, 0], 1.0 + 0.3 * np.sin(pole) ** 2) < POLE_INERTIA
+    )  # its moment of 1e-10 kg m2
     assert relative_error(path.unheld_effort[:, 1], 0.3 * G * 0.5 * np.sin(pole)) < KNEE
     assert np.all(path.available_effort[:, 1] == 0.0)
     assert np.all(path.singularity == 1.0)
@@ -177,7 +179,7 @@ def test_each_of_two_freedoms_is_swept_with_the_other_at_home():
         other = 1 - column
         assert np.ptp(path.positions[:, column]) > 1.0
         assert np.all(path.positions[:, other] == path.mechanism.home[path.mechanism.independent[other]])
-        assert path.mechanism.gaps_m(path.poses).max() < 1e-10
+        assert path.mechanism.gaps_m(path.poses).max() < SWEPT_GAP_M
 
 
 def test_each_of_two_motors_feels_the_inertia_that_is_left_with_the_other_free():
@@ -192,7 +194,7 @@ def test_a_coarse_reach_is_filled_with_closed_poses():
     (path,) = swept_paths("optimus-knee-linear")
     own = reach(mechanism_of("optimus-knee-linear"))
     assert len(own.poses) < 40 < 120 <= len(path.poses)
-    assert path.mechanism.gaps_m(path.poses).max() < 1e-10
+    assert path.mechanism.gaps_m(path.poses).max() < SWEPT_GAP_M
     assert np.all(np.diff(path.positions[:, 0]) > 0)
 
 
@@ -221,7 +223,7 @@ def test_a_problem_is_reported_on_along_its_reference_with_its_own_limits():
     path = motion_path(problem)
     expected = problem.reference.derivative(path.time_s, 0)
     assert np.array_equal(path.positions, expected)
-    assert np.degrees([expected.min(), expected.max()]) == pytest.approx([-49.07, 56.27], abs=1e-9)
+    assert np.degrees([expected.min(), expected.max()]) == pytest.approx([-49.07, 56.27], abs=KNEE)
     assert np.all(path.available_effort == [-80.0, 70.0])
     assert path.title == "the reference of knee-sine"
 

@@ -12,6 +12,7 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.softness import soft_closures, softness_note
+from tests.support.tolerances_loops import SETTLED_SPEED, STIFFEST
 
 STIFF = built_in_text("optimus-knee")
 SOFT = re.sub(r' solref="[^"]*" solimp="[^"]*"', "", STIFF)
@@ -34,7 +35,7 @@ def settled_gap(mechanism: Mechanism, effort: float) -> float:
     for _ in range(round(RUN_S / model.opt.timestep)):
         data.ctrl[0] = effort - KP * (data.qpos[0] - home[0])
         mujoco.mj_step(model, data)
-    assert np.abs(data.qvel).max() < 1e-4
+    assert np.abs(data.qvel).max() < SETTLED_SPEED
     return mechanism.gap_m(mechanism.q_of(data.qpos))
 
 
@@ -57,7 +58,7 @@ def test_the_stiffest_constraint_leaves_the_gap_that_is_told():
         HEAVY.replace("<connect ", f'<connect solref="{soft.stiff_solref}" solimp="0.999 0.999 0.001" ')
     )
     (after,) = soft_closures(stiffened, 0.0)
-    assert after.gap_m == pytest.approx(soft.stiff_gap_m, rel=1e-6)
+    assert after.gap_m == pytest.approx(soft.stiff_gap_m, rel=STIFFEST)
     assert after.weight_gap_m == pytest.approx(settled_gap(stiffened, hold(stiffened)), rel=SETTLED)
 
 

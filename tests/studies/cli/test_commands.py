@@ -9,7 +9,9 @@ import pytest
 
 from tests.support.data import ROOT
 from tests.support.figures import curves, saved_figures
-from tests.support.tolerances_planner import SINE_RMS_DEG
+from tests.support.tolerances import KNEE, SOURCE_GAP_M
+from tests.support.tolerances_loops import LAST_SAMPLE_S, POSE_DEG
+from tests.support.tolerances_planner import CLOSURE_M, ROUNDING, SINE_RMS_DEG
 
 KNEE_KEYS = {
     "status",
@@ -64,16 +66,16 @@ def test_check_of_the_mended_knee_finds_one_freedom_rank_two_and_no_problem(ask_
     code, said = ask_json("check", "optimus-knee", "--at-deg", "O=0", "--at-deg", "O=30")
     assert code == 0
     assert (said["dof"], said["closure_rows"], said["closure_rank"]) == (1, 3, 2)
-    assert said["closure_gap_m"] < 1e-9
-    assert said["reach_deg"]["O"][1] == pytest.approx(78.52165904546642, abs=1e-9)
-    assert said["singular_deg"] == pytest.approx([78.52165904546642], abs=1e-9)
-    assert said["toggle_deg"] == pytest.approx([61.43327954622908], abs=1e-9)
+    assert said["closure_gap_m"] < CLOSURE_M
+    assert said["reach_deg"]["O"][1] == pytest.approx(78.52165904546642, abs=KNEE)
+    assert said["singular_deg"] == pytest.approx([78.52165904546642], abs=KNEE)
+    assert said["toggle_deg"] == pytest.approx([61.43327954622908], abs=KNEE)
     assert said["contacts"] == []
     assert said["problems"] == []
     at_30 = said["points"][1]
-    assert at_30["q_deg"]["A"] == pytest.approx(39.74309737680779, abs=1e-9)
-    assert at_30["reduced_inertia_kgm2"][0][0] == pytest.approx(0.00021304923174702268, rel=1e-9)
-    assert at_30["gravity_effort"]["O"] == pytest.approx(-0.019943993693058087, abs=1e-9)
+    assert at_30["q_deg"]["A"] == pytest.approx(39.74309737680779, abs=KNEE)
+    assert at_30["reduced_inertia_kgm2"][0][0] == pytest.approx(0.00021304923174702268, rel=KNEE)
+    assert at_30["gravity_effort"]["O"] == pytest.approx(-0.019943993693058087, abs=KNEE)
     assert at_30["effort_map"] == {"act_O": {"O": 1.0}}
 
 
@@ -81,7 +83,7 @@ def test_check_of_the_source_names_the_open_loop_the_contacts_and_the_range_of_a
     code, said = ask_json("check", "optimus-knee-source")
     problems = "\n".join(said["problems"])
     assert code == 1
-    assert said["closure_gap_m"] == pytest.approx(0.073, abs=5e-4)
+    assert said["closure_gap_m"] == pytest.approx(0.073, abs=SOURCE_GAP_M)
     assert "73 mm" in problems
     assert "joint A's range [-90, 90] deg stops the loop at O = -26.39 deg" in problems
     assert "geoms L2 and B touch" in problems
@@ -102,7 +104,7 @@ def test_a_payload_set_on_the_command_line_reaches_the_inertia(ask_json):
     payload = '{ body = "crank", mass_kg = 2.0, com_m = [0.0, 0.0, -0.1], inertia_kgm2 = [0.01, 0.02, 0.01] }'
     loaded = ask_json("check", "optimus-knee", "--at-deg", "O=0", "--set", f"mechanism.payload={payload}")[1]["points"][0]
     added = loaded["reduced_inertia_kgm2"][0][0] - bare["reduced_inertia_kgm2"][0][0]
-    assert added == pytest.approx(0.02 + 2.0 * 0.1**2, rel=1e-12)
+    assert added == pytest.approx(0.02 + 2.0 * 0.1**2, rel=ROUNDING)
 
 
 @pytest.mark.slow
@@ -169,8 +171,8 @@ def test_compare_of_the_sine_draws_the_documents_figure_for_both_gain_sets(ask_j
         drawn = curves(axes)
         assert set(drawn) == {"actual", "desired"}
         time, desired = drawn["desired"]
-        assert (time.min(), time.max()) == pytest.approx((0.0, 2.0), abs=1e-3)
-        assert desired == pytest.approx(3.6 + 52.67 * np.sin(2 * np.pi * 4 * time), abs=1e-6)
+        assert (time.min(), time.max()) == pytest.approx((0.0, 2.0), abs=LAST_SAMPLE_S)
+        assert desired == pytest.approx(3.6 + 52.67 * np.sin(2 * np.pi * 4 * time), abs=POSE_DEG)
         off = np.sqrt(np.mean((drawn["actual"][1] - desired) ** 2))
         assert (off < SINE_RMS_DEG) == cell.endswith("KD = 1")
 

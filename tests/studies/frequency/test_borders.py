@@ -21,6 +21,7 @@ from linkplan.studies.frequency.stability_map import (
 )
 from linkplan.studies.frequency.trial import settle_trials
 from tests.support.oscillators import inertia_alone
+from tests.support.tolerances_loops import CRITICAL_KD, DELAY_MARGIN, LONGEST_PERIOD, QUICK, QUICK_DEG, RADIUS
 
 NINE_DEG = np.linspace(-49.07, 56.27, 9)
 # The critical gain predicted brackets MuJoCo's own border within this. Measured 5e-4.
@@ -44,7 +45,7 @@ def test_critical_kd_of_an_inertia_is_two_j_over_t():
     timing = sampling(mechanism, 1e-3)
     # z = -1 is a root where 4 - 2 kd T / J - kp T^2 / J = 0 in MuJoCo's steps, where 4 - 2 kd T / J = 0 under an exact hold.
     for kp in (5.0, 500.0, 5000.0):
-        assert critical_kd(point, kp, timing)[1] == pytest.approx(2 * 0.05 / 1e-3 - kp * 1e-3 / 2, rel=1e-5)
+        assert critical_kd(point, kp, timing)[1] == pytest.approx(2 * 0.05 / 1e-3 - kp * 1e-3 / 2, rel=CRITICAL_KD)
     gain = 2 * 0.05 / 1e-3
     assert pd_loop(point, 500.0, gain * (1 - 1e-6), timing, EXACT).stable
     assert not pd_loop(point, 500.0, gain * (1 + 1e-6), timing, EXACT).stable
@@ -74,7 +75,7 @@ def test_a_delay_a_little_below_its_margin_is_stable_in_mujoco_and_a_little_abov
     loop = pd_loop(point, 200.0, 1.0, sampling(knee, 1e-4))
     margin = margins(loop).delay_margin_s
     exact, substeps = delay_margin(loop, margin)
-    assert exact == pytest.approx(margin, rel=0.02)
+    assert exact == pytest.approx(margin, rel=DELAY_MARGIN)
     timing = replace(loop.timing, substeps=substeps)
     settled = []
     for delay, toward in ((margin * (1 - DELAY), np.floor), (margin * (1 + DELAY), np.ceil)):
@@ -88,7 +89,7 @@ def test_the_longest_period_of_the_documents_gains_is_the_critical_ones(knee):
     points = [at(knee, angle) for angle in NINE_DEG]
     longest, where = longest_period(points, lambda p, _: pd_gain(effort_map(p), 200.0, 10.0), 0.0, 1e-4)
     least = min(float(point.inertia[0, 0]) for point in points)
-    assert longest == pytest.approx(2 * least / 10.0, rel=0.01)
+    assert longest == pytest.approx(2 * least / 10.0, rel=LONGEST_PERIOD)
     assert where.name == points[-1].name
     loops = {f: [pd_loop(points[-1], 200.0, 10.0, sampling(knee, f * longest))] for f in (0.97, 1.03)}
     assert settle_trials(loops[0.97], knee.effort_limit).settles.all()
@@ -109,7 +110,7 @@ def test_a_map_agrees_with_mujoco_on_both_sides_of_its_border(payload):
     assert found.trials.settles.tolist() == predicted
     for i, j in ((0, 0), (3, 4), (7, 8), (5, 2)):
         loops = [pd_loop(point, kp[i], kd[j], timing) for point in points]
-        assert found.radius[i, j] == pytest.approx(max(loop.radius for loop in loops), rel=1e-9)
+        assert found.radius[i, j] == pytest.approx(max(loop.radius for loop in loops), rel=RADIUS)
         assert np.isnan(found.phase_margin_deg[i, j]) == (found.radius[i, j] >= 1)
 
 
@@ -121,6 +122,6 @@ def test_quick_margins_are_the_margins(knee):
     assert quick.radius == pytest.approx(radii(point, kp, kd, timing))
     for k in range(3):
         full = margins(pd_loop(point, kp[k], kd[k], timing), refine=False)
-        assert quick.phase_margin_deg[k] == pytest.approx(full.phase_margin_deg, abs=0.3)
-        assert quick.sensitivity_peak[k] == pytest.approx(full.sensitivity_peak, rel=5e-3)
-        assert quick.bandwidth_hz[k] == pytest.approx(full.bandwidth_hz or np.inf, rel=5e-3)
+        assert quick.phase_margin_deg[k] == pytest.approx(full.phase_margin_deg, abs=QUICK_DEG)
+        assert quick.sensitivity_peak[k] == pytest.approx(full.sensitivity_peak, rel=QUICK)
+        assert quick.bandwidth_hz[k] == pytest.approx(full.bandwidth_hz or np.inf, rel=QUICK)

@@ -16,7 +16,7 @@ from linkplan.studies.frequency.excitation import METHODS, Setup
 from linkplan.studies.frequency.loops import CONTINUOUS, EXACT, SIMULATED, feedback_loop, operating_point
 from linkplan.studies.frequency.measure import measure
 from tests.support.oscillators import mass_on_a_spring, pendulum
-from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG
+from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG, SHORT_HOLD, STEPPED, WHOLE_PERIODS
 
 # Closed forms, relative: only rounding, times the loop's condition. Measured 4e-13.
 CLOSED_FORM = 1e-9
@@ -112,7 +112,7 @@ def test_a_broken_delay_turns_the_loop_by_its_own_phase_where_the_hold_is_short(
     prompt, _ = loop_of(oscillator, EXACT)
     slow = np.geomspace(0.3, 5.0, 9)
     turned = np.unwrap(np.angle(late.gains("loop", slow) / prompt.gains("loop", slow)))
-    assert turned == pytest.approx(-2 * np.pi * slow * 2.5 * T, rel=1e-2)
+    assert turned == pytest.approx(-2 * np.pi * slow * 2.5 * T, rel=SHORT_HOLD)
 
 
 def test_responses_agree_with_python_controls_own():
@@ -121,7 +121,7 @@ def test_responses_agree_with_python_controls_own():
     z = np.exp(2j * np.pi * FREQUENCIES * T)
     closed = control.feedback(loop.system(), 1)
     assert np.abs(np.asarray(closed(z)).ravel() / loop.gains("complementary", FREQUENCIES) - 1).max() < CLOSED_FORM
-    assert np.abs(closed.poles()).max() == pytest.approx(loop.radius, rel=1e-9)
+    assert np.abs(closed.poles()).max() == pytest.approx(loop.radius, rel=CLOSED_FORM)
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast", "discrete", "RK4"])
@@ -174,7 +174,7 @@ def test_a_period_of_several_steps_with_a_late_command_is_what_mujoco_does():
             data.ctrl[0] = point.hold[0] + (commands[at // 5] if at >= 0 else 0.0)
             mujoco.mj_step(mechanism.model, data)
         off = np.array([data.qpos[0] - point.pose[0], data.qvel[0]])
-        assert np.abs(off - state[:2]).max() < 1e-6 * max(np.abs(state[:2]).max(), 1e-5)
+        assert np.abs(off - state[:2]).max() < STEPPED * max(np.abs(state[:2]).max(), 1e-5)
     assert np.abs(state[:2]).max() > 1e-6
 
 
@@ -196,7 +196,7 @@ def test_measured_responses_are_the_sampled_prediction(model, delay):
     # A tenth of the sampling rate is reached, and a prediction without the simulator's steps would not do there.
     other, _ = loop_of(oscillator, CONTINUOUS)
     measured = taken.responses[0]["loop"]
-    assert measured.frequency_hz[-1] == pytest.approx(0.1 / T, rel=0.01)
+    assert measured.frequency_hz[-1] == pytest.approx(0.1 / T, rel=WHOLE_PERIODS)
     assert np.abs(measured.against(other.response("loop", measured.frequency_hz))[1]).max() > 5
 
 

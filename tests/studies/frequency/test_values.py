@@ -14,6 +14,7 @@ from linkplan.studies.frequency.loops import feedback_loop, law_gain, operating_
 from linkplan.studies.frequency.measure import measure
 from linkplan.studies.frequency.response import Response, from_frd
 from tests.support.mechanisms import FIVE_BAR
+from tests.support.tolerances_loops import COUPLED_DB, COUPLED_DEG, NEAREST_WHOLE, PRINTED_DB
 
 F = np.array([1.0, 2.0, 4.0])
 
@@ -33,10 +34,10 @@ def test_a_response_goes_to_python_control_and_back():
 def test_a_response_knows_its_size_its_phase_and_its_distance_from_another():
     gain = np.array([1.0, 0.5j, -0.1])
     response = Response(frequency_hz=F, gain=gain, unit="1", origin="a")
-    assert response.db == pytest.approx([0.0, -6.0206, -20.0], abs=1e-4)
+    assert response.db == pytest.approx([0.0, -6.0206, -20.0], abs=PRINTED_DB)
     assert response.phase_deg == pytest.approx([0.0, 90.0, 180.0])
     db, deg = response.against(Response(frequency_hz=F, gain=2j * gain, unit="1", origin="b"))
-    assert db == pytest.approx(-6.0206, abs=1e-4)
+    assert db == pytest.approx(-6.0206, abs=PRINTED_DB)
     assert deg == pytest.approx(-90.0)
     assert response.coherence == pytest.approx(1.0)
     assert response.uncertainty == pytest.approx(0.0)
@@ -75,7 +76,7 @@ def test_measured_frequencies_repeat_after_whole_samples_next_to_those_asked_for
     assert np.all(np.diff(found) > 0)
     low = asked < 450
     nearest = np.abs(found[:, None] / asked[None, low] - 1).min(axis=0)
-    assert nearest.max() < 5e-3
+    assert nearest.max() < NEAREST_WHOLE
 
 
 def five_bar_loops():
@@ -94,8 +95,8 @@ def test_each_joints_loop_is_predicted_and_measured_with_the_others_closed():
         taken = measure([loop], np.array([2.0, 8.0, 30.0]), mechanism.effort_limit, channel=channel)
         for name, response in taken.responses[0].items():
             db, deg = response.against(loop.response(name, response.frequency_hz, channel))
-            assert np.abs(db).max() < 0.1, name
-            assert np.abs(deg).max() < 1.0, name
+            assert np.abs(db).max() < COUPLED_DB, name
+            assert np.abs(deg).max() < COUPLED_DEG, name
     # The other loop matters: without it the first one's plant is another.
     alone = loop.plant(np.array([2.0]))[0, 0, 0]
     assert abs(loop.gains("plant", np.array([2.0]), 0)[0] / alone - 1) > 0.01

@@ -11,6 +11,7 @@ from linkplan.studies.frequency.loops import feedback_loop, law_gain, operating_
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.tune.tune import Wanted, motor_gains, tune, tune_record, tune_text
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
+from tests.support.tolerances_loops import GAINS_SCALED
 
 ANGLES_DEG = (-49.0, 3.6, 56.0)
 
@@ -68,8 +69,8 @@ def test_gains_of_an_inertia_grow_with_the_square_and_the_first_power_of_the_ban
         assert found.found
         kp.append(found.best.settings.kp)
         kd.append(found.best.settings.kd)
-    assert kp[1] / kp[0] == pytest.approx(4.0, rel=0.05)
-    assert kd[1] / kd[0] == pytest.approx(2.0, rel=0.05)
+    assert kp[1] / kp[0] == pytest.approx(4.0, rel=GAINS_SCALED)
+    assert kd[1] / kd[0] == pytest.approx(2.0, rel=GAINS_SCALED)
 
 
 def test_the_motors_side_sees_gains_through_the_square_of_its_gear():
