@@ -1,9 +1,12 @@
 """Plans of the built-in problems with overrides, each made once; the knee's reach that most of them are about."""
 
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
+from linkplan.planner.files.folders import write_whole
+from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
@@ -31,3 +34,9 @@ def optimal(name: str, *overrides: str) -> Plan:
     plan = planned(name, *overrides)
     assert plan.status == "optimal", plan.message
     return plan
+
+
+def saved_plan(name: str, folder: Path) -> Path:
+    """Return where a built-in problem's plan was written: a folder of its name."""
+    write_whole(folder / name, lambda new: write_plan(optimal(name), new))
+    return folder / name

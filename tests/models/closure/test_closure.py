@@ -79,9 +79,8 @@ def case(name: str) -> Case:
         rng = np.random.default_rng(seed)
         bar = random_four_bar(rng)
         motors = ("O",) if seed % 4 else ("O", "C", "O")
-        mechanism = load_mechanism(
-            bar.mjcf(rng, quaternion=random_quaternion(rng), anchor_form=seed % 2 == 1, motors=motors)
-        )
+        text = bar.mjcf(rng, quaternion=random_quaternion(rng), anchor_form=seed % 2 == 1, motors=motors)
+        mechanism = load_mechanism(text)
         q = bar.samples(rng, N_POSES)
     shape = (N_POSES, mechanism.dof)
     return Case(

@@ -2,10 +2,8 @@
 
 import csv
 import json
-import shutil
 import zipfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +12,15 @@ import pytest
 from linkplan.models.errors import PlanFileError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.folders import RECORDS, check_target, plain, write_json, write_whole
+from linkplan.planner.files.folders import plain, write_json, write_whole
 from linkplan.planner.files.plan_folder import FORMAT, read_plan, record, write_plan
 from tests.support.fourbar import KNEE_PROBLEMS
-from tests.support.plans import optimal, planned
+from tests.support.plans import optimal, planned, saved_plan
 from tests.support.tolerances_planner import CERTIFIED_AGAIN, CSV, PRINTED_NM, ROUNDING
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 FILES = ["plan.json", "trajectory.csv", "trajectory.npz"]
 every_plan = pytest.mark.parametrize("name", KNEE_PROBLEMS)
-
-
-def save(name: str, folder: Path) -> Path:
-    write_whole(folder / name, lambda new: write_plan(optimal(name), new))
-    return folder / name
-
-
-@pytest.fixture
-def saved(tmp_path) -> Path:
-    """Return a folder that holds the plan of knee-reach."""
-    return save("knee-reach", tmp_path)
 
 
 def stored(path: Path) -> dict[str, np.ndarray]:
@@ -47,7 +34,7 @@ def stored(path: Path) -> dict[str, np.ndarray]:
 @pytest.mark.slow
 @every_plan
 def test_a_plan_that_is_read_back_has_the_same_motion(name, tmp_path):
-    plan, again = optimal(name), read_plan(save(name, tmp_path))
+    plan, again = optimal(name), read_plan(saved_plan(name, tmp_path))
     for array in ARRAYS:
         np.testing.assert_array_equal(getattr(again.trajectory, array), getattr(plan.trajectory, array))
     assert again.trajectory.periodic == plan.trajectory.periodic
@@ -56,7 +43,7 @@ def test_a_plan_that_is_read_back_has_the_same_motion(name, tmp_path):
 @pytest.mark.slow
 @every_plan
 def test_a_plan_that_is_read_back_says_the_same(name, tmp_path):
-    plan, again = optimal(name), read_plan(save(name, tmp_path))
+    plan, again = optimal(name), read_plan(saved_plan(name, tmp_path))
     assert (again.status, again.message, again.objective) == (plan.status, plan.message, plan.objective)
     assert again.details == plan.details
     assert again.problem.source == plan.problem.source
@@ -65,7 +52,7 @@ def test_a_plan_that_is_read_back_says_the_same(name, tmp_path):
 @pytest.mark.slow
 @every_plan
 def test_a_plan_that_is_read_back_is_certified_anew(name, tmp_path):
-    certificate, before = read_plan(save(name, tmp_path)).certificate, optimal(name).certificate
+    certificate, before = read_plan(saved_plan(name, tmp_path)).certificate, optimal(name).certificate
     assert certificate.passed
     assert certificate.integration_error_deg == pytest.approx(
         before.integration_error_deg, rel=CERTIFIED_AGAIN, abs=ROUNDING
@@ -133,7 +120,7 @@ def test_the_table_s_header_has_units(saved):
 
 @every_plan
 def test_the_table_s_rows_are_the_trajectory(name, tmp_path):
-    header, rows = table(save(name, tmp_path))
+    header, rows = table(saved_plan(name, tmp_path))
     plan = optimal(name)
     trajectory, mechanism = plan.trajectory, plan.problem.mechanism
     time = rows[:, 0]
@@ -212,7 +199,7 @@ def flipped(folder: Path) -> None:
 
 
 def as_npy(folder: Path) -> None:
-    np.save(folder / "one.npy", np.eye(3))
+    np.saved_plan(folder / "one.npy", np.eye(3))
     (folder / "one.npy").rename(folder / "trajectory.npz")
 
 
@@ -310,92 +297,3 @@ def test_a_motion_that_was_changed_on_disk_no_longer_counts_as_optimal(saved):
         return
     assert not plan.certificate.passed
     assert plan.status != "optimal"
-
-
-# Written whole or not at all.
-
-
-def fails(folder: Path) -> None:
-    (folder / "plan.json").write_text("half")
-    raise RuntimeError("in the middle")
-
-
-def out_of_disk(folder: Path) -> None:
-    (folder / "plan.json").write_text("half")
-    raise OSError(28, "No space left on device")
-
-
-@pytest.mark.parametrize(("write", "error"), [(fails, RuntimeError), (out_of_disk, PlanFileError)])
-def test_a_write_that_fails_leaves_nothing_behind(write, error, tmp_path):
-    with pytest.raises(error):
-        write_whole(tmp_path / "plan", write)
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(("write", "error"), [(fails, RuntimeError), (out_of_disk, PlanFileError)])
-def test_a_write_that_fails_keeps_the_earlier_result(write, error, saved):
-    before = {path.name: path.read_bytes() for path in saved.iterdir()}
-    with pytest.raises(error):
-        write_whole(saved, write)
-    assert {path.name: path.read_bytes() for path in saved.iterdir()} == before
-    assert [path.name for path in saved.parent.iterdir()] == [saved.name]
-
-
-def test_a_disk_that_refuses_is_named_with_its_reason(tmp_path):
-    with pytest.raises(PlanFileError, match="No space left on device"):
-        write_whole(tmp_path / "plan", out_of_disk)
-
-
-def test_a_newer_result_replaces_an_older_one_whole(saved):
-    (saved / "figure.png").write_bytes(b"old")
-    write_whole(saved, lambda new: write_plan(optimal("knee-reach"), new))
-    assert sorted(path.name for path in saved.iterdir()) == FILES
-    assert [path.name for path in saved.parent.iterdir()] == [saved.name]
-
-
-def test_missing_parents_are_made(tmp_path):
-    write_whole(tmp_path / "a" / "b" / "plan", lambda new: write_plan(optimal("knee-reach"), new))
-    assert read_plan(tmp_path / "a" / "b" / "plan").status == "optimal"
-
-
-def test_an_empty_folder_may_be_filled(tmp_path):
-    (tmp_path / "plan").mkdir()
-    write_whole(tmp_path / "plan", lambda new: write_json(new / "plan.json", {}))
-    assert (tmp_path / "plan" / "plan.json").is_file()
-
-
-def test_a_folder_of_other_things_is_not_overwritten(tmp_path):
-    (tmp_path / "thesis.tex").write_text("all my work")
-    with pytest.raises(PlanFileError, match="not linkplan's"):
-        write_whole(tmp_path, lambda new: write_json(new / "plan.json", {}))
-    assert (tmp_path / "thesis.tex").read_text() == "all my work"
-
-
-@pytest.mark.parametrize("name", RECORDS)
-def test_a_result_is_replaced_by_its_own_kind_only(name, tmp_path):
-    (tmp_path / name).write_text("{}")
-    check_target(tmp_path, name)
-    other = next(record for record in RECORDS if record != name)
-    with pytest.raises(PlanFileError, match=rf"another result \({name}\)"):
-        check_target(tmp_path, other)
-
-
-def test_a_file_in_the_way_is_not_overwritten(tmp_path):
-    (tmp_path / "plan").write_text("mine")
-    with pytest.raises(PlanFileError, match="is a file"):
-        write_whole(tmp_path / "plan", lambda new: write_json(new / "plan.json", {}))
-    with pytest.raises(PlanFileError, match="is a file"):
-        check_target(tmp_path / "plan" / "below")
-    assert (tmp_path / "plan").read_text() == "mine"
-
-
-def test_a_copied_folder_is_as_good_as_the_first(saved, tmp_path):
-    shutil.copytree(saved, tmp_path / "copy")
-    assert read_plan(tmp_path / "copy").certificate.passed
-
-
-def test_a_plan_whose_certificate_fails_can_still_be_saved_and_says_so(tmp_path):
-    plan = planned("knee-reach")
-    broken = replace(plan, status="failed", message="failed: on purpose")
-    write_whole(tmp_path / "plan", lambda new: write_plan(broken, new))
-    assert read_plan(tmp_path / "plan").status == "failed"

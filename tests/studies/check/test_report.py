@@ -42,7 +42,9 @@ def knee_path() -> LoopPath:
 @cache
 def swept_paths(name: str) -> tuple[LoopPath, ...]:
     mechanism = mechanism_of(name)
-    return reach_paths(mechanism, tuple(reach(mechanism, column) for column in range(mechanism.dof)))
+    paths = reach_paths(mechanism, tuple(reach(mechanism, column) for column in range(mechanism.dof)))
+    assert len(paths) == mechanism.dof
+    return paths
 
 
 @cache
