@@ -16,9 +16,10 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of
 from linkplan.planner.plan import Plan
-from linkplan.planner.planning import finished, plan_motion
+from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Say, Step, silent
 from linkplan.planner.search.presolve import plain_contradiction, start_pose_of

@@ -14,6 +14,7 @@ from linkplan.models.poses.along import joint_rates, needed_effort, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
+from linkplan.planner.certificate.boundary import exactly, missed
 from linkplan.planner.certificate.integration import integrate
 from linkplan.planner.certificate.margins import (
     Margin,
@@ -26,13 +27,13 @@ from linkplan.planner.certificate.margins import (
 )
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.settings import INTEGRATION_DEG
 from linkplan.planner.trajectory import Trajectory
 
-# What a certificate must show. Closure: what DESIGN promises. Integration: a hundredth of a degree, a tenth of what a good
-# encoder resolves. Dynamics: between nodes, efforts that differ from the carried ones by more than this share of the
-# largest carried effort are another motion's. Ranges and speeds: rounding of degrees and no more.
+# What a certificate must show. Closure: what DESIGN promises. Integration: `INTEGRATION_DEG`, or this. Dynamics: between
+# nodes, efforts that differ from the carried ones by more than this share of the largest carried effort are another
+# motion's. Ranges and speeds: rounding of degrees and no more.
 CLOSURE_M = 1e-9
-INTEGRATION_DEG = 0.01
 INTEGRATION_M = 1e-5
 # A motion over less than this [rad or m] stands still: its errors are shares of that.
 _STILL = 1e-9
@@ -238,22 +239,21 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
         rest = np.zeros(trajectory.n_s)
         asked = np.stack([motion.start, motion.goal])
         wanted = np.stack([rest if x is None else x for x in (motion.start_speed, motion.goal_speed)])
+        free = np.zeros_like(ends, dtype=bool)
+        # a passive degree of freedom may end anywhere
+        free[1] = np.isin(problem.mechanism.independent, problem.mechanism.idle)
     elif trajectory.periodic:
-        asked, wanted = ends[::-1], speeds[::-1]
+        asked, wanted, free = ends[::-1], speeds[::-1], np.zeros_like(ends, dtype=bool)
     else:
         return 0.0
-    apart = np.stack([np.abs(ends - asked) / span, np.abs(speeds - wanted) / speed])
-    if motion.kind == "reach":  # a passive degree of freedom may end anywhere
-        apart[:, 1, np.isin(problem.mechanism.independent, problem.mechanism.idle)] = 0.0
-    missed = [float(apart.max())]
-    missed += [_missed(trajectory, waypoint, span, speed) for waypoint in motion.waypoints]
-    return max(missed)
+    apart = [missed(ends, *exactly(asked, free), span), missed(speeds, *exactly(wanted, free), speed)]
+    return max(*apart, *(_passed_by(trajectory, waypoint, span, speed) for waypoint in motion.waypoints))
 
 
-def _missed(trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float) -> float:
+def _passed_by(trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float) -> float:
     """Return how far a motion passes a waypoint by, at its instant or at the break that comes nearest."""
     breaks = trajectory.breaks_s
     time = breaks if waypoint.time_s is None else breaks[:1] + waypoint.time_s
-    position = np.nan_to_num(np.abs(trajectory.position_at(time) - waypoint.position)).max(axis=1) / span
-    rate = np.nan_to_num(np.abs(trajectory.velocity_at(time) - waypoint.speed)).max(axis=1) / speed
-    return float(np.maximum(position, rate).min())
+    position, rate = exactly(waypoint.position), exactly(waypoint.speed)
+    states = zip(trajectory.position_at(time), trajectory.velocity_at(time), strict=True)
+    return min(max(missed(s, *position, span), missed(v, *rate, speed)) for s, v in states)

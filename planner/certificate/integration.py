@@ -7,29 +7,24 @@ is restarted wherever an error would have grown by `GROWTH`. What is judged is t
 model, not whether somebody could follow it blindly; how often it was restarted is reported.
 """
 
-import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-from scipy.integrate import solve_ivp
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
+from linkplan.planner.certificate.flow import Rate, flow, flows
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.schemes import bernstein_value
 
-# The integration's own error: two digits below the 1e-10 that the certificate speaks of.
-_RTOL, _ATOL = 1e-12, 1e-13
 # An error that has grown so much restarts the integration: rounding, grown so, is far below a certificate's hundredth of a
 # degree.
 GROWTH = 1e4
 # Size of the steps by which transition matrices are found, of the motion's spans and speeds.
 _STEP = 1e-6
-# The most evaluations of the dynamics on one interval, sixteen hundred steps; where a motion is one, some ten do. At a fold
-# where the reduced dynamics end, steps become ever smaller.
-_EVALUATIONS = 20_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -69,22 +64,19 @@ def integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowe
 def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray) -> Integrated:
     """Return the errors of one integration, sampled in the middle of every interval and on both sides of every break."""
     n_q, independent = mechanism.n_q, mechanism.independent
-    flow = _Flow(mechanism, trajectory)
     start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
     state = np.concatenate([start, trajectory.velocity[0, 0]])
     n = len(trajectory.breaks_s) - 1
     looks = np.array([0.0, 0.5, 1.0])
     errors, velocity_error = np.zeros((n, mechanism.dof)), 0.0
-    for k in range(n):
-        reached = flow(k, state, looks)
+    for k, reached in enumerate(flows(_rate(mechanism, trajectory), trajectory.breaks_s, state, looks)):
         if reached is None:
             errors[k:], velocity_error = np.inf, np.inf
             break
-        planned = np.array([_bezier(trajectory.position[:, k], tau) for tau in looks])
-        planned_velocity = np.array([_bezier(trajectory.velocity[:, k], tau) for tau in looks])
+        planned = np.array([bernstein_value(trajectory.position[:, k], tau) for tau in looks])
+        planned_velocity = np.array([bernstein_value(trajectory.velocity[:, k], tau) for tau in looks])
         errors[k] = np.abs(reached[:, independent] - planned).max(axis=0)
         velocity_error = max(velocity_error, float(np.abs(reached[:, n_q:] - planned_velocity).max()) / speed)
-        state = reached[-1]
     with np.errstate(invalid="ignore"):  # beyond a failed integration, infinity less infinity
         growth = np.abs(np.diff(np.vstack([np.zeros(mechanism.dof), errors]), axis=0) / allowed).max(axis=1)
     growth = np.nan_to_num(growth, nan=np.inf)
@@ -94,7 +86,7 @@ def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allow
 def _anew(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray) -> Integrated | None:
     """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
     n, n_s, n_q = len(trajectory.breaks_s) - 1, mechanism.dof, mechanism.n_q
-    flow = _Flow(mechanism, trajectory)
+    rate_on, widths = _rate(mechanism, trajectory), np.diff(trajectory.breaks_s)
     span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), np.finfo(float).tiny)
     unit = np.concatenate([span, np.full(n_s, speed)])
     begins = np.hstack([trajectory.position[0], trajectory.velocity[0]])
@@ -104,7 +96,7 @@ def _anew(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: n
 
     def arrives(k: int, begin: np.ndarray) -> np.ndarray | None:
         pose = poses[k] if np.array_equal(begin, begins[k]) else follow(mechanism, begin[None, :n_s], poses[k])[0]
-        reached = flow(k, np.concatenate([pose, begin[n_s:]]), last)
+        reached = flow(rate_on(k), widths[k], np.concatenate([pose, begin[n_s:]]), last)
         return None if reached is None else np.concatenate([reached[0, :n_q][mechanism.independent], reached[0, n_q:]])
 
     error, carried = np.zeros(2 * n_s), np.eye(2 * n_s)
@@ -132,57 +124,15 @@ def _anew(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: n
     return Integrated(position=position, velocity=velocity, growth=growth, restarts=restarts)
 
 
-class _CrawlsError(Exception):
-    """Integration of an interval needs more evaluations than any feasible motion does."""
-
-
-def _counted(rate: Callable[[float, np.ndarray], np.ndarray]) -> Callable[[float, np.ndarray], np.ndarray]:
-    """Return a right-hand side that may be called so often and no more."""
-    calls = itertools.count()
-
-    def counted(t: float, y: np.ndarray) -> np.ndarray:
-        if next(calls) > _EVALUATIONS:
-            raise _CrawlsError
-        return rate(t, y)
-
-    return counted
-
-
-class _Flow:
-    """The model on an interval of a plan: from a state (n_q + n_s,) at its beginning to those at shares of it."""
-
-    def __init__(self, mechanism: Mechanism, trajectory: Trajectory) -> None:
-        self._rate, self._trajectory = _rate(mechanism, trajectory), trajectory
-
-    def __call__(self, k: int, state: np.ndarray, looks: np.ndarray) -> np.ndarray | None:
-        """Return states (n, n_q + n_s) at shares (n,) of interval k; None where integration fails."""
-        breaks = self._trajectory.breaks_s
-        width = breaks[k + 1] - breaks[k]
-        atol = _ATOL * np.maximum(1.0, np.abs(state))
-        on_interval = _counted(self._rate(self._trajectory.effort[:, k], width))
-        # An infeasible motion may diverge: the outcome shows it, and needs no warnings.
-        with np.errstate(all="ignore"):
-            try:
-                result = solve_ivp(
-                    on_interval, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=looks * width
-                )
-            except _CrawlsError:
-                return None
-        return result.y.T if result.success and result.y.shape[1] == len(looks) else None
-
-
-def _rate(mechanism: Mechanism, trajectory: Trajectory) -> Callable[[np.ndarray, float], Callable]:
-    """Return a maker of the right-hand side on an interval, from its effort's coefficients (degree + 1, n_u) and width [s].
+def _rate(mechanism: Mechanism, trajectory: Trajectory) -> Callable[[int], Rate]:
+    """Return a maker of the model's right-hand side on an interval, by its number, under the plan's efforts there.
 
     It is called some thousand times per motion: CasADi reads and writes numpy's memory without copies.
     """
     n, shape = mechanism.n_q + mechanism.dof, trajectory.effort[:, 0].shape
     x, coefficients, tau = ca.SX.sym("x", n), ca.SX.sym("u", *shape), ca.SX.sym("tau")
-    points = coefficients
-    for left in range(shape[0] - 1, 0, -1):
-        points = points[:left, :] + tau * (points[1:, :] - points[:left, :])
-    flow = mechanism.dynamics.flow(x[: mechanism.n_q], x[mechanism.n_q :], points.T)
-    function = ca.Function("rate", [x, coefficients, tau], [ca.vertcat(*flow)], {"cse": True})
+    rates = mechanism.dynamics.flow(x[: mechanism.n_q], x[mechanism.n_q :], bernstein_value(coefficients, tau).T)
+    function = ca.Function("rate", [x, coefficients, tau], [ca.vertcat(*rates)], {"cse": True})
     buffer, evaluate = function.buffer()
     # All of these live as long as the right-hand sides: CasADi keeps addresses only.
     state, flat, at, result = np.zeros(n), np.zeros(shape[0] * shape[1]), np.zeros(1), np.zeros(n)
@@ -192,7 +142,11 @@ def _rate(mechanism: Mechanism, trajectory: Trajectory) -> Callable[[np.ndarray,
     buffer.set_res(0, memoryview(result))
     kept = function, buffer, flat
 
-    def on_interval(values: np.ndarray, width: float) -> Callable[[float, np.ndarray], np.ndarray]:
+    widths = np.diff(trajectory.breaks_s)
+
+    def on_interval(k: int) -> Rate:
+        values, width = trajectory.effort[:, k], widths[k]
+
         def rate(t: float, y: np.ndarray, kept=kept) -> np.ndarray:
             del kept
             state[:], effort[...], at[0] = y, values, t / width
@@ -202,11 +156,3 @@ def _rate(mechanism: Mechanism, trajectory: Trajectory) -> Callable[[np.ndarray,
         return rate
 
     return on_interval
-
-
-def _bezier(coefficients: np.ndarray, tau: float) -> np.ndarray:
-    """Return a Bernstein polynomial's value by de Casteljau: coefficients (degree + 1, n)."""
-    points = coefficients
-    while len(points) > 1:
-        points = points[:-1] + tau * (points[1:] - points[:-1])
-    return points[0]

@@ -1,18 +1,41 @@
 """The plan of a certified motion: its status by the certificate, its message in words."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
+from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.collisions import with_contacts
+from linkplan.planner.closed_chain.case import is_exact
 from linkplan.planner.closed_chain.prescribed import reference_demand
 from linkplan.planner.plan import Plan, tracking_errors
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.history import Step
+from linkplan.planner.trajectory import Trajectory
 
 
-def finished(problem, trajectory, certificate, objective, history, message: str | None) -> Plan:
-    """Return the plan of a certified motion, its status by the certificate and its message in words."""
+def finished(
+    problem: PlanningProblem,
+    trajectory: Trajectory,
+    certificate: Certificate,
+    objective: float,
+    history: Sequence[Step],
+    message: str | None,
+) -> Plan:
+    """Return the plan of a certified motion, however it was come by: it is judged here and nowhere else.
+
+    "optimal" where the certificate passes, contacts along the motion included, and the tolerance that was asked for is met.
+    """
     certificate = with_contacts(problem, trajectory, certificate)
     plan = Plan(
-        problem=problem, status="optimal", message="", objective=objective, trajectory=trajectory, certificate=certificate
+        problem=problem,
+        status="optimal",
+        message=message or "",
+        objective=objective,
+        trajectory=trajectory,
+        certificate=certificate,
+        history=tuple(history),
     )
+    failure = _failure(plan)
     details: dict[str, float] = {}
     sentence = message or f"{problem.objective.name.replace('_', ' ')}-optimal motion of {trajectory.duration_s:.6g} s"
     errors = tracking_errors(plan)
@@ -30,12 +53,19 @@ def finished(problem, trajectory, certificate, objective, history, message: str 
         if demand is not None:
             sentence += f"; {demand.sentence('the reference itself')}"
             details |= {"reference_needs": demand.needed, "reference_needs_at_s": demand.time_s}
+    if failure is not None:
+        return replace(plan, status="failed", message=f"failed: {failure}", details=details)
+    return replace(plan, message=sentence, details=details)
+
+
+def _failure(plan: Plan) -> str | None:
+    """Return the words on what a motion's certificate shows against it, or on the tolerance that it misses; else None."""
+    certificate, tolerance = plan.certificate, plan.problem.mesh.tolerance_deg
     if not certificate.passed:
-        return replace(
-            plan,
-            status="failed",
-            message=f"failed: the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}",
-            history=tuple(history),
-            details=details,
-        )
-    return replace(plan, message=sentence, history=tuple(history), details=details)
+        return f"the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
+    if tolerance is None or is_exact(plan.problem, certificate):
+        return None
+    return (
+        f"the integrated model ends {certificate.integration_error_deg:.3g} deg from the plan on {plan.intervals} intervals,"
+        f" more than mesh.tolerance_deg = {tolerance:g}"
+    )

@@ -1,16 +1,17 @@
 """A mechanism's planning problem as refinement sees it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.planner.certificate.certificate import INTEGRATION_DEG, INTEGRATION_M, RANGE_SLACK, Certificate, certify
+from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
-from linkplan.planner.problem.planning_problem import MeshSettings, PlanningProblem, SolverSettings
-from linkplan.planner.refinement.history import Step
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.settings import INTEGRATION_DEG
+from linkplan.planner.refinement.case import Aims, Findings
 from linkplan.planner.refinement.tightening import AT_NODES, Inset, insets_of
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.trajectory import Trajectory
@@ -34,60 +35,19 @@ class MechanismCase:
     insets: tuple[Inset, ...] = ()
     tightenings: int = 0
     bends: bool = True  # whether to look for bends of efforts that do not jump
+    aims: Aims = field(init=False)
 
-    @property
-    def mesh(self) -> MeshSettings:
-        """The problem's mesh settings."""
-        return self.problem.mesh
-
-    @property
-    def solver(self) -> SolverSettings:
-        """The problem's solver settings."""
-        return self.problem.solver
-
-    @property
-    def effort_limit(self) -> np.ndarray:
-        """The effort limits (n_u, 2)."""
-        return self.asked.limits.effort
-
-    @property
-    def switches(self) -> bool:
-        """Whether switches are looked for: efforts jump between limits, none and arcs, or bend where they reach a limit."""
-        objective = self.problem.objective
-        bends = self.bends and objective.has("effort", "copper_loss") and not objective.has("tracking")
-        return (objective.has("time", "work") or bends) and not objective.has("effort_rate")
-
-    @property
-    def bangs(self) -> bool:
-        """Whether efforts are at their limits wherever no other limit binds: where time alone counts."""
-        return list(self.asked.objective.weights) == ["time"]
-
-    @property
-    def ramps(self) -> bool:
-        """Whether efforts have no jumps: where their squares count."""
-        return self.problem.objective.has("effort", "copper_loss")
-
-    @property
-    def tolerance_given(self) -> bool:
-        """Whether the problem asks for a tolerance."""
-        return self.asked.mesh.tolerance_deg is not None
-
-    @property
-    def objective_tolerance(self) -> float | None:
-        """The tolerance on the objective's change where limits on coefficients cost what a motion does not show."""
-        problem = self.asked
-        lines = any(motor is not None and motor.has_line for motor in problem.motors)
-        bends = self.ramps and np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent]))
-        return _OBJECTIVE if self.switches and (lines or bends) else None
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "aims", _aims(self.asked, bends=self.bends))
 
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""
         return transcribe(self.problem, start, mesh, durations, insets=self.insets, **options)
 
-    def motion(self, solution: Solution, limit: np.ndarray) -> Trajectory | None:
+    def motion(self, solution: Solution) -> Trajectory | None:
         """Return a solution's trajectory; None where the solver took it to another branch."""
         try:
-            return trajectory_of(solution.transcribed, solution.x, limit)
+            return trajectory_of(solution.transcribed, solution.x, self.asked.limits.effort)
         except AssemblyError:
             return None
 
@@ -102,39 +62,19 @@ class MechanismCase:
         except AssemblyError:
             return None
 
-    def strictness(self) -> float:
-        """Return how many times more exact than a certificate demands the integrated state is to be."""
-        return INTEGRATION_DEG / (self.asked.mesh.tolerance_deg or _TARGET_DEG)
-
-    def exact(self, certificate: Certificate) -> bool:
-        """Return whether the integrated state is within the tolerance."""
-        strict = self.strictness()
-        return certificate.integration_error_deg * strict <= INTEGRATION_DEG and (
-            certificate.integration_error_m * strict <= INTEGRATION_M
-        )
-
-    def noted(self, step: Step, certificate: Certificate) -> Step:
-        """Return a step with the certificate's integration error."""
-        return replace(step, integration_error_deg=certificate.integration_error_deg)
-
-    def leaves_positions(self, certificate: Certificate) -> bool:
-        """Return whether a joint leaves its range."""
-        return bool(np.any(certificate.position_margin < 0))
-
-    def overruns(self, certificate: Certificate) -> bool:
-        """Return whether a joint leaves its range or speed limit, or another limit is overrun between the nodes."""
-        least = min(certificate.position_margin.min(), certificate.speed_margin.min())
-        return bool(least < -RANGE_SLACK) or not all(margin.kept for margin in certificate.margins)
-
-    def mendable(self, certificate: Certificate) -> bool:
-        """Return whether another mesh may mend why a certificate does not pass."""
-        return certificate.mendable
-
-    def overrun(self, certificate: Certificate) -> np.ndarray:
-        """Return by what share of themselves limits are overrun between the nodes, at most, on each interval (n,)."""
+    def findings(self, certificate: Certificate) -> Findings:
+        """Return what a certificate says to refinement."""
         over = [certificate.speed_overrun, certificate.position_overrun]
         over += [margin.overrun[None] for margin in certificate.margins if margin.what in AT_NODES]
-        return np.vstack(over).max(axis=0)
+        least = min(certificate.position_margin.min(), certificate.speed_margin.min())
+        return Findings(
+            exact=is_exact(self.asked, certificate),
+            mendable=certificate.mendable,
+            leaves_positions=bool(np.any(certificate.position_margin < 0)),
+            overruns=bool(least < -RANGE_SLACK) or not all(margin.kept for margin in certificate.margins),
+            overrun=np.vstack(over).max(axis=0),
+            integration_error_deg=certificate.integration_error_deg,
+        )
 
     def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
         """Return the case with limits drawn in by what the motion overran them."""
@@ -151,6 +91,43 @@ class MechanismCase:
 def case_of(problem: PlanningProblem, *, bends: bool = True) -> MechanismCase:
     """Return the case of a problem; `bends` says whether bends of efforts that do not jump are looked for."""
     return MechanismCase(problem, problem, bends=bends)
+
+
+def _aims(problem: PlanningProblem, *, bends: bool) -> Aims:
+    """Return what the best motion of a problem looks like, and how exact it is to be.
+
+    Efforts jump between limits, none and arcs where time or work count; where their squares do, they bend where they reach a
+    limit and have no jumps; where time alone counts they are at their limits wherever no other limit binds. The objective's
+    change is looked at where limits on coefficients cost what a motion does not show.
+    """
+    objective = problem.objective
+    ramps = objective.has("effort", "copper_loss")
+    bending = bends and ramps and not objective.has("tracking")
+    switches = (objective.has("time", "work") or bending) and not objective.has("effort_rate")
+    lines = any(motor is not None and motor.has_line for motor in problem.motors)
+    bent = ramps and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
+    return Aims(
+        effort_limit=problem.limits.effort,
+        switches=switches,
+        bangs=list(objective.weights) == ["time"],
+        ramps=ramps,
+        strictness=_strictness(problem),
+        tolerance_given=problem.mesh.tolerance_deg is not None,
+        objective_tolerance=_OBJECTIVE if switches and (lines or bent) else None,
+    )
+
+
+def _strictness(problem: PlanningProblem) -> float:
+    """Return how many times more exact than a certificate demands the integrated state is to be."""
+    return INTEGRATION_DEG / (problem.mesh.tolerance_deg or _TARGET_DEG)
+
+
+def is_exact(problem: PlanningProblem, certificate: Certificate) -> bool:
+    """Return whether a motion's integrated state is within what is asked, or refined towards where nothing is."""
+    strict = _strictness(problem)
+    return certificate.integration_error_deg * strict <= INTEGRATION_DEG and (
+        certificate.integration_error_m * strict <= INTEGRATION_M
+    )
 
 
 def _tightened(problem: PlanningProblem, certificate: Certificate, *, speeds: bool) -> PlanningProblem:

@@ -1,5 +1,6 @@
 """Initial guesses: motions that close the kinematic loops, keep the boundary states and need a feasible effort."""
 
+import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
@@ -11,6 +12,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.problem.planning_problem import PlanningProblem, Sketch
+from linkplan.planner.refinement.bends import bend
 from linkplan.planner.trajectory import Trajectory
 
 # Samples along a guess at which its effort is evaluated: enough for a path of a few radians.
@@ -19,9 +21,8 @@ _SAMPLES = 121
 _DURATIONS = (1e-5, 1e4)
 # A motion whose last given waypoint is later than its guessed end is guessed to last this much longer than that.
 _AFTER_THE_LAST = 1.25
-# Bends of further starts: half waves over the motion, and their size as a share of its span.
-_WAVES = 3
-_BEND = 0.5
+# A motion that moves less than this [rad], or as little of the mechanism's extent, is bent as if it moved so far.
+_LEAST_SPAN = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -79,29 +80,16 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
     return guess
 
 
-def guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
-    """Yield the user's own start and the first guess, with a word on each."""
-    if problem.guess is not None:
-        own = _of_the_user(problem, start_pose)
-        if own is not None:
-            yield "the guess given", own
-    yield "a smooth path", first_guess(problem, start_pose)
-
-
 def bent_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
     """Yield endless further starts: the first guess bent by a few half waves of random size, the same in every run."""
     base = first_guess(problem, start_pose)
     times = np.linspace(0.0, base.duration_s, _SAMPLES)
     s = base.position(times)
     unit = np.array([1.0 if j.kind == "hinge" else problem.mechanism.extent_m for j in problem.mechanism.independent_joints])
-    span = np.maximum(np.ptp(s, axis=0), 0.1 * unit)
-    waves = np.sin(np.pi * np.outer(times / base.duration_s, 1 + np.arange(_WAVES)))
-    number = 0
-    while True:
-        number += 1
-        sizes = np.random.default_rng(number).uniform(-1.0, 1.0, size=(_WAVES, len(span)))
-        sizes *= _BEND * (1 + number // 4) / (1 + np.arange(_WAVES))[:, None]
-        yield f"bend {number}", _splined(times, s + waves @ (sizes * span), base.start_pose, base.knots_s)
+    span = np.maximum(np.ptp(s, axis=0), _LEAST_SPAN * unit)
+    for number in itertools.count(1):
+        offset = bend(number, times / base.duration_s, span).offset
+        yield f"bend {number}", _splined(times, s + offset, base.start_pose, base.knots_s)
 
 
 def closes(mechanism: Mechanism, guess: Guess) -> bool:
@@ -152,7 +140,7 @@ def _within(problem: PlanningProblem, duration: float) -> float:
     return float(np.clip(duration, motion.min_duration_s or 0.0, motion.max_duration_s or np.inf))
 
 
-def _of_the_user(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+def users_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
     """Return the guess that a problem carries, stretched to its duration; None where it leaves what the loops allow."""
     given, motion = problem.guess, problem.motion
     if given is None:

@@ -6,8 +6,9 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose, nearest
 from linkplan.planner.files.joint_values import joint_values
-from linkplan.planner.files.values import interval, number
+from linkplan.planner.files.values import interval
 from linkplan.planner.problem.limits import Limits, Motor, free
+from linkplan.planner.problem.values import number
 
 KEYS = (
     "effort",

@@ -10,9 +10,9 @@ from linkplan.models.names import nearest
 from linkplan.models.poses.equilibrium import resting, sprung_freedoms
 from linkplan.planner.closed_chain.prescribed import is_whole
 from linkplan.planner.files.joint_values import joint_values
-from linkplan.planner.files.values import number
 from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.reference import Sine
+from linkplan.planner.problem.values import number
 
 KEYS = (
     "kind",

@@ -17,7 +17,6 @@ from linkplan.models.library import is_file
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.names import nearest
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.certificate.certificate import INTEGRATION_DEG
 from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.limits_file import KEYS as LIMIT_KEYS
 from linkplan.planner.files.limits_file import limits_of, motors_of
@@ -25,23 +24,13 @@ from linkplan.planner.files.motion_file import KEYS as MOTION_KEYS
 from linkplan.planner.files.motion_file import motion_of
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.files.trajectory_file import read_trajectory
-from linkplan.planner.files.values import number, whole, word
+from linkplan.planner.files.values import word
 from linkplan.planner.problem.objective import TERMS, Objective, objective_from
-from linkplan.planner.problem.planning_problem import (
-    COMPILE,
-    CONTACTS,
-    KINDS,
-    REFINE,
-    SOLVERS,
-    MeshSettings,
-    PlanningProblem,
-    Sketch,
-    SolverSettings,
-    Tracking,
-)
+from linkplan.planner.problem.planning_problem import CONTACTS, KINDS, PlanningProblem, Sketch
 from linkplan.planner.problem.reference import Sine
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+from linkplan.planner.problem.values import number
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.schemes import scheme
 
 KEYS: Mapping[str, tuple[str, ...]] = {
     "mechanism": ("model", "payload", "home_deg", "home_m", "independent"),
@@ -65,14 +54,6 @@ KEYS: Mapping[str, tuple[str, ...]] = {
         "lqr_velocity_m_s",
     ),
 }
-# The integration that judges is good to about a tenth of this.
-_TIGHTEST_DEG = 1e-9
-# Errors that LQR weighs, in degrees or metres and per second: beyond these a Riccati equation has no numbers left.
-_LQR_ERRORS = (1e-9, 1e9)
-# Starts beyond this take minutes without finding more.
-MAX_STARTS = 1000
-# Meshes beyond this take minutes; a typing slip of a zero should not.
-MAX_INTERVALS = 20_000
 # A dependent joint named in start_deg or goal_deg must stand this near to where the closed loop has it.
 _POSE_TOLERANCE = np.radians(0.05)
 
@@ -117,7 +98,7 @@ def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -
         guess=_guess(section["guess"], mechanism, folder),
         contacts=word(section["limits"], "limits.contacts", CONTACTS, "refuse"),
         mesh=_mesh(section["mesh"], objective),
-        solver=_solver(section["solver"]),
+        solver=SolverSettings(**section["solver"]),
         tracking=_tracking(section["tracking"]),
         source=tables,
     )
@@ -256,80 +237,24 @@ def _guess(section: dict, mechanism: Mechanism, folder: Path | None) -> Sketch |
 
 def _mesh(section: dict, objective: Objective) -> MeshSettings:
     # Least work pushes in full, coasts and brakes in full: a polynomial smears that, and is charged at its nodes alone.
-    default = MeshSettings(
-        effort="constant" if objective.has("work") and {*objective.weights} <= {"work", "time"} else MeshSettings().effort
-    )
-    name = section.get("scheme", default.scheme)
-    intervals = whole(section.get("intervals", default.intervals), "mesh.intervals", 2, MAX_INTERVALS)
-    effort = section.get("effort", default.effort)
-    tolerance = section.get("tolerance_deg")
-    if tolerance is not None:
-        tolerance = number(tolerance, "mesh.tolerance_deg", positive=True)
-        if not _TIGHTEST_DEG <= tolerance <= INTEGRATION_DEG:
-            raise ProblemError(
-                f"mesh.tolerance_deg is from {_TIGHTEST_DEG:g} to the certificate's {INTEGRATION_DEG:g}, got {tolerance:g}"
-            )
+    smeared = objective.has("work") and {*objective.weights} <= {"work", "time"}
+    values = {"effort": "constant"} if smeared else {}
+    if "scheme" in section:
+        values["refine"] = "intervals"  # a transcription that was named is kept, unless its degree is given free
     breaks = section.get("breaks")
     if breaks is not None:
         if "intervals" in section:
             raise ProblemError("mesh.breaks and mesh.intervals both say how many intervals there are; keep one")
-        breaks = np.array([number(x, "mesh.breaks") for x in breaks] if isinstance(breaks, list) else [])
-        if not 3 <= len(breaks) <= MAX_INTERVALS + 1 or breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) <= 0):
-            raise ProblemError(
-                "mesh.breaks is three or more increasing numbers from 0 to 1, the ends of the intervals as shares of the"
-                f" duration, got {section['breaks']!r}"
-            )
-        intervals = len(breaks) - 1
-    return MeshSettings(
-        scheme=scheme(name, effort).name,
-        intervals=intervals,
-        effort=effort,
-        tolerance_deg=tolerance,
-        # A transcription that was named is kept, unless its degree is given free in so many words.
-        refine=word(section, "mesh.refine", REFINE, "intervals" if "scheme" in section else default.refine),
-        breaks=breaks,
-    )
-
-
-def _solver(section: dict) -> SolverSettings:
-    default = SolverSettings()
-    return SolverSettings(
-        name=word(section, "solver.name", SOLVERS, default.name),
-        compile=word(section, "solver.compile", COMPILE, default.compile),
-        max_time_s=number(section.get("max_time_s", default.max_time_s), "solver.max_time_s", positive=True),
-        starts=whole(section.get("starts", default.starts), "solver.starts", 1, MAX_STARTS),
-    )
+        values["intervals"] = len(MeshSettings(breaks=breaks).breaks) - 1
+    return MeshSettings(**(values | section))
 
 
 def _tracking(section: dict) -> Tracking:
-    default = Tracking()
-    delay = section.get("delay_periods", 0)
-    whole(delay, "tracking.delay_periods", 0, 1000)
-    duration = section.get("duration_s")
-
-    def length(key: str, value: float) -> float:
-        found = number(section.get(key, value), f"tracking.{key}", positive=True)
-        if not _LQR_ERRORS[0] <= found <= _LQR_ERRORS[1]:
-            raise ProblemError(
-                f"tracking.{key}, the error that weighs as much as the whole effort limit, is from {_LQR_ERRORS[0]:g} to"
-                f" {_LQR_ERRORS[1]:g}, got {found:g}"
-            )
-        return found
-
-    def angle(key: str, value: float) -> float:
-        return np.radians(length(key, np.degrees(value)))
-
-    return Tracking(
-        kp=number(section.get("kp", default.kp), "tracking.kp", least=0.0),
-        kd=number(section.get("kd", default.kd), "tracking.kd", least=0.0),
-        period_s=number(section.get("period_s", default.period_s), "tracking.period_s", positive=True),
-        delay_periods=delay,
-        duration_s=None if duration is None else number(duration, "tracking.duration_s", positive=True),
-        lqr_position=float(angle("lqr_position_deg", default.lqr_position)),
-        lqr_velocity=float(angle("lqr_velocity_deg_s", default.lqr_velocity)),
-        lqr_position_m=length("lqr_position_m", default.lqr_position_m),
-        lqr_velocity_m_s=length("lqr_velocity_m_s", default.lqr_velocity_m_s),
-    )
+    values = dict(section)
+    for key, in_file in (("lqr_position", "lqr_position_deg"), ("lqr_velocity", "lqr_velocity_deg_s")):
+        if in_file in values:
+            values[key] = np.radians(number(values.pop(in_file), f"tracking.{in_file}", positive=True))
+    return Tracking(**values)
 
 
 def _check_poses(section: dict, problem: PlanningProblem) -> None:

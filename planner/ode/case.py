@@ -1,6 +1,6 @@
 """A user's problem as refinement sees it: solved within limits that may be drawn in, certified against what was asked."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,8 +16,7 @@ from linkplan.planner.ode.certificate import (
 from linkplan.planner.ode.formulation import formulate_ode, start_from
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.problem.planning_problem import MeshSettings, SolverSettings
-from linkplan.planner.refinement.history import Step
+from linkplan.planner.refinement.case import Aims, Findings
 from linkplan.planner.refinement.tightening import Inset, drawn
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of
@@ -40,45 +39,21 @@ class OdeCase:
     cut: bool = False  # whether the mesh has its cuts already, where the costates put them
     held: np.ndarray | None = None  # (n_segments, n_u) efforts held between those cuts
 
-    @property
-    def mesh(self) -> MeshSettings:
-        """The problem's mesh settings."""
-        return self.problem.mesh
+    aims: Aims = field(init=False)
 
-    @property
-    def solver(self) -> SolverSettings:
-        """The problem's solver settings."""
-        return self.problem.solver
-
-    @property
-    def effort_limit(self) -> np.ndarray:
-        """The effort limits (n_u, 2)."""
-        return self.asked.effort_limit
-
-    @property
-    def switches(self) -> bool:
-        """Whether switches are looked for: wherever an effort has two limits to jump between."""
-        return not self.cut and bool(np.any(np.all(np.isfinite(self.asked.effort_limit), axis=1)))
-
-    @property
-    def bangs(self) -> bool:
-        """False: a differential equation's efforts may take a singular arc anywhere."""
-        return False
-
-    @property
-    def ramps(self) -> bool:
-        """False: nothing is known of a differential equation's costs."""
-        return False
-
-    @property
-    def tolerance_given(self) -> bool:
-        """Whether the mesh may grow beyond what is comfortable."""
-        return True
-
-    @property
-    def objective_tolerance(self) -> float | None:
-        """The tolerance on the objective's change from mesh to mesh."""
-        return self.asked.objective_tolerance
+    def __post_init__(self) -> None:
+        asked = self.asked
+        aims = Aims(
+            effort_limit=asked.effort_limit,
+            # Wherever an effort has two limits to jump between.
+            switches=not self.cut and bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
+            bangs=False,  # a differential equation's efforts may take a singular arc anywhere
+            ramps=False,  # nothing is known of its costs
+            strictness=INTEGRATION / asked.tolerance,
+            tolerance_given=True,  # the mesh may grow beyond what is comfortable
+            objective_tolerance=asked.objective_tolerance,
+        )
+        object.__setattr__(self, "aims", aims)
 
     def transcribe(
         self,
@@ -99,19 +74,19 @@ class OdeCase:
         )
         return collocate(
             formulation,
-            scheme(self.mesh.scheme, self.mesh.effort),
+            scheme(self.problem.mesh.scheme, self.problem.mesh.effort),
             mesh,
             durations,
             start,
-            compile_mode=self.solver.compile,
+            compile_mode=self.problem.solver.compile,
             least_limit=least_limit,
             pinned=pinned,
             held=held,
         )
 
-    def motion(self, solution: Solution, limit: np.ndarray) -> OdeTrajectory:
+    def motion(self, solution: Solution) -> OdeTrajectory:
         """Return a solution's polynomials."""
-        curves = curves_of(solution.transcribed, solution.x, limit)
+        curves = curves_of(solution.transcribed, solution.x, self.asked.effort_limit)
         motion = OdeTrajectory(breaks_s=curves.breaks_s, state=curves.state, effort=curves.effort, n_x=self.asked.n_x)
         if self.asked.running_cost is None:
             return motion
@@ -125,39 +100,21 @@ class OdeCase:
         """Return a solution's certificate."""
         return certify_ode(self.asked, motion)
 
-    def strictness(self) -> float:
-        """Return how many times more exact than a certificate demands the integrated state is to be."""
-        return INTEGRATION / self.asked.tolerance
-
-    def exact(self, certificate: OdeCertificate) -> bool:
-        """Return whether the integrated state is within the tolerance, and the objective that of the integrated motion."""
-        return (
-            certificate.integration_error <= self.asked.tolerance
-            and certificate.objective_error <= OBJECTIVE_SHARE * self.asked.tolerance
-            and certificate.overrun <= OVERRUN
-        )
-
-    def noted(self, step: Step, certificate: OdeCertificate) -> Step:
-        """Return a step with the certificate's integration error."""
-        return replace(step, integration_error=certificate.integration_error)
-
-    def leaves_positions(self, certificate: OdeCertificate) -> bool:
-        """Return whether a state leaves its limits by more than a certificate lets pass."""
-        return certificate.leaves_states
-
-    def overruns(self, certificate: OdeCertificate) -> bool:
-        """Return whether a path quantity or a state leaves its limits between the nodes."""
-        return bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -SLACK)
-
-    def mendable(self, certificate: OdeCertificate) -> bool:
-        """Return whether another mesh may mend why a certificate does not pass: always, for all that is known."""
-        return not certificate.passed
-
-    def overrun(self, certificate: OdeCertificate) -> np.ndarray:
-        """Return by what share of themselves path limits are overrun between the nodes, at most, on each interval (n,)."""
+    def findings(self, certificate: OdeCertificate) -> Findings:
+        """Return what a certificate says to refinement; another mesh may mend whatever it is, for all that is known."""
         size = [max(abs(bound) for bound in limit if np.isfinite(bound)) or 1.0 for limit in self.asked.path_limit]
-        n = len(certificate.growth)
-        return (certificate.path_overrun / np.array(size).reshape(-1, 1)).max(axis=0, initial=0.0).reshape(n)
+        over = (certificate.path_overrun / np.array(size).reshape(-1, 1)).max(axis=0, initial=0.0)
+        return Findings(
+            # The objective is to be that of the integrated motion, too.
+            exact=certificate.integration_error <= self.asked.tolerance
+            and certificate.objective_error <= OBJECTIVE_SHARE * self.asked.tolerance
+            and certificate.overrun <= OVERRUN,
+            mendable=not certificate.passed,
+            leaves_positions=certificate.leaves_states,
+            overruns=bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -SLACK),
+            overrun=over.reshape(len(certificate.growth)),
+            integration_error=certificate.integration_error,
+        )
 
     def tightened(self, certificate: OdeCertificate, motion: OdeTrajectory) -> "OdeCase":
         """Return the case with limits drawn in by what the solution overran them."""

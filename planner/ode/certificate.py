@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
+from linkplan.planner.certificate.boundary import missed
+from linkplan.planner.certificate.flow import Rate, flows
 from linkplan.planner.certificate.margins import least_between, look_points
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.transcription.schemes import Scheme
+from linkplan.planner.transcription.schemes import Scheme, bernstein_value
 
 # The state reached by integration may differ by this share of each state's size; a tolerance below it is refined towards.
 INTEGRATION = 1e-4
@@ -18,7 +19,6 @@ SLACK = 1e-8
 OVERRUN = 1e-6
 # The objective may differ from that of the integrated motion by so many times what its states may, relative.
 OBJECTIVE_SHARE = 10.0
-_RTOL, _ATOL = 1e-12, 1e-13
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -134,35 +134,32 @@ def _integrate(
     has_cost = problem.running_cost is not None
     p, breaks = problem.parameters, trajectory.breaks_s
     begin = trajectory.state_at(breaks[:1])[0]
-    state, n = np.append(begin, 0.0), len(breaks) - 1
+    n = len(breaks) - 1
     errors, spent, beyond = np.zeros((n, n_x)), np.zeros(n), np.zeros(n)
-    low, high = problem.state_limit.T[:, :, None]
     planned = np.vstack([trajectory.state_at(breaks[1:-1]), trajectory.state[-1, -1, :n_x]])
-    for k in range(n):
-        coefficients, width = trajectory.effort[:, k], breaks[k + 1] - breaks[k]
 
-        def rate(t: float, y: np.ndarray, coefficients=coefficients, width=width, t0=breaks[k]) -> np.ndarray:
-            u = coefficients
-            while len(u) > 1:
-                u = u[:-1] + (t / width) * (u[1:] - u[:-1])
-            x = y[:n_x]
-            running = float(L(x, u[0], p, t0 + t)) if has_cost else 0.0
-            return np.append(np.array(f(x, u[0], p, t0 + t)).ravel(), running)
+    def rate_on(k: int) -> Rate:
+        coefficients, width, t0 = trajectory.effort[:, k], breaks[k + 1] - breaks[k], breaks[k]
 
-        atol = _ATOL * np.maximum(1.0, np.abs(state))
-        at = width * np.append(points[:-1], 1.0)
-        result = solve_ivp(rate, (0.0, width), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=at)
-        if not result.success or not np.all(np.isfinite(result.y[:, -1])):
+        def rate(t: float, y: np.ndarray) -> np.ndarray:
+            x, u = y[:n_x], bernstein_value(coefficients, t / width)
+            running = float(L(x, u, p, t0 + t)) if has_cost else 0.0
+            return np.append(np.array(f(x, u, p, t0 + t)).ravel(), running)
+
+        return rate
+
+    end = begin
+    for k, reached in enumerate(flows(rate_on, breaks, np.append(begin, 0.0), np.append(points[:-1], 1.0))):
+        if reached is None:
             errors[k:] = np.inf
             return errors, np.inf, np.full(n, np.inf), np.full(n, np.inf)
-        state = result.y[:, -1]
-        errors[k] = np.abs(state[:n_x] - planned[k]) / size
-        spent[k] = state[n_x]
-        inside = result.y[:n_x]
-        beyond[k] = max(0.0, float((np.maximum(inside - high, low - inside) / size[:, None]).max()))
+        inside, end = reached[:, :n_x], reached[-1, :n_x]
+        errors[k] = np.abs(end - planned[k]) / size
+        spent[k] = reached[-1, n_x]
+        beyond[k] = missed(inside, *problem.state_limit.T, size)
     final = 0.0
     if problem.final_cost is not None:
-        final = float(problem.at_ends("final_cost")(begin, state[:n_x], trajectory.duration_s, p))
+        final = float(problem.at_ends("final_cost")(begin, end, trajectory.duration_s, p))
     if trajectory.running is None:
         return errors, spent[-1] + final, np.zeros(n), beyond
     scale = np.abs(trajectory.running).sum() + abs(final)
@@ -172,14 +169,10 @@ def _integrate(
 def _boundary_error(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> float:
     """Return how far the ends are outside what is asked of them, of each state's size; psi by its own."""
     first, last = trajectory.state[0, 0, : problem.n_x], trajectory.state[-1, -1, : problem.n_x]
-    missed = [0.0]
-    for value, rows in ((first, problem.start), (last, problem.goal)):
-        missed.append(float((np.maximum(rows[:, 0] - value, value - rows[:, 1]) / size).max()))
-    if problem.returns:
-        back = list(problem.returns)
-        missed.append(float((np.abs(last - first)[back] / size[back]).max()))
+    back = list(problem.returns)
+    apart = [missed(first, *problem.start.T, size), missed(last, *problem.goal.T, size)]
+    apart.append(missed(last[back], first[back], first[back], size[back]))
     if problem.ends is not None:
         psi = np.array(problem.at_ends("ends")(first, last, trajectory.duration_s, problem.parameters)).ravel()
-        outside = np.maximum(problem.ends_limit[:, 0] - psi, psi - problem.ends_limit[:, 1])
-        missed.append(float((outside / np.maximum(1.0, np.abs(psi))).max(initial=0.0)))
-    return max(missed)
+        apart.append(missed(psi, *problem.ends_limit.T, np.maximum(1.0, np.abs(psi))))
+    return max(apart)

@@ -14,16 +14,18 @@ from linkplan.models.errors import InfeasibleError
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.certificate import OdeCertificate
 from linkplan.planner.ode.costates import is_affine
+from linkplan.planner.ode.first_solution import FirstSolution
 from linkplan.planner.ode.formulation import completed, start_of, straight_guess, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.starts import bent, held, is_open, of_least_effort, of_other_durations, runs_away, sampled_guess
+from linkplan.planner.ode.starts import bent, endless, held, is_open, of_least_effort, of_other_durations, sampled_guess
 from linkplan.planner.ode.switches import cut_by_costates, has_arcs
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, Step, silent, step_of
 from linkplan.planner.refinement.refine import refine
-from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, Solution, solve
-from linkplan.planner.transcription.mesh import Mesh, broken, uniform
+from linkplan.planner.solvers.outcome import why_stopped
+from linkplan.planner.solvers.solve import solve
+from linkplan.planner.transcription.mesh import broken, uniform
 
 # An integrated state that ends this share of its size from a first solution: its efforts are looked at between the nodes.
 _WILD = 1e-3
@@ -67,18 +69,6 @@ class OdePlan:
         return self
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Found:
-    """A first solution: its motion and program, on which mesh, from which of the starts."""
-
-    motion: OdeTrajectory
-    solution: Solution
-    case: OdeCase
-    mesh: Mesh
-    number: int
-    away: str | None = None  # the words on a duration that has no best
-
-
 def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     """Return the solution of a problem; one without an answer says why in `message`.
 
@@ -97,10 +87,11 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     else:
         found = _in_turn(problem, given, history, say)
     failed, tried = None, np.zeros(0)
-    for one in sorted(found, key=lambda one: (one.solution.objective, one.number)):
-        if np.any(np.abs(tried - one.solution.objective) <= _ALIKE * abs(one.solution.objective)):
+    for one in sorted(found, key=lambda one: (one.found.solution.objective, one.number)):
+        objective = one.found.solution.objective
+        if np.any(np.abs(tried - objective) <= _ALIKE * abs(objective)):
             continue  # the same motion, that did not pass
-        tried = np.append(tried, one.solution.objective)
+        tried = np.append(tried, objective)
         plan = _refined(problem, one, history, say)
         if plan.status == "optimal" or one.away is not None:
             return plan
@@ -108,10 +99,10 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     return failed or _explain(problem, given[0], history, say)
 
 
-def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], say: Say) -> list[_Found]:
+def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], say: Say) -> list[FirstSolution]:
     """Return first solutions from the guesses, and from further starts where those lead to none or time is open."""
     found = _first_solutions(problem, given, history, say, enough=1)
-    stopped = not found and history[-1].solver_status in (OUT_OF_TIME, INVALID)
+    stopped = not found and why_stopped(history[-1].solver_status, problem.solver.max_time_s) is not None
     if stopped or (found and not is_open(problem)):
         return found
     patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * history[-1].solve_s))
@@ -125,22 +116,23 @@ def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], 
     return found or _first_solutions(patient, others, history, say, enough=1, first=len(given))
 
 
-def _from_least_effort(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> list[_Found]:
+def _from_least_effort(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> list[FirstSolution]:
     """Return the solution that is begun from the motion of least squared effort, if there is one."""
     for one in _first_solutions(of_least_effort(problem), [guess], history, say):
         case = OdeCase(problem, problem, one.case.units)
-        start, durations = case.start_from(one.motion), np.diff(one.motion.breaks_s[[0, -1]])
-        solved = attempt(case, start, one.mesh, durations, "start from least effort", history, say)
+        motion = one.found.motion
+        start, durations = case.start_from(motion), np.diff(motion.breaks_s[[0, -1]])
+        solved = attempt(case, start, one.found.mesh, durations, "start from least effort", history, say)
         if solved is not None:
-            return [_Found(motion=solved[0], solution=solved[1], case=case, mesh=one.mesh, number=1)]
+            return [FirstSolution(case=case, found=solved, number=1)]
     return []
 
 
 def _first_solutions(
     problem: OdeProblem, starts: Iterable[StateGuess], history: list[Step], say: Say, *, enough: int | None = None, first=0
-) -> list[_Found]:
+) -> list[FirstSolution]:
     """Return the solutions that starts lead to on the first mesh, the first `enough` of them."""
-    found: list[_Found] = []
+    found: list[FirstSolution] = []
     for number, guess in enumerate(starts, first):
         case = OdeCase(problem, problem, units_of(problem, guess))
         mesh = uniform(problem.mesh.intervals) if problem.mesh.breaks is None else broken(problem.mesh.breaks)
@@ -148,66 +140,63 @@ def _first_solutions(
         solved = attempt(case, start_of(guess, case.units), mesh, np.array([guess.duration_s]), word, history, say)
         away, times = None, 0
         while solved is not None and times < _FURTHER:
-            held_at, before = runs_away(problem, *solved), solved[1].objective
+            held_at, before = endless(problem, solved), solved.solution.objective
             if held_at is None:
                 break
             # Guessed too short or too long by far: from what was found, with time in its own units.
-            rescaled = sampled_guess(solved[0])
+            rescaled = sampled_guess(solved.motion)
             case = OdeCase(problem, problem, units_of(problem, rescaled))
             durations, what = np.array([rescaled.duration_s]), f"{word}, from where time was held"
             solved, times = attempt(case, start_of(rescaled, case.units), mesh, durations, what, history, say), times + 1
             # Still a fraction of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
-            falls = solved is not None and times > 1 and solved[1].objective < _FALLS * before
+            falls = solved is not None and times > 1 and solved.solution.objective < _FALLS * before
             away = held_at if falls else None
         if solved is not None:
-            found.append(_Found(motion=solved[0], solution=solved[1], case=case, mesh=mesh, number=number, away=away))
+            found.append(FirstSolution(case=case, found=solved, number=number, away=away))
             if len(found) == enough:
                 break
     return found
 
 
-def _calmed(found: _Found, history: list[Step], say: Say) -> _Found:
+def _calmed(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution:
     """Return a first solution whose efforts are no wild polynomials between its nodes."""
-    before = found.case.certify(found.motion).integration_error
+    case, motion = first.case, first.found.motion
+    before = case.certify(motion).integration_error
     if before <= _WILD:
-        return found
-    durations = np.diff(found.motion.breaks_s[[0, -1]])
-    what = "efforts calmed between the nodes"
-    solved = attempt(found.case, held(found.case, found.motion), found.mesh, durations, what, history, say, warm=True)
-    if solved is None or found.case.certify(solved[0]).integration_error >= before:
-        return found
-    return replace(found, motion=solved[0], solution=solved[1])
+        return first
+    durations, what = np.diff(motion.breaks_s[[0, -1]]), "efforts calmed between the nodes"
+    solved = attempt(case, held(case, motion), first.found.mesh, durations, what, history, say, warm=True)
+    if solved is None or case.certify(solved.motion).integration_error >= before:
+        return first
+    return replace(first, found=solved)
 
 
-def _eased(found: _Found, history: list[Step], say: Say) -> _Found:
+def _eased(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution:
     """Return a first solution with efforts that are linear over intervals, where it has arcs on which they could chatter.
 
     On an arc within the limits an effort that enters affinely is held by the costates' higher derivatives alone: a
     polynomial through an interval's nodes is free to swing there, a straight line is not.
     """
-    case, asked = found.case, found.case.asked
-    if asked.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(found.motion, asked.effort_limit):
-        return found
+    case, asked, motion = first.case, first.case.asked, first.found.motion
+    if asked.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(motion, asked.effort_limit):
+        return first
     case = replace(case, problem=replace(asked, mesh=replace(asked.mesh, effort="linear")))
-    start, durations = case.start_from(found.motion), np.diff(found.motion.breaks_s[[0, -1]])
-    solved = attempt(case, start, found.mesh, durations, "efforts linear over intervals", history, say, warm=True)
+    start, durations = case.start_from(motion), np.diff(motion.breaks_s[[0, -1]])
+    solved = attempt(case, start, first.found.mesh, durations, "efforts linear over intervals", history, say, warm=True)
     if solved is None:
-        return found
-    before, after = (case.certify(motion).integration_error for motion in (found.motion, solved[0]))
-    return replace(found, motion=solved[0], solution=solved[1], case=case) if after < _SWINGS * before else found
+        return first
+    before, after = (case.certify(one).integration_error for one in (motion, solved.motion))
+    return replace(first, found=solved, case=case) if after < _SWINGS * before else first
 
 
-def _refined(problem: OdeProblem, found: _Found, history: list[Step], say: Say) -> OdePlan:
-    case = OdeCase(problem, problem, found.case.units)
-    found = _calmed(replace(found, case=case), history, say)
-    found = _eased(found, history, say)
-    case = found.case
-    case, solved, mesh = cut_by_costates(case, (found.motion, found.solution), found.mesh, history, say)
-    refined = refine(case, solved, mesh, history, say)
+def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say: Say) -> OdePlan:
+    first = replace(first, case=OdeCase(problem, problem, first.case.units))
+    first = cut_by_costates(_eased(_calmed(first, history, say), history, say), history, say)
+    refined = refine(first.case, first.found, history, say)
     assert refined is not None  # a user's solution always has a certificate
-    trajectory, solution, certificate, settled = refined
-    away = found.away or runs_away(problem, trajectory, solution)
-    status, message = "optimal", f"optimum {solution.objective:.10g} in {trajectory.duration_s:.8g} s"
+    trajectory, certificate, objective = refined.motion, refined.certificate, refined.solution.objective
+    away = first.away or endless(problem, refined)
+    status, message = "optimal", f"optimum {objective:.10g} in {trajectory.duration_s:.8g} s"
     if away is not None:
         status, message = "failed", f"failed: {away}"
     elif not certificate.passed:
@@ -219,17 +208,17 @@ def _refined(problem: OdeProblem, found: _Found, history: list[Step], say: Say) 
             f"failed: the integrated state ends {certificate.integration_error:.3g} of its size from the solution, more than"
             f" the tolerance {problem.tolerance:g}"
         )
-    elif not settled:
+    elif not refined.settled:
         status = "failed"
         message = (
             f"failed: the objective still changes from mesh to mesh by more than objective_tolerance ="
-            f" {problem.objective_tolerance:g}, at {solution.objective:.10g}"
+            f" {problem.objective_tolerance:g}, at {objective:.10g}"
         )
     return OdePlan(
         problem=problem,
         status=status,
         message=message,
-        objective=solution.objective,
+        objective=objective,
         trajectory=trajectory,
         certificate=certificate,
         history=tuple(history),
@@ -248,14 +237,11 @@ def _contradiction(problem: OdeProblem) -> str | None:
 
 def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> OdePlan:
     """Return the plan of a problem that no start solved: from the motion of the least limits, or the reason."""
-    stopped = {
-        OUT_OF_TIME: f"the solver ran out of its {problem.solver.max_time_s:g} s (solver.max_time_s)",
-        INVALID: "the dynamics gave a number that is not finite (NaN), or the solver could not begin",
-    }
     # Of the first start: those after it were given less time.
     status = history[0].solver_status
-    reason = f"failed: {stopped.get(status, f'no start led to a solution ({status})')}"
-    if status not in stopped and np.all(np.isfinite(problem.effort_limit)):
+    stopped = why_stopped(status, problem.solver.max_time_s)
+    reason = f"failed: {stopped or f'no start led to a solution ({status})'}"
+    if stopped is None and np.all(np.isfinite(problem.effort_limit)):
         say("no solution found; looking for the least effort that admits one")
         case = OdeCase(problem, problem, units_of(problem, guess))
         mesh, durations = uniform(problem.mesh.intervals), np.array([guess.duration_s])
@@ -271,9 +257,8 @@ def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: S
             status = "infeasible" if fixed else "failed"
             return OdePlan(problem=problem, status=status, message=message, history=tuple(history))
         if solution.converged:
-            motion = case.motion(solution, problem.effort_limit)
-            solved = attempt(case, case.start_from(motion), mesh, durations, "start from the least limits", history, say)
+            start = case.start_from(case.motion(solution))
+            solved = attempt(case, start, mesh, durations, "start from the least limits", history, say)
             if solved is not None:
-                found = _Found(motion=solved[0], solution=solved[1], case=case, mesh=mesh, number=0)
-                return _refined(problem, found, history, say)
+                return _refined(problem, FirstSolution(case=case, found=solved), history, say)
     return OdePlan(problem=problem, status="failed", message=reason, history=tuple(history))

@@ -7,23 +7,22 @@ import casadi as ca
 import numpy as np
 
 from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.ode.certificate import OdeCertificate
 from linkplan.planner.ode.formulation import completed, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.solvers.solve import Solution
+from linkplan.planner.refinement.bends import bend
+from linkplan.planner.refinement.case import Found
+from linkplan.planner.refinement.free_duration import LONGER, SHORTER, held_by_guess
+from linkplan.planner.refinement.refine import Refined
 from linkplan.planner.transcription.formulation import Start
 
-# Bends of further starts: half waves over the motion, and their size as a share of each state's.
-_WAVES = 3
-_BEND = 0.5
+# Rows that a guess is given at least before it is bent.
+_ROWS = 41
 # Durations tried beside the first where nobody said how long a motion takes: what is asked may be quick or slow.
 _LONGER = (4.0, 16.0, 0.25)
 # A free duration whose bounds lie further apart than this says nothing of how long a motion takes.
 _WIDE = 20.0
-# A duration within this share of a bound is at it.
-_AT_BOUND = 0.01
-# Bounds this near, relative, are one: they went through units and back.
-_ROUNDING = 1e-9
 # Rows of a solution as a guess.
 _SAMPLES = 101
 # Where in an interval the effort is read that is then held over it: the first node of radau-3.
@@ -38,16 +37,14 @@ def bent(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[State
         if number < len(given):
             yield guess
             continue
-        rng = np.random.default_rng(number)
         size = np.maximum(np.abs(guess.state).max(axis=0), units_of(problem, guess).state[: problem.n_x])
-        tau = np.linspace(0.0, 1.0, max(41, len(guess.state)))
+        tau = np.linspace(0.0, 1.0, max(_ROWS, len(guess.state)))
         at = np.linspace(0.0, 1.0, len(guess.state))
         state = np.column_stack([np.interp(tau, at, column) for column in guess.state.T])
-        waves = np.sin(np.pi * np.outer(tau, 1 + np.arange(_WAVES)))
-        bend = waves @ (rng.uniform(-1, 1, (_WAVES, problem.n_x)) / (1 + np.arange(_WAVES))[:, None])
-        state = np.clip(state + _BEND * (1 + number // 4) * bend * size, limit[:, 0], limit[:, 1])
+        drawn = bend(number, tau, size)
+        state = np.clip(state + drawn.offset, limit[:, 0], limit[:, 1])
         low, high = problem.duration
-        duration = float(np.clip(guess.duration_s * 2.0 ** rng.uniform(-1, 1), low, high))
+        duration = float(np.clip(guess.duration_s * drawn.stretch, low, high))
         yield completed(problem, StateGuess(state=state, effort=guess.effort, duration_s=duration))
 
 
@@ -88,18 +85,12 @@ def of_least_effort(problem: OdeProblem) -> OdeProblem:
     return replace(problem, running_cost=running_cost, final_cost=final_cost if free else None, objective_tolerance=None)
 
 
-def runs_away(problem: OdeProblem, motion: OdeTrajectory, solution: Solution) -> str | None:
+def endless(problem: OdeProblem, found: Found[OdeTrajectory] | Refined[OdeTrajectory, OdeCertificate]) -> str | None:
     """Return the words on a duration that ended at a bound which is not the user's but that of its guess; None elsewhere."""
-    low, high = problem.duration
-    transcribed, T = solution.transcribed, motion.duration_s
-    place = transcribed.program.layout.durations()
-    if len(place) > 1 or low == high:
-        return None
-    unit = transcribed.units.time_s
-    lower, upper = (float(bound[place[0]]) * unit for bound in (transcribed.lower, transcribed.upper))
-    if upper < (1 - _ROUNDING) * high and (1 - _AT_BOUND) * upper < T:
+    held, T = held_by_guess(found.solution, *problem.duration), found.motion.duration_s
+    if held == LONGER:
         return f"the longer the motion the better, without end, still at {T:.4g} s: bound duration_s from above"
-    if lower > (1 + _ROUNDING) * low and (1 + _AT_BOUND) * lower > T:
+    if held == SHORTER:
         return f"the shorter the motion the better, down to nothing, still at {T:.4g} s: bound duration_s from below"
     return None
 

@@ -11,13 +11,13 @@ import numpy as np
 
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.costates import Switching, is_affine, last_costates, switching_of
+from linkplan.planner.ode.first_solution import FirstSolution
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.switch_search import NO_WORSE, cut_mesh
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.solvers.solve import Solution
-from linkplan.planner.transcription.mesh import Mesh
 
 # Times that cuts are put anew: an arc that is to vanish shrinks from one to the next.
 _TURNS = 8
@@ -38,56 +38,54 @@ _BETTER = 1e-6
 _SURE = 10.0
 
 
-def cut_by_costates(
-    case: OdeCase, found: tuple[OdeTrajectory, Solution], mesh: Mesh, history: list[Step], say: Say
-) -> tuple[OdeCase, tuple[OdeTrajectory, Solution], Mesh]:
-    """Return a solution with its efforts at the limits that their switching functions ask for, its mesh, and its case.
+def cut_by_costates(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution:
+    """Return a first solution with its efforts at the limits that their switching functions ask for, on a mesh cut there.
 
     Where an effort enters otherwise than affinely, has no two limits, or has an arc within them, the solution is returned
     as it is.
     """
-    problem = case.asked
-    if not np.all(np.isfinite(problem.effort_limit)) or not is_affine(problem):
-        return case, found, mesh
-    asked = case
+    asked, problem, limit = first.case, first.case.asked, first.case.asked.effort_limit
+    if not np.all(np.isfinite(limit)) or not is_affine(problem):
+        return first
     for _ in range(_TURNS):
-        motion, solution = found
-        if has_arcs(motion, problem.effort_limit):
-            return case, found, mesh
+        motion, solution = first.found.motion, first.found.solution
+        if has_arcs(motion, limit):
+            return first
         switching = switching_of(problem, motion, solution)
         if switching is None or not np.all(np.isfinite(switching.value)):
-            return case, found, mesh
+            return first
         cuts = _cuts(switching)
-        promised = _promised(motion, switching, problem.effort_limit)
+        promised = _promised(motion, switching, limit)
         if promised <= _BETTER * abs(solution.objective) or len(cuts) > _MOST:
-            return case, found, mesh
+            return first
         knots = motion.breaks_s[[0, -1]]
-        finer, durations = cut_mesh(knots, cuts, case.mesh.intervals)
+        finer, durations = cut_mesh(knots, cuts, asked.problem.mesh.intervals)
         ends = np.concatenate([knots[:1], cuts, knots[1:]])
-        pinned, start = _pinned(switching, ends, problem.effort_limit), case.start_from(motion)
+        pinned, start = _pinned(switching, ends, limit), asked.start_from(motion)
         better = None
         for efforts, what in ((pinned, "cuts by the costates"), (None, "cuts by the costates, efforts free")):
             tried = attempt(asked, start, finer, durations, what, history, say, pinned=efforts, warm=True)
-            if tried is not None and tried[1].status == SUCCEEDED and _replaces(asked, tried, solution, first=not case.cut):
-                better = tried, efforts
+            replaces = tried is not None and tried.solution.status == SUCCEEDED
+            if replaces and _replaces(asked, tried, solution, uncut=not first.case.cut):
+                better = replace(first, found=tried, case=replace(asked, cut=True, held=efforts))
                 break
         if better is None:
-            return case, found, mesh
-        found, mesh, case = better[0], finer, replace(asked, cut=True, held=better[1])
-    return case, found, mesh
+            return first
+        first = better
+    return first
 
 
-def _replaces(case: OdeCase, tried: tuple[OdeTrajectory, Solution], before: Solution, *, first: bool) -> bool:
+def _replaces(case: OdeCase, tried: Found[OdeTrajectory], before: Solution, *, uncut: bool) -> bool:
     """Return whether a solution replaces the one before.
 
     The first with cuts does where it is no worse than a mesh without cuts is wrong, later ones where they gain more than
     what their states' errors are worth by their own costates.
     """
-    (motion, solution), allowed = tried, NO_WORSE * abs(before.objective)
-    if first:
+    solution, allowed = tried.solution, NO_WORSE * abs(before.objective)
+    if uncut:
         return solution.objective <= before.objective + allowed
-    sizes = np.abs(motion.state[:, :, : case.asked.n_x]).max(axis=(0, 1))
-    worth = case.certify(motion).integration_error * float(np.abs(last_costates(case.asked, solution)) @ sizes)
+    sizes = np.abs(tried.motion.state[:, :, : case.asked.n_x]).max(axis=(0, 1))
+    worth = case.certify(tried.motion).integration_error * float(np.abs(last_costates(case.asked, solution)) @ sizes)
     return before.objective - solution.objective > max(_BETTER * abs(before.objective), _SURE * worth)
 
 

@@ -1,6 +1,5 @@
 """The continuous problem: which motion of which mechanism, best in which sense, within which limits."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -9,115 +8,17 @@ from linkplan.models.audit import audit
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
-from linkplan.models.tree.joints import Joint
 from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import KINDS, Motion, Waypoint, frozen
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import Sine
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.schemes import scheme
 
-__all__ = [
-    "COMPILE",
-    "CONTACTS",
-    "KINDS",
-    "REFINE",
-    "SOLVERS",
-    "Limits",
-    "MeshSettings",
-    "Motion",
-    "Motor",
-    "PlanningProblem",
-    "Sketch",
-    "SolverSettings",
-    "Tracking",
-    "Waypoint",
-]
+__all__ = ["CONTACTS", "KINDS", "Limits", "Motion", "Motor", "PlanningProblem", "Sketch", "Waypoint"]
 
 
 CONTACTS = ("refuse", "note")
-REFINE = ("both", "intervals", "degree")
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class MeshSettings:
-    """The transcription's name, the number of intervals to begin with, and what efforts are over an interval."""
-
-    scheme: str = "radau-3"
-    intervals: int = 40
-    effort: str = "polynomial"  # "constant", "linear" or "polynomial"
-    tolerance_deg: float | None = None  # on the integrated state; None: refined towards 1e-6 while the mesh stays small
-    refine: str = "both"  # what is added where a mesh is too coarse: "intervals", "degree", or "both", each where it pays
-    breaks: np.ndarray | None = None  # of the first mesh, from 0 to 1, in place of `intervals` equal ones
-
-    def __post_init__(self) -> None:
-        scheme(self.scheme, self.effort)  # refuses what it does not know
-        if not isinstance(self.intervals, int | np.integer) or self.intervals < 2:
-            raise ProblemError(f"mesh.intervals is a whole number from 2 on, got {self.intervals!r}")
-        if self.refine not in REFINE:
-            raise ProblemError(f"mesh.refine is one of {', '.join(REFINE)}, got {self.refine!r}")
-        if self.breaks is not None:
-            breaks = frozen(self.breaks)
-            if breaks.ndim != 1 or len(breaks) < 3 or breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) <= 0):
-                raise ProblemError(f"mesh.breaks is three or more increasing numbers from 0 to 1, got {self.breaks!r}")
-            object.__setattr__(self, "breaks", breaks)
-
-
-# Iterations for solves that only look for the reason.
-_HURRIED = 200
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class SolverSettings:
-    """How a program is solved: by which solver, compiled or not, in how many starts, and how long it may take [s].
-
-    `compile` is "auto" (compiled functions where the cache has them or the mesh is large), "always" or "never". Of
-    `starts` motions to start from, the best answer is kept.
-    """
-
-    name: str = "ipopt"
-    compile: str = "auto"
-    max_time_s: float = 600.0
-    starts: int = 1
-    max_iterations: int | None = None  # None: as many as a hard problem takes
-
-    def hurried(self) -> "SolverSettings":
-        """Return settings for solves that look for a reason: few iterations.
-
-        What the cache of compiled functions has is used as ever, but nothing is compiled for them: each is another program,
-        and compiling one costs more than its solve.
-        """
-        return replace(self, max_iterations=_HURRIED)
-
-
-SOLVERS = ("ipopt", "fatrop")
-COMPILE = ("auto", "always", "never")
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Tracking:
-    """How a plan is tracked: PD gains per actuated joint, sampling, delay, and LQR weights.
-
-    kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators. LQR weighs a
-    position error of `lqr_position` [rad], a velocity error of `lqr_velocity` and an effort of the whole limit alike; on a
-    slide of `lqr_position_m` [m] and `lqr_velocity_m_s`.
-    """
-
-    kp: float = 200.0
-    kd: float = 1.0
-    period_s: float = 1e-4
-    delay_periods: int = 0
-    duration_s: float | None = None  # of the tracking run; default: the plan and a rest after it, or eight periods
-    lqr_position: float = np.radians(1.0)
-    lqr_velocity: float = np.radians(100.0)
-    lqr_position_m: float = 0.01
-    lqr_velocity_m_s: float = 1.0
-
-    def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the position and velocity errors (n,) [rad or m, and per second] that weigh 1 on joints."""
-        hinge = np.array([joint.kind == "hinge" for joint in joints], dtype=bool)
-        position = np.where(hinge, self.lqr_position, self.lqr_position_m)
-        return position, np.where(hinge, self.lqr_velocity, self.lqr_velocity_m_s)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -158,6 +59,7 @@ class PlanningProblem:
     def __post_init__(self) -> None:
         object.__setattr__(self, "objective", objective_from(self.objective))
         object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)
+        object.__setattr__(self, "tracking", self.tracking.tracked())
         choose("limits.contacts", self.contacts, CONTACTS, ProblemError)
         motion, objective = self.motion, self.objective
         falsifying = [item.text for item in audit(self.mechanism.model) if item.falsifies]

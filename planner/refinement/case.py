@@ -4,85 +4,164 @@ What is planned for stands behind `Case`: a mechanism's problem and a user's dif
 same code.
 """
 
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.planner.problem.planning_problem import MeshSettings, SolverSettings
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings
+from linkplan.planner.refinement.constrained_arcs import Held
 from linkplan.planner.refinement.history import Say, Step, step_of
+from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.solvers.solve import Solution, solve
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
 
 
-class Case(Protocol):
+class Certificate(Protocol):
+    """What refinement needs of a certificate."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether everything holds."""
+        ...
+
+    @property
+    def growth(self) -> np.ndarray:
+        """What each interval (n_intervals,) adds to the integration error, in shares of what is allowed in all."""
+        ...
+
+    @property
+    def residual_share(self) -> np.ndarray:
+        """The dynamics residual on each interval (n_intervals,), in shares of what is allowed."""
+        ...
+
+
+MotionT = TypeVar("MotionT", bound=Motion)
+CertificateT = TypeVar("CertificateT", bound=Certificate)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Aims:
+    """What the best motion looks like as far as that is known beforehand, and how exact it is to be.
+
+    `switches` says whether efforts may jump between their limits, `effort_limit` (n_u, 2): switch times are then looked for;
+    `bangs` whether they are at their limits wherever no other limit binds: such arcs may be as short as may be; `ramps`
+    whether efforts pass from one limit to the other without a jump, be it in less than an interval. `strictness` is how many
+    times more exact than a certificate demands the integrated state is to be, `tolerance_given` whether the user asked for
+    that, `objective_tolerance` what the objective may change by from mesh to mesh, relative, None where it is not looked at.
+    """
+
+    effort_limit: np.ndarray
+    switches: bool
+    bangs: bool
+    ramps: bool
+    strictness: float
+    tolerance_given: bool
+    objective_tolerance: float | None
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Findings:
+    """What a certificate says to refinement.
+
+    `exact`: the integration error is within the tolerance. `mendable`: another mesh may mend why it does not pass.
+    `leaves_positions`: states leave their bounds between the nodes; `overruns`: so do they, or another limit is left there.
+    `overrun` (n_intervals,): by what share of themselves limits are overrun between the nodes, at most, on each interval.
+    The integration error is noted in the history: [deg] of a mechanism, else as a share of the states' sizes.
+    """
+
+    exact: bool
+    mendable: bool
+    leaves_positions: bool
+    overruns: bool
+    overrun: np.ndarray
+    integration_error_deg: float | None = None
+    integration_error: float | None = None
+
+
+class Settings(Protocol):
+    """What refinement needs of a problem."""
+
+    @property
+    def mesh(self) -> MeshSettings:
+        """The transcription, the first mesh, and how it is refined."""
+        ...
+
+    @property
+    def solver(self) -> SolverSettings:
+        """How programs are solved."""
+        ...
+
+
+class Case(Protocol[MotionT, CertificateT]):
     """A problem as refinement sees it. Motions, starts and certificates are its own."""
 
-    mesh: MeshSettings
-    solver: SolverSettings
-    effort_limit: np.ndarray  # (n_u, 2)
-    switches: bool  # whether efforts may jump between their limits: cuts are then looked for
-    bangs: bool  # whether they are at their limits wherever no other limit binds: such arcs may be as short as may be
-    ramps: bool  # whether efforts pass from one limit to the other without a jump, be it in less than an interval
-    tolerance_given: bool  # whether the user asked for a tolerance
-    objective_tolerance: float | None  # on the objective's change from mesh to mesh, relative
-
-    def transcribe(self, start: Any, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
-        """Return the program from a start; options are position_rows, pinned, held and least_limit."""
+    @property
+    def problem(self) -> Settings:
+        """What is solved: the problem with limits tightened as they are by now."""
         ...
 
-    def motion(self, solution: Solution, limit: np.ndarray) -> Any | None:
-        """Return the motion of a solution, efforts cut at `limit`; None where it is none."""
+    @property
+    def aims(self) -> Aims:
+        """What its best motion looks like, and how exact it is to be."""
         ...
 
-    def start_from(self, motion: Any) -> Any:
+    def transcribe(
+        self,
+        start: Any,
+        mesh: Mesh,
+        durations: np.ndarray,
+        *,
+        position_rows: bool = False,
+        pinned: np.ndarray | None = None,
+        held: np.ndarray | None = None,
+    ) -> Transcribed:
+        """Return the program from a start; the options are those of the clients' `transcribe`."""
+        ...
+
+    def motion(self, solution: Solution) -> MotionT | None:
+        """Return the motion of a solution; None where it is none."""
+        ...
+
+    def start_from(self, motion: MotionT) -> Any:
         """Return a motion as a start."""
         ...
 
-    def certify(self, motion: Any) -> Any | None:
-        """Return a motion's certificate: passed, growth, residual_share; None where it has none."""
+    def certify(self, motion: MotionT) -> CertificateT | None:
+        """Return a motion's certificate; None where it has none."""
         ...
 
-    def strictness(self) -> float:
-        """Return how many times more exact than a certificate demands the integrated state is to be."""
+    def findings(self, certificate: CertificateT) -> Findings:
+        """Return what a certificate says to refinement."""
         ...
 
-    def exact(self, certificate: Any) -> bool:
-        """Return whether a certificate's integration error is within the tolerance."""
+    def tightened(self, certificate: CertificateT, motion: MotionT) -> Self:
+        """Return the case with limits drawn in by what a motion overran them (constraint tightening)."""
         ...
 
-    def noted(self, step: Step, certificate: Any) -> Step:
-        """Return a step with the certificate's error in it."""
-        ...
-
-    def leaves_positions(self, certificate: Any) -> bool:
-        """Return whether states leave their bounds between the nodes."""
-        ...
-
-    def overruns(self, certificate: Any) -> bool:
-        """Return whether a limit is left between the nodes that tightening mends."""
-        ...
-
-    def mendable(self, certificate: Any) -> bool:
-        """Return whether another mesh may mend why a certificate does not pass."""
-        ...
-
-    def overrun(self, certificate: Any) -> np.ndarray:
-        """Return by what share of themselves limits are overrun between the nodes, at most, on each interval (n,)."""
-        ...
-
-    def tightened(self, certificate: Any, motion: Any) -> "Case":
-        """Return the case with limits drawn in by what a motion overran them."""
-        ...
-
-    def with_scheme(self, name: str) -> "Case":
+    def with_scheme(self, name: str) -> Self:
         """Return the case with another transcription."""
         ...
 
 
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Found(Generic[MotionT]):
+    """A motion that a solve led to, and the solution; `held` is what refinement holds along its arcs, None for nothing."""
+
+    motion: MotionT
+    solution: Solution
+    held: Held | None = None
+
+    @property
+    def mesh(self) -> Mesh:
+        """The mesh of the solve."""
+        return self.solution.transcribed.program.mesh
+
+
 def attempt(
-    case: Case,
+    case: Case[MotionT, Any],
     start: Any,
     mesh: Mesh,
     durations: np.ndarray,
@@ -92,20 +171,36 @@ def attempt(
     *,
     warm: bool = False,
     close: bool = False,
-    **options: Any,
-) -> tuple[Any, Solution] | None:
-    """Return the motion and solution of one solve, noted in the history; None where it found none.
+    position_rows: bool = False,
+    pinned: np.ndarray | None = None,
+    held: Held | None = None,
+) -> Found[MotionT] | None:
+    """Return what one solve leads to, noted in the history; None where it found no motion.
 
-    The solver begins as in `linkplan.planner.solvers.solve.build_solver`; options are those of `Case.transcribe`.
+    Args:
+        case: what is solved.
+        start: the motion to begin from, as its client has them.
+        mesh: intervals.
+        durations: (n_segments,) [s] of the mesh's segments in the start.
+        what: the words on this solve in history and progress.
+        history: takes a note of it.
+        say: called with a line of progress.
+        warm: as of `linkplan.planner.solvers.solve.build_solver`.
+        close: likewise.
+        position_rows: whether ranges are kept between the nodes by constraint rows.
+        pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
+        held: what refinement holds along arcs; in place of `pinned`.
     """
-    say(f"{what}: {case.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
+    settings = case.problem
+    say(f"{what}: {settings.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
+    efforts, paths = (pinned, None) if held is None else (held.efforts, held.paths)
     try:
-        transcribed = case.transcribe(start, mesh, durations, **options)
+        transcribed = case.transcribe(start, mesh, durations, position_rows=position_rows, pinned=efforts, held=paths)
     except AssemblyError:  # a start whose loops open between the instants at which it was looked at
         return None
-    solution = solve(transcribed, case.solver, warm=warm, close=close)
+    solution = solve(transcribed, settings.solver, warm=warm, close=close)
     history.append(step_of(what, transcribed, solution))
     if not solution.converged:
         return None
-    motion = case.motion(solution, case.effort_limit)
-    return None if motion is None else (motion, solution)
+    motion = case.motion(solution)
+    return None if motion is None else Found(motion=motion, solution=solution, held=held)

@@ -7,6 +7,7 @@ segment, as efforts at their limits are, the motion has nothing to gain there, a
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,6 +21,23 @@ _BESIDE_CUTS = 0.15
 _NEAR = 2.5
 # A curve further from a limit than this share of it, whose coefficients are at it, is kept away; looked at so many instants.
 _STANDS_OFF, _SAMPLES = 1e-7, 33
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Held:
+    """What is held over whole segments along arcs.
+
+    `efforts` (n_segments, n_u) at their limits, NaN where they are free; `paths` (n_segments, n_path): path quantities at
+    their upper limit (1) or lower one (-1), 0 where they are free.
+    """
+
+    efforts: np.ndarray
+    paths: np.ndarray
+
+    @property
+    def everything(self) -> bool:
+        """Whether every segment holds as much as it has efforts: then the switch times alone are to be found."""
+        return bool(np.all(np.isnan(self.efforts).sum(axis=1) == np.count_nonzero(self.paths, axis=1)))
 
 
 def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
@@ -132,17 +150,18 @@ def held_paths(arcs: np.ndarray, breaks_s: np.ndarray, ends_s: np.ndarray, pinne
     return held
 
 
-def free_ends(ends_s: np.ndarray, pinned: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return cuts (n,) [s] that split the ends off held arcs, and what is held then: nothing on those ends.
+def free_ends(ends_s: np.ndarray, held: Held) -> tuple[np.ndarray, Held]:
+    """Return cuts (n,) [s] that split the ends off held arcs, and what is held then: no paths on those ends.
 
     An effort may come to its limit on the way along an arc, in less than an interval, and end it there.
     """
-    cuts, rows = [], []
+    cuts, efforts, paths = [], [], []
     for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
-        if held[k].any():
+        on_path = held.paths[k]
+        if on_path.any():
             beside = _BESIDE_CUTS * (end - begin)
             cuts += [begin + beside, end - beside]
-            rows += [(pinned[k], 0 * held[k]), (pinned[k], held[k]), (pinned[k], 0 * held[k])]
-        else:
-            rows.append((pinned[k], held[k]))
-    return np.array(cuts), {"pinned": np.array([row[0] for row in rows]), "held": np.array([row[1] for row in rows])}
+        parts = [0 * on_path, on_path, 0 * on_path] if on_path.any() else [on_path]
+        efforts += [held.efforts[k]] * len(parts)
+        paths += parts
+    return np.array(cuts), Held(efforts=np.array(efforts), paths=np.array(paths))

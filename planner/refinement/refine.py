@@ -1,14 +1,16 @@
 """From a first solution to a certified one: cuts at its switches, finer meshes and higher degrees until it passes."""
 
 import re
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Generic
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Case, attempt
-from linkplan.planner.refinement.constrained_arcs import standing_off
+from linkplan.planner.refinement.case import Case, CertificateT, Findings, Found, MotionT, attempt
+from linkplan.planner.refinement.constrained_arcs import Held, standing_off
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.refinement.switch_search import all_held, at_bounds, bangs_alone, settle_switches
+from linkplan.planner.refinement.switch_search import at_bounds, bangs_alone, settle_switches
+from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.mesh import Mesh, halved
@@ -46,153 +48,192 @@ _TOUCHED = 1e-7
 _SAME = 1e-6
 
 
-def refine(case: Case, found: tuple[Any, Solution], mesh: Mesh, history: list[Step], say: Say, *, warm: bool = False):
-    """Return the best motion towards the tolerance: (motion, solution, certificate, settled), or None without a certificate.
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Refined(Generic[MotionT, CertificateT]):
+    """A motion with its solution and certificate, which may not pass.
 
-    The certificate may not pass: then the motion is the last one tried. `settled` says whether the objective has, where
-    that is asked for. Warm, finer meshes are solved from next to the coarser one's answer: less exact, but a motion that is
-    unstable is not lost on the way.
+    `settled` says whether the objective has, from mesh to mesh, where that is asked for.
     """
-    motion, solution = found
-    arcs: dict[str, Any] = {}
-    if case.switches:
-        motion, solution, mesh, arcs = settle_switches(case, motion, solution, mesh, history, say)
-    certificate = _certify(case, motion, history)
-    position_rows, kept, finest = False, case, _MOST * case.mesh.intervals
+
+    motion: MotionT
+    solution: Solution
+    certificate: CertificateT
+    settled: bool
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Judged(Generic[MotionT, CertificateT]):
+    """What was found, its certificate, and what that says; None where it has none."""
+
+    found: Found[MotionT]
+    certificate: CertificateT | None
+    findings: Findings | None
+
+    @property
+    def passed(self) -> bool:
+        return self.certificate is not None and self.certificate.passed
+
+    @property
+    def overruns(self) -> bool:
+        return self.findings is not None and self.findings.overruns
+
+    @property
+    def n_intervals(self) -> int:
+        return self.found.mesh.n_intervals
+
+
+def refine(
+    case: Case[MotionT, CertificateT], found: Found[MotionT], history: list[Step], say: Say, *, warm: bool = False
+) -> Refined[MotionT, CertificateT] | None:
+    """Return the best motion towards the tolerance, or None without a certificate.
+
+    The certificate may not pass: then the motion is the last one tried. Warm, finer meshes are solved from next to the
+    coarser one's answer: less exact, but a motion that is unstable is not lost on the way.
+    """
+    aims, kept, position_rows = case.aims, case, False
+    finest = _MOST * case.problem.mesh.intervals
+    comfortable = finest if aims.tolerance_given else _COMFORTABLE
+    found = replace(found, held=None)
+    if aims.switches:
+        found = settle_switches(case, found, history, say)
+    at = _judged(case, found, history)
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
     settled, again, polished = True, 0, 0
     for turn in range(_ROUNDS):
-        if certificate is not None and not certificate.passed and not case.mendable(certificate):
+        if at.findings is not None and not at.passed and not at.findings.mendable:
             break
-        off = standing_off(solution.transcribed, solution.x) if case.bangs else np.zeros(mesh.n_intervals, dtype=bool)
-        if certificate is not None and certificate.passed:
-            passed = motion, solution, certificate
-            wanted = case.objective_tolerance
+        motion, solution, held = at.found.motion, at.found.solution, at.found.held
+        off = standing_off(solution.transcribed, solution.x) if aims.bangs else np.zeros(at.n_intervals, dtype=bool)
+        if at.passed:
+            passed = at
             change = abs(solution.objective - before)
-            settled = wanted is None or change <= wanted * abs(solution.objective)
-            if case.exact(certificate) and settled and (not off.any() or change <= _TOUCHED * abs(solution.objective)):
-                known = all_held(arcs) and not at_bounds(solution)
+            settled = aims.objective_tolerance is None or change <= aims.objective_tolerance * abs(solution.objective)
+            if at.findings.exact and settled and (not off.any() or change <= _TOUCHED * abs(solution.objective)):
+                known = held is not None and held.everything and not at_bounds(solution)
                 if polished == _POLISHED or known or not bangs_alone(case, solution.transcribed):
                     break
                 # Efforts were left free, or cuts have further to go: switches are read again, from a motion that is right.
                 polished += 1
-                better = settle_switches(kept, motion, solution, mesh, history, say, position_rows=position_rows, arcs=arcs)
-                if better[1] is solution:
+                better = settle_switches(kept, at.found, history, say, position_rows=position_rows)
+                if better.solution is solution:
                     break
-                motion, solution, mesh, arcs = better
-                certificate = _certify(case, motion, history)
+                at = _judged(case, better, history)
                 continue
             before = solution.objective
         begun = position_rows
-        position_rows = position_rows or certificate is None or case.leaves_positions(certificate)
-        marked = _marked(mesh, certificate, case.strictness()) | off
-        over = _overrunning(case, certificate, mesh)
-        if over.any() and case.switches and turn and turn % 2 == 0 and again < _AGAIN and not all_held(arcs):
+        position_rows = position_rows or at.findings is None or at.findings.leaves_positions
+        marked, over = _marked(at, aims.strictness) | off, _overrunning(at)
+        loose = aims.switches and not (held is not None and held.everything)
+        if over.any() and loose and turn and turn % 2 == 0 and again < _AGAIN:
             again += 1
-            settled_again = settle_switches(
-                kept, motion, solution, mesh, history, say, position_rows=position_rows, arcs=arcs
-            )
-            if settled_again[1] is not solution:
-                motion, solution, mesh, arcs = settled_again
-                certificate = _certify(case, motion, history)
+            better = settle_switches(kept, at.found, history, say, position_rows=position_rows)
+            if better.solution is not solution:
+                at = _judged(case, better, history)
                 continue
         if not settled and not (marked | over).any():
             marked = _rough(motion)
-        higher = _higher_on_arcs(kept, certificate, mesh, over, arcs)
-        if over.any() and case.switches and not all_held(arcs):
+        higher = _higher_on_arcs(kept, at, over)
+        if over.any() and loose:
             marked = over  # an arc that is shorter than an interval must be seen before it can be cut out
         else:
-            higher = higher or _higher(kept, certificate, marked)
-        if _grown(mesh, marked | over) <= (finest if case.tolerance_given else _COMFORTABLE):
+            higher = higher or _higher(kept, at.certificate, marked)
+        if _grown(at.found.mesh, marked | over) <= comfortable:
             marked = marked | over
         what = "finer mesh"
-        if position_rows and not begun and certificate is not None:
-            what, marked = "states kept within their limits at every instant", np.zeros(mesh.n_intervals, dtype=bool)
+        if position_rows and not begun and at.certificate is not None:
+            what, marked = "states kept within their limits at every instant", np.zeros(at.n_intervals, dtype=bool)
         elif higher is not None:
-            kept, what, marked = kept.with_scheme(higher), f"higher degree, {higher}", np.zeros(mesh.n_intervals, dtype=bool)
-        elif not marked.any() and certificate is not None and case.overruns(certificate):
+            kept, what, marked = kept.with_scheme(higher), f"higher degree, {higher}", np.zeros(at.n_intervals, dtype=bool)
+        elif not marked.any() and at.overruns:
             # Only a limit is left, between the nodes: ask the solver for a little less than it.
-            kept, what = kept.tightened(certificate, motion), "limits kept between the nodes"
+            kept, what = kept.tightened(at.certificate, motion), "limits kept between the nodes"
         elif not marked.any():
             marked[:] = True
-        elif turn >= (_MERGED_ALL if over.any() else _MERGED) and certificate is not None and case.overruns(certificate):
-            kept, what = kept.tightened(certificate, motion), "finer mesh, limits kept between the nodes"
-        n_finer = _grown(mesh, marked)
-        if n_finer > finest or (passed is not None and not case.tolerance_given and n_finer > _COMFORTABLE):
+        elif turn >= (_MERGED_ALL if over.any() else _MERGED) and at.overruns:
+            kept, what = kept.tightened(at.certificate, motion), "finer mesh, limits kept between the nodes"
+        n_finer = _grown(at.found.mesh, marked)
+        if n_finer > finest or (passed is not None and not aims.tolerance_given and n_finer > _COMFORTABLE):
             break
-        mesh = halved(mesh, marked)
-        durations = np.bincount(mesh.segment, weights=_widths(motion, marked))
-        finer, arcs = _finer(
-            kept, motion, solution, mesh, durations, what, history, say,
-            warm=warm, again=passed is not None, position_rows=position_rows, arcs=arcs,
-        )  # fmt: skip
+        finer = _finer(
+            kept, at.found, marked, what, history, say, warm=warm, again=passed is not None, position_rows=position_rows
+        )
         if finer is None:
             break
-        motion, solution = finer
-        if position_rows and not begun and case.switches:
-            motion, solution, mesh, arcs = settle_switches(kept, motion, solution, mesh, history, say, position_rows=True)
-        certificate = _certify(case, motion, history)
-    if passed is not None and (certificate is None or not certificate.passed):
-        motion, solution, certificate = passed
-    return None if certificate is None else (motion, solution, certificate, settled)
+        if position_rows and not begun and aims.switches:
+            finer = settle_switches(kept, replace(finer, held=None), history, say, position_rows=True)
+        at = _judged(case, finer, history)
+    if passed is not None and not at.passed:
+        at = passed
+    if at.certificate is None:
+        return None
+    return Refined(motion=at.found.motion, solution=at.found.solution, certificate=at.certificate, settled=settled)
 
 
 def _finer(
-    case: Case, motion: Any, solution: Solution, mesh: Mesh, durations: np.ndarray, what: str, history: list[Step], say: Say,
-    *, warm: bool, again: bool, position_rows: bool, arcs: dict[str, Any],
-) -> tuple[tuple[Any, Solution] | None, dict[str, Any]]:  # fmt: skip
-    """Return the motion and solution on a finer mesh, or None, and what is held there.
+    case: Case[MotionT, CertificateT], coarse: Found[MotionT], marked: np.ndarray, what: str, history: list[Step], say: Say,
+    *, warm: bool, again: bool, position_rows: bool,
+) -> Found[MotionT] | None:  # fmt: skip
+    """Return what is found with the marked intervals (n,) halved, or None.
 
     Where one passed before, it is looked for `again` where it is lost, in the end with nothing held; one of bangs is looked
     for right at the coarser one's, and from afar too where that gives another.
     """
-    start, rows = case.start_from(motion), {"position_rows": position_rows}
+    mesh, start, bangs = halved(coarse.mesh, marked), case.start_from(coarse.motion), case.aims.bangs
+    durations = np.bincount(mesh.segment, weights=_widths(coarse.motion, marked))
 
-    def tried(word: str, **options: Any) -> tuple[Any, Solution] | None:
-        return attempt(case, start, mesh, durations, what + word, history, say, **rows, **options)
+    def tried(word: str, held: Held | None, **how: bool) -> Found[MotionT] | None:
+        return attempt(
+            case, start, mesh, durations, what + word, history, say, position_rows=position_rows, held=held, **how
+        )
 
     ways = [("", {"warm": warm}), (", from next to it", {"close": True})][: 2 if again else 1]
-    found = []
-    for word, how in reversed(ways) if case.bangs else ways:
-        finer = tried(word, **how, **arcs)
+    found: list[Found[MotionT]] = []
+    for word, how in reversed(ways) if bangs else ways:
+        finer = tried(word, coarse.held, **how)
         if finer is not None:
             found.append(finer)
-            changed = abs(finer[1].objective - solution.objective) > _SAME * abs(solution.objective)
-            if finer[1].status == SUCCEEDED and not (case.bangs and changed):
+            changed = abs(finer.solution.objective - coarse.solution.objective) > _SAME * abs(coarse.solution.objective)
+            if finer.solution.status == SUCCEEDED and not (bangs and changed):
                 break
-    if again and arcs and all(finer[1].status != SUCCEEDED for finer in found):
-        loose = tried(", nothing held", close=True)
+    if again and coarse.held is not None and all(finer.solution.status != SUCCEEDED for finer in found):
+        loose = tried(", nothing held", None, close=True)
         if loose is not None:
-            return loose, {}
-    return min(found, key=lambda finer: (finer[1].status != SUCCEEDED, finer[1].objective), default=None), arcs
+            return loose
+    return min(found, key=lambda finer: (finer.solution.status != SUCCEEDED, finer.solution.objective), default=None)
 
 
-def _certify(case: Case, motion: Any, history: list[Step]) -> Any | None:
-    """Return a motion's certificate, its error noted in the history."""
-    certificate = case.certify(motion)
-    if certificate is not None:
-        history[-1] = case.noted(history[-1], certificate)
-    return certificate
+def _judged(case: Case[MotionT, CertificateT], found: Found[MotionT], history: list[Step]) -> _Judged[MotionT, CertificateT]:
+    """Return what was found with its certificate, whose error is noted in the history."""
+    certificate = case.certify(found.motion)
+    findings = None if certificate is None else case.findings(certificate)
+    if findings is not None:
+        history[-1] = replace(
+            history[-1],
+            integration_error_deg=findings.integration_error_deg,
+            integration_error=findings.integration_error,
+        )
+    return _Judged(found=found, certificate=certificate, findings=findings)
 
 
-def _marked(mesh: Mesh, certificate: Any | None, strictness: float) -> np.ndarray:
+def _marked(at: _Judged[Any, Any], strictness: float) -> np.ndarray:
     """Return which intervals (n,) to halve: those with more than their share of an error that is too large."""
+    certificate, n = at.certificate, at.n_intervals
     if certificate is None or not np.all(np.isfinite(certificate.growth)):
-        return np.ones(mesh.n_intervals, dtype=bool)
+        return np.ones(n, dtype=bool)
     growth = certificate.growth * strictness
-    marked = np.zeros(mesh.n_intervals, dtype=bool)
+    marked = np.zeros(n, dtype=bool)
     if certificate.residual_share.max() > 1.0:
         marked |= certificate.residual_share > _MARK
     if growth.sum() > 1.0:
-        marked |= growth > _MARK * max(1.0, _WORST * growth.max() * mesh.n_intervals) / mesh.n_intervals
+        marked |= growth > _MARK * max(1.0, _WORST * growth.max() * n) / n
     return marked
 
 
-def _overrunning(case: Case, certificate: Any | None, mesh: Mesh) -> np.ndarray:
+def _overrunning(at: _Judged[Any, Any]) -> np.ndarray:
     """Return on which intervals (n,) a limit is overrun between the nodes by more than should be drawn in."""
-    if certificate is None:
-        return np.zeros(mesh.n_intervals, dtype=bool)
-    overrun = case.overrun(certificate)
+    if at.findings is None:
+        return np.zeros(at.n_intervals, dtype=bool)
+    overrun = at.findings.overrun
     return overrun > max(_FINE, _WORST * overrun.max(initial=0.0))
 
 
@@ -200,7 +241,7 @@ def _grown(mesh: Mesh, marked: np.ndarray) -> int:
     return mesh.n_intervals + int(marked.sum())
 
 
-def _rough(motion: Any) -> np.ndarray:
+def _rough(motion: Motion) -> np.ndarray:
     """Return the intervals (n,) on which the efforts' polynomials bend most in their highest degree: next to kinks."""
     widths, degree = np.diff(motion.breaks_s), motion.effort.shape[0] - 1
     bend = np.abs(np.diff(motion.effort, n=degree, axis=0)[0]) if degree else np.abs(motion.effort[0])
@@ -209,35 +250,36 @@ def _rough(motion: Any) -> np.ndarray:
     return rough >= _ROUGH * rough.max()
 
 
-def _higher(case: Case, certificate: Any | None, marked: np.ndarray) -> str | None:
+def _higher(case: Case[Any, CertificateT], certificate: CertificateT | None, marked: np.ndarray) -> str | None:
     """Return the transcription of higher degree that is worth more than a finer mesh, or None."""
     if certificate is None or not marked.any():
         return None
     growth = certificate.growth[marked]
     even = marked.mean() >= _EVERYWHERE and growth.max() <= _STANDS_OUT * max(float(np.median(growth)), 1e-300)
-    return _raised(case) if even or case.mesh.refine == "degree" else None
+    return _raised(case) if even or case.problem.mesh.refine == "degree" else None
 
 
-def _higher_on_arcs(case: Case, certificate: Any | None, mesh: Mesh, over: np.ndarray, arcs: dict[str, Any]) -> str | None:
+def _higher_on_arcs(case: Case[MotionT, CertificateT], at: _Judged[MotionT, CertificateT], over: np.ndarray) -> str | None:
     """Return the transcription of higher degree where motions along limits overrun them evenly: the arcs are smooth."""
-    if certificate is None or not over.any():
+    if at.findings is None or not over.any():
         return None
-    if case.switches and (not arcs or not np.all(arcs["held"][mesh.segment[over]].any(axis=1))):
+    held = at.found.held
+    if case.aims.switches and (held is None or not np.all(held.paths[at.found.mesh.segment[over]].any(axis=1))):
         return None  # an arc that is not held may end inside an interval, which wants to be cut
-    overrun = case.overrun(certificate)[over]
+    overrun = at.findings.overrun[over]
     even = len(overrun) >= _AN_ARC and overrun.max() <= _STANDS_OUT * float(np.median(overrun))
-    return _raised(case) if even or case.mesh.refine == "degree" else None
+    return _raised(case) if even or case.problem.mesh.refine == "degree" else None
 
 
-def _raised(case: Case) -> str | None:
+def _raised(case: Case[Any, Any]) -> str | None:
     """Return the case's transcription two degrees up; None where there is none, or none is wanted."""
-    family = re.fullmatch(r"(radau|gauss)-(\d)", case.mesh.scheme)
-    if family is None or case.mesh.refine == "intervals" or int(family[2]) == MAX_DEGREE:
+    family = re.fullmatch(r"(radau|gauss)-(\d)", case.problem.mesh.scheme)
+    if family is None or case.problem.mesh.refine == "intervals" or int(family[2]) == MAX_DEGREE:
         return None
     return f"{family[1]}-{min(int(family[2]) + 2, MAX_DEGREE)}"
 
 
-def _widths(motion: Any, marked: np.ndarray) -> np.ndarray:
+def _widths(motion: Motion, marked: np.ndarray) -> np.ndarray:
     widths = np.diff(motion.breaks_s)
     pieces = np.where(marked, 2, 1)
     return np.repeat(widths / pieces, pieces)

@@ -1,11 +1,11 @@
 """Cuts at a motion's switches: read off a solution, and settled by solving again until they stay where they are."""
 
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Case, attempt
-from linkplan.planner.refinement.constrained_arcs import arc_ends, free_ends, held_paths, own_arcs, path_arcs
+from linkplan.planner.refinement.case import Case, CertificateT, Found, MotionT, attempt
+from linkplan.planner.refinement.constrained_arcs import Held, arc_ends, free_ends, held_paths, own_arcs, path_arcs
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.switches import find_cuts, pinned_efforts
 from linkplan.planner.solvers.solve import Solution
@@ -16,101 +16,111 @@ from linkplan.planner.transcription.mesh import Mesh, segmented
 NO_WORSE = 1e-4
 # A segment's duration within this share of its room to a bound is at it.
 _AT_BOUND = 1e-3
-# The words on a reading that takes short arcs for bangs though other limits bind.
-_SHORT = "cuts at the switches, short arcs too"
 # Cuts next to arcs within the limits settle in a few solves: until the objective gains less than this share, relative.
 _SETTLINGS = 4
 _SETTLED = 1e-9
 
 
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Reading:
+    """What a solution's arcs may be: in words, their ends (n_cuts,) [s], and what is held between them."""
+
+    what: str
+    cuts_s: np.ndarray
+    held: Held | None
+    last_resort: bool = False  # whether it is meant only where no other leads to a solution
+
+
 def settle_switches(
-    case: Case,
-    motion: Any,
-    solution: Solution,
-    mesh: Mesh,
+    case: Case[MotionT, CertificateT],
+    found: Found[MotionT],
     history: list[Step],
     say: Say,
     *,
     position_rows: bool = False,
-    arcs: dict[str, Any] | None = None,
-):
-    """Return a solution with mesh cuts at its switches: motion, solution, mesh, and what is held between the cuts.
+) -> Found[MotionT]:
+    """Return a solution with mesh cuts at its switches, or the same one where cuts make it no better.
 
     First with efforts and path quantities held at the limits that the arcs showed, which leaves the cuts alone to be found;
     where that is slower than the solution without cuts, the arcs were read wrongly and all is set free again.
     """
-    chosen, no_worse = arcs or {}, _SETTLED if position_rows else NO_WORSE
+    no_worse = _SETTLED if position_rows else NO_WORSE
     for _ in range(_SETTLINGS):
-        knots = motion.breaks_s[mesh.knots()]
-        readings = _readings(case, motion, solution, knots)
-        if not readings or len(readings[0][1]) > mesh.n_intervals // 6:
+        before = found.solution.objective
+        knots = found.motion.breaks_s[found.mesh.knots()]
+        readings = _readings(case, found, knots)
+        if not readings or len(readings[0].cuts_s) > found.mesh.n_intervals // 6:
             break
-        held = readings[0][2]
-        if _known(solution.transcribed, held) and not at_bounds(solution):
-            return motion, solution, mesh, held
-        better, solved, start = None, False, case.start_from(motion)
-        for what, cut, options in [*readings, ("cuts at the switches, efforts free", readings[0][1], {})]:
-            if solved and what == _SHORT:
+        held = readings[0].held
+        if _known(found.solution.transcribed, held) and not at_bounds(found.solution):
+            return replace(found, held=held)
+        better, solved, start = None, False, case.start_from(found.motion)
+        for reading in [*readings, replace(readings[0], what="cuts at the switches, efforts free", held=None)]:
+            if solved and reading.last_resort:
                 continue
-            finer, durations = cut_mesh(knots, cut, case.mesh.intervals)
-            found = attempt(
-                case, start, finer, durations, what, history, say, warm=True, position_rows=position_rows, **options
-            )
-            if found is not None and found[1].objective <= solution.objective + no_worse * abs(solution.objective):
-                better = found
+            finer, durations = cut_mesh(knots, reading.cuts_s, case.problem.mesh.intervals)
+            tried = attempt(
+                case, start, finer, durations, reading.what, history, say,
+                warm=True, position_rows=position_rows, held=reading.held,
+            )  # fmt: skip
+            if tried is not None and tried.solution.objective <= before + no_worse * abs(before):
+                better = tried
                 break
-            solved = solved or found is not None
+            solved = solved or tried is not None
         if better is None:
             break
-        settled = better[1].objective > solution.objective - _SETTLED * abs(solution.objective)
-        (motion, solution), mesh, chosen = better, finer, options
+        settled = better.solution.objective > before - _SETTLED * abs(before)
+        found = better
         no_worse = _SETTLED  # from now on both have cuts, and only a better one replaces the other
-        if settled or all_held(held):
+        if settled or held.everything:
             break
-    return motion, solution, mesh, chosen
+    return found
 
 
-def _readings(
-    case: Case, motion: Any, solution: Solution, knots: np.ndarray
-) -> list[tuple[str, np.ndarray, dict[str, Any]]]:
-    """Return what a solution's arcs may be: in words, their ends (n_cuts,) [s] and what is held between them.
+def _readings(case: Case[MotionT, CertificateT], found: Found[MotionT], knots: np.ndarray) -> list[_Reading]:
+    """Return what a solution's arcs may be, the likeliest first.
 
     Arcs shorter than an interval are bangs where nothing else binds; elsewhere they are rather ends of arcs along a limit,
     and only meant where nothing comes of those.
     """
-    on_path = path_arcs(solution.transcribed, solution.x)
+    motion, transcribed, x, aims = found.motion, found.solution.transcribed, found.solution.x, case.aims
+    on_path = path_arcs(transcribed, x)
     # Bangs end where arcs along a speed limit begin; other efforts bend there, and along a motor's line all do.
-    arcs = own_arcs(solution.transcribed, solution.x, ("motor",) if case.bangs else ("motor", "speed"))
+    arcs = own_arcs(transcribed, x, ("motor",) if aims.bangs else ("motor", "speed"))
     arcs = np.hstack([on_path, arcs])
-    alone, readings = bangs_alone(case, solution.transcribed), []
-    for short in (True,) if alone else (False, True) if case.bangs else (False,):
-        cuts = find_cuts(motion, case.effort_limit, knots, on_path.any(axis=1), short=short, ramps=case.ramps)
+    alone, readings = bangs_alone(case, transcribed), []
+    for short in (True,) if alone else (False, True) if aims.bangs else (False,):
+        cuts = find_cuts(motion, aims.effort_limit, knots, on_path.any(axis=1), short=short, ramps=aims.ramps)
         cuts = np.sort(np.append(cuts, arc_ends(arcs, motion.breaks_s, cuts, knots)))
-        if len(cuts) == 0 or (readings and np.array_equal(cuts, readings[0][1])):
+        if len(cuts) == 0 or (readings and np.array_equal(cuts, readings[0].cuts_s)):
             continue
         ends = np.sort(np.concatenate([knots, cuts]))
-        pinned = pinned_efforts(motion, case.effort_limit, ends[1:-1])
-        held = {"pinned": pinned, "held": held_paths(on_path, motion.breaks_s, ends, pinned)}
-        readings.append((_SHORT if readings else "cuts at the switches", cuts, held))
-        if held["held"].any():
-            inner, loose = free_ends(ends, **held)
-            readings.append(("cuts at the switches, ends of arcs free", np.sort(np.append(cuts, inner)), loose))
+        pinned = pinned_efforts(motion, aims.effort_limit, ends[1:-1])
+        held = Held(efforts=pinned, paths=held_paths(on_path, motion.breaks_s, ends, pinned))
+        # The second time arcs are read, short ones are taken for bangs though other limits bind.
+        again = bool(readings)
+        what = "cuts at the switches, short arcs too" if again else "cuts at the switches"
+        readings.append(_Reading(what=what, cuts_s=cuts, held=held, last_resort=again))
+        if held.paths.any():
+            inner, loose = free_ends(ends, held)
+            what = "cuts at the switches, ends of arcs free"
+            readings.append(_Reading(what=what, cuts_s=np.sort(np.append(cuts, inner)), held=loose))
     return readings
 
 
-def bangs_alone(case: Case, transcribed: Transcribed) -> bool:
+def bangs_alone(case: Case[MotionT, CertificateT], transcribed: Transcribed) -> bool:
     """Return whether efforts are at their limits throughout: time alone counts, and no limits but theirs and ranges bind."""
     interval = transcribed.program.interval
-    return case.bangs and interval.n_path == 0 and {*interval.own_kinds} <= {"continuity", "position"}
+    return case.aims.bangs and interval.n_path == 0 and {*interval.own_kinds} <= {"continuity", "position"}
 
 
-def _known(transcribed: Transcribed, held: dict[str, np.ndarray]) -> bool:
+def _known(transcribed: Transcribed, held: Held) -> bool:
     """Return whether a program has held all of this already, and nothing was left free: there is nothing new to cut."""
-    before, paths = transcribed.pinned, held["held"]
-    if before is None or before.shape != held["pinned"].shape or not all_held(held):
+    before = transcribed.pinned
+    if before is None or before.shape != held.efforts.shape or not held.everything:
         return False
-    same_paths = not paths.any() if transcribed.held is None else np.array_equal(transcribed.held, paths)
-    return bool(same_paths and np.array_equal(before, held["pinned"], equal_nan=True))
+    same_paths = not held.paths.any() if transcribed.held is None else np.array_equal(transcribed.held, held.paths)
+    return bool(same_paths and np.array_equal(before, held.efforts, equal_nan=True))
 
 
 def at_bounds(solution: Solution) -> bool:
@@ -119,13 +129,6 @@ def at_bounds(solution: Solution) -> bool:
     lower, upper, at = transcribed.lower[place], transcribed.upper[place], solution.x[place]
     near = _AT_BOUND * (upper - lower)
     return bool(np.any((near > 0) & ((at - lower < near) | (upper - at < near))))
-
-
-def all_held(held: dict[str, np.ndarray]) -> bool:
-    """Return whether every segment holds as much as it has efforts: then the cuts alone were to be found."""
-    if not held:
-        return False
-    return bool(np.all(np.isnan(held["pinned"]).sum(axis=1) == np.count_nonzero(held["held"], axis=1)))
 
 
 def cut_mesh(knots_s: np.ndarray, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:

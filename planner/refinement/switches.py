@@ -13,11 +13,18 @@ _SMEARED = 3
 _BESIDE = {True: 1e-3, False: 0.1}
 
 
-class Efforts(Protocol):
-    """What is looked at of a motion: its intervals' ends and its efforts' Bernstein coefficients (degree + 1, n, n_u)."""
+class Motion(Protocol):
+    """What refinement needs of a motion."""
 
-    breaks_s: np.ndarray
-    effort: np.ndarray
+    @property
+    def breaks_s(self) -> np.ndarray:
+        """The intervals' ends (n + 1,) [s]."""
+        ...
+
+    @property
+    def effort(self) -> np.ndarray:
+        """The efforts' Bernstein coefficients (degree + 1, n, n_u)."""
+        ...
 
     def effort_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return efforts (n, n_u) at times (n,)."""
@@ -25,7 +32,7 @@ class Efforts(Protocol):
 
 
 def find_cuts(
-    trajectory: Efforts,
+    trajectory: Motion,
     limit: np.ndarray,
     knots_s: np.ndarray | None = None,
     on_path: np.ndarray | None = None,
@@ -106,7 +113,7 @@ def _pulse_in(breaks: np.ndarray, coefficients: np.ndarray, limits: tuple[float,
     return [middle - length / 2, middle + length / 2]
 
 
-def pinned_efforts(trajectory: Efforts, limit: np.ndarray, cuts: np.ndarray) -> np.ndarray:
+def pinned_efforts(trajectory: Motion, limit: np.ndarray, cuts: np.ndarray) -> np.ndarray:
     """Return the efforts (n_cuts + 1, n_u) that segments between cuts hold throughout: a limit, or NaN where they vary.
 
     Looked at away from the cuts, next to which the fixed mesh smears the switch.

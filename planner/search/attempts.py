@@ -1,7 +1,5 @@
-"""From starts to plans: each is solved and refined until its certificate passes; where it does not, the next is tried."""
+"""From one start to a plan: solved, refined until its certificate passes, mended where it does not."""
 
-import itertools
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -12,109 +10,86 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refine import refine
-from linkplan.planner.search.durations import longer
+from linkplan.planner.search.durations import with_longer_durations
 from linkplan.planner.search.first_mesh import PER_LEG, first_mesh, graded_mesh
-from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME
-from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.search.ladder import HURRIED, Budget, Search
 
 
-def first_of(
-    problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], history: list[Step], say: Say, below: float = np.inf
+def plan_from(
+    search: Search, budget: Budget, what: str, guess: Guess, *, worth: float = np.inf, mended: bool = True
 ) -> Plan | None:
-    """Return the first plan that a start leads to and that passes; else one that was found and does not; else None.
+    """Return the plan that a start leads to, passed or missed; None where no motion is found from it.
 
-    Solutions whose objective is not `below` what is known already are not refined.
+    Args:
+        search: what is looked for.
+        budget: of the solves.
+        what: the start, in words.
+        guess: the start.
+        worth: solutions whose objective is not below it are not refined.
+        mended: whether a motion that does not pass is worth every repair; before the phase plane's least time it is not.
     """
-    failed = None
-    for number, (what, guess) in enumerate(starts):
-        if number >= 1 and (problem.motion.duration_s is not None or failed is not None) and what.startswith("bend"):
-            break  # what a fixed duration forbids, other starts forbid too: the reason is looked for first
-        if not closes(problem.mechanism, guess):
+    if not closes(search.problem.mechanism, guess):
+        return None
+    problem = search.within(budget)
+    missed = None
+    for found in _solved(problem, guess, f"start from {what}" if search.history else "first solve", search):
+        if found.solution.objective >= worth:
             continue
-        word = "first solve" if number == 0 else f"start from {what}"
-        patient = problem if number == 0 else replace(problem, solver=problem.solver.hurried())
-        solved = _solved(patient, guess, word, history, say)
-        if not solved and history and history[-1].solver_status in (OUT_OF_TIME, INVALID):
+        found, unbounded = with_longer_durations(problem, found, search.history, search.say)
+        if unbounded is not None:
+            search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
             return None
-        missed = None
-        for found, mesh in solved:
-            if found[1].objective >= below:
-                continue
-            found, away = longer(patient, found, mesh, history, say)
-            if away is not None:
-                return Plan(problem=problem, status="failed", message=away, history=tuple(history))
-            # Where time alone counts the phase plane's start comes next: the first is not worth a second way.
-            patiently = number > 0 or list(problem.objective.weights) != ["time"]
-            missed = _refined(problem, found, mesh, history, say, again=patiently)
-            if missed.status == "optimal":
-                return missed
-        if missed is None:
-            continue
-        if missed.trajectory is not None and unavoidable(problem, missed.trajectory, missed.certificate):
-            return missed  # other motions pass there too
-        if failed is not None:
-            break  # a second motion that does not pass: others will not either
-        failed = missed
-    return failed
+        # A motion that was found in few iterations is worth more of them where it is refined.
+        missed = refined(search, search.within(replace(budget, iterations=None)), found, mended=mended)
+        if missed.status == "optimal":
+            return missed
+    found = missed is not None and missed.trajectory is not None
+    if found and unavoidable(problem, missed.trajectory, missed.certificate):
+        search.verdicts.append(missed)  # other motions pass there too
+    return missed
 
 
-def _solved(patient: PlanningProblem, guess: Guess, word: str, history: list[Step], say: Say) -> list:
-    """Return solutions from a start, each with its mesh, the better first."""
-    mesh, durations = first_mesh(patient, guess)
-    found = attempt(case_of(patient), guess, mesh, durations, word, history, say)
-    solved = [] if found is None else [(found, mesh)]
-    if guess.cuts_s is not None and list(patient.objective.weights) == ["time"]:
+def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -> list[Found]:
+    """Return solutions from a start, the better first."""
+    mesh, durations = first_mesh(problem, guess)
+    found = [attempt(case_of(problem), guess, mesh, durations, word, search.history, search.say)]
+    if guess.cuts_s is not None and search.only_time_counts:
         # Its switches are known: with cuts there and efforts held between them, the instants alone are to be found.
-        cut, lengths = graded_mesh(guess, guess.cuts_s, max(patient.mesh.intervals, PER_LEG * guess.legs))
+        cut, lengths = graded_mesh(guess, guess.cuts_s, max(problem.mesh.intervals, PER_LEG * guess.legs))
         for warm, how in ((False, "efforts held"), (True, "efforts held, next to it")):
-            what = f"{word}, {how}"
-            held = attempt(case_of(patient), guess, cut, lengths, what, history, say, pinned=guess.held, warm=warm)
+            held = attempt(
+                case_of(problem), guess, cut, lengths, f"{word}, {how}", search.history, search.say,
+                pinned=guess.held, warm=warm,
+            )  # fmt: skip
+            found.append(held)
             if held is not None:
-                solved.append((held, cut))
                 break
-    return sorted(solved, key=lambda item: item[0][1].objective)
+    return sorted((one for one in found if one is not None), key=lambda one: one.solution.objective)
 
 
-def _refined(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say, *, again: bool) -> Plan:
-    """Return the plan of a first solution; where its certificate does not pass, refined in other ways too."""
-    plan, bends = certified(problem, found, mesh, history, say), True
-    if unsound(plan) and case_of(problem).switches and not case_of(problem, bends=False).switches:
-        # Cuts at bends are worth a thousandth at the most: a motion that is lost with them is planned without.
-        plan, bends = certified(problem, found, mesh, history, say, bends=False), False
-    if unsound(plan) and again:
-        warm = certified(problem, found, mesh, history, say, warm=True, bends=bends)
-        plan = warm if warm.status == "optimal" else plan
-    if plan.status == "failed":
-        plan = _plainer(problem, plan, found, mesh, history, say) or plan
+def refined(search: Search, problem: PlanningProblem, found: Found, *, mended: bool = True) -> Plan:
+    """Return the plan of a first solution; where its certificate does not pass, by way of the search's repairs."""
+    plan = certified(problem, found, search.history, search.say)
+    for repair in search.repairs if mended else [repair for repair in search.repairs if repair.always]:
+        if plan.status != "optimal" and repair.tried(search, problem, plan):
+            plan = repair.mend(search, problem, found) or plan
     return plan
 
 
-def best_of(problem: PlanningProblem, starts: Iterator[tuple[str, Guess]], history: list[Step], say: Say) -> Plan | None:
-    """Return the best plan of as many starts as the problem asks for; None where none leads to one."""
-    wanted, found = problem.solver.starts, []
-    closed = (start for start in starts if closes(problem.mechanism, start[1]))
-    for number, (what, guess) in enumerate(itertools.islice(closed, wanted)):
-        mesh, durations = first_mesh(problem, guess)
-        word = f"start {number + 1} of {wanted}, {what}"
-        solved = attempt(case_of(problem), guess, mesh, durations, word, history, say)
-        if solved is not None:
-            found.append((solved[1].objective, number, solved, mesh))
-    failed = None
-    for _, number, solved, mesh in sorted(found, key=lambda item: item[:2]):
-        say(f"refining start {number + 1}")
-        solved, away = longer(problem, solved, mesh, history, say)
-        if away is not None:
-            return Plan(problem=problem, status="failed", message=away, history=tuple(history))
-        plan = certified(problem, solved, mesh, history, say)
-        if plan.status == "optimal":
-            return replace(
-                plan, details={**plan.details, "starts": wanted, "starts_solved": len(found), "best_start": number + 1}
-            )
-        failed = failed or plan
-    return failed
+def certified(
+    problem: PlanningProblem, found: Found, history: list[Step], say: Say, *, warm: bool = False, bends: bool = True
+) -> Plan:
+    """Return the plan of a solution, refined until its certificate passes; `bends` as of `case_of`."""
+    better = refine(case_of(problem, bends=bends), found, history, say, warm=warm)
+    if better is None:
+        message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
+        return Plan(problem=problem, status="failed", message=message, history=tuple(history))
+    solution = better.solution
+    plan = finished(problem, better.motion, better.certificate, solution.objective, history, None)
+    return replace(plan, solved=replace(solution.transcribed, start=solution.x))
 
 
 def unsound(plan: Plan) -> bool:
@@ -122,49 +97,36 @@ def unsound(plan: Plan) -> bool:
     return plan.certificate is not None and plan.certificate.mendable
 
 
-def certified(
-    problem: PlanningProblem,
-    found,
-    mesh: Mesh,
-    history: list[Step],
-    say: Say,
-    *,
-    warm: bool = False,
-    bends: bool = True,
-) -> Plan:
-    """Return the plan of a solution, refined until its certificate passes; `bends` as of `case_of`."""
-    case = case_of(problem, bends=bends)
-    refined = refine(case, found, mesh, history, say, warm=warm)
-    if refined is None:
-        return Plan(
-            problem=problem,
-            status="failed",
-            message="failed: the motion that the solver returned leaves the branch on which the mechanism was assembled",
-            history=tuple(history),
-        )
-    trajectory, solution, certificate, _ = refined
-    plan = finished(problem, trajectory, certificate, solution.objective, history, None)
-    plan = replace(plan, solved=replace(solution.transcribed, start=solution.x))
-    if plan.status == "optimal" and case.tolerance_given and not case.exact(certificate):
-        missed = (
-            f"failed: the integrated model ends {certificate.integration_error_deg:.3g} deg from the plan on"
-            f" {plan.intervals} intervals, more than mesh.tolerance_deg = {problem.mesh.tolerance_deg:g}"
-        )
-        return replace(plan, status="failed", message=missed)
-    return plan
+def lost_at_bends(problem: PlanningProblem) -> bool:
+    """Return whether the only switches looked for are bends of efforts that do not jump: worth a thousandth at the most."""
+    return case_of(problem).aims.switches and not case_of(problem, bends=False).aims.switches
 
 
-def _plainer(problem: PlanningProblem, plan: Plan, found, mesh: Mesh, history: list[Step], say: Say) -> Plan | None:
-    """Return a plan with an effort that is constant over intervals, where polynomials overrun limits between their nodes.
+def without_bends(search: Search, problem: PlanningProblem, found: Found) -> Plan:
+    """Return the plan of a motion whose efforts' bends are not looked for."""
+    return certified(problem, found, search.history, search.say, bends=False)
 
-    Along an arc on a limit of force or power a polynomial effort swings about what keeps it, from node to node.
-    """
+
+def from_next_to_it(search: Search, problem: PlanningProblem, found: Found) -> Plan | None:
+    """Return the plan whose finer meshes begin next to the coarser one's answer; None where it does not pass."""
+    bends = not lost_at_bends(problem)
+    plan = certified(problem, found, search.history, search.say, warm=True, bends=bends)
+    return plan if plan.status == "optimal" else None
+
+
+def constant_efforts_would_do(search: Search, problem: PlanningProblem, plan: Plan) -> bool:
+    """Return whether a polynomial effort overruns limits between its nodes: along an arc it swings about what keeps it."""
+    del search
     overrun = plan.certificate is not None and not all(margin.kept for margin in plan.certificate.margins)
-    if problem.mesh.effort != "polynomial" or not overrun:
-        return None
-    plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=problem.solver.hurried())
-    durations = np.bincount(mesh.segment, np.diff(found[0].breaks_s))
+    return problem.mesh.effort == "polynomial" and overrun
+
+
+def with_constant_efforts(search: Search, problem: PlanningProblem, found: Found) -> Plan | None:
+    """Return the plan of a motion whose efforts are constant over intervals; None where it does not pass."""
+    plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=search.within(HURRIED).solver)
+    mesh = found.mesh
+    durations = np.bincount(mesh.segment, np.diff(found.motion.breaks_s))
     what = "efforts constant over intervals"
-    again = attempt(case_of(plain), motion_of(found[0]), mesh, durations, what, history, say)
-    held = None if again is None else certified(plain, again, mesh, history, say)
-    return replace(held, problem=problem) if held is not None and held.status == "optimal" else None
+    again = attempt(case_of(plain), motion_of(found.motion), mesh, durations, what, search.history, search.say)
+    plan = None if again is None else certified(plain, again, search.history, search.say)
+    return plan if plan is not None and plan.status == "optimal" else None

@@ -1,42 +1,56 @@
 """How long motions may take: those held back by their guess are begun again longer, what has no end is said."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.case import Found, attempt
+from linkplan.planner.refinement.free_duration import LONGER, held_by_guess
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.search.phase_plane import least_time_guess, stretched
+from linkplan.planner.search.continuation import Steps, followed
+from linkplan.planner.search.phase_plane import stretched
 from linkplan.planner.solvers.solve import Solution
-from linkplan.planner.transcription.mesh import Mesh
 
 # A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth; along
 # speed limits, where joints fly, to half a hundredth.
 SURELY, SURELY_LIMITED = 1.001, 1.01
-# A duration within this share of where it may end is there.
-_AT_END = 0.01
 # A motion whose duration ended where its guess held it is begun so many times again, so many times longer; it has no end
 # where its objective falls to this share at once.
 _LONGER, _LONGER_BY, _FALLS = 2, 30.0, 1e-3
 
 
-def longer(problem: PlanningProblem, found, mesh: Mesh, history: list[Step], say: Say):
+def with_longer_durations(problem: PlanningProblem, found: Found, history: list[Step], say: Say) -> tuple[Found, str | None]:
     """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
-    away = runs_away(problem, found[1])
-    for _ in range(_LONGER):
-        if away is None:
-            break
-        duration = min(_LONGER_BY * found[0].duration_s, problem.motion.max_duration_s or np.inf)
-        guess = stretched(motion_of(found[0]), duration)
-        durations = found[1].x[found[1].transcribed.program.layout.durations()]
+
+    def solve(at: _Held, longer: float) -> _Held | None:
+        if at.unbounded is None:
+            return None
+        duration = min(longer, problem.motion.max_duration_s or np.inf)
+        start = stretched(motion_of(at.found.motion), duration)
+        shares = at.found.solution.x[at.found.solution.transcribed.program.layout.durations()]
         what = "from a longer motion"
-        further = attempt(case_of(problem), guess, mesh, duration * durations / durations.sum(), what, history, say)
+        further = attempt(case_of(problem), start, at.found.mesh, duration * shares / shares.sum(), what, history, say)
         if further is None:
-            break
-        falls = further[1].objective < _FALLS * found[1].objective and problem.motion.max_duration_s is None
-        found, away = further, away if falls else runs_away(problem, further[1])
-    return found, away
+            return None
+        falls = further.solution.objective < _FALLS * at.found.solution.objective and problem.motion.max_duration_s is None
+        return _Held(found=further, unbounded=at.unbounded if falls else runs_away(problem, further.solution))
+
+    begin = _Held(found=found, unbounded=runs_away(problem, found.solution))
+    duration = found.motion.duration_s
+    steps = Steps(begin=duration, end=np.inf, factor=_LONGER_BY, least=_LONGER_BY, most=_LONGER)
+    at = followed(begin, steps, solve).stages[-1]
+    return at.found, at.unbounded
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Held:
+    """A solution, and the sentence on its free duration where that grew to the end of what its guess allows."""
+
+    found: Found
+    unbounded: str | None
 
 
 def runs_away(problem: PlanningProblem, solution: Solution) -> str | None:
@@ -45,22 +59,12 @@ def runs_away(problem: PlanningProblem, solution: Solution) -> str | None:
     That end is a hundred times the guess and not the user's: there the objective still falls, and no best motion is found.
     """
     motion, transcribed = problem.motion, solution.transcribed
-    place = transcribed.program.layout.durations()
-    if motion.duration_s is not None or np.any(np.bincount(transcribed.program.mesh.leg) > 1):
+    if motion.duration_s is not None or held_by_guess(solution, 0.0, motion.max_duration_s or np.inf) != LONGER:
         return None
-    duration = float(solution.x[place].sum()) * transcribed.units.time_s
-    longest = motion.max_duration_s or np.inf
-    if duration >= (1 - _AT_END) * longest or not np.any(solution.x[place] >= (1 - _AT_END) * transcribed.upper[place]):
-        return None
+    duration = float(solution.x[transcribed.program.layout.durations()].sum()) * transcribed.units.time_s
     what = problem.objective.name.replace("_", " ")
     without = f"failed: the longer the motion the less its {what}, without end"
     return f"{without}: still at {duration:.4g} s; set motion.max_duration_s"
-
-
-def known_motion(problem: PlanningProblem, guess: Guess) -> float | None:
-    """Return the duration of a motion that is known to keep the effort limits, in no more time than is given; or None."""
-    known = least_time_guess(problem, guess.start_pose)
-    return None if known is None or longest(problem) < SURELY * known.duration_s else known.duration_s
 
 
 def longest(problem: PlanningProblem) -> float:

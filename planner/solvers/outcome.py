@@ -14,6 +14,14 @@ OUT_OF_ITERATIONS = "Maximum_Iterations_Exceeded"
 INVALID = "Invalid_Number_Detected"
 
 
+def why_stopped(status: str, max_time_s: float) -> str | None:
+    """Return the words on a solver that stopped before it could say anything of the problem; None where it could."""
+    return {
+        OUT_OF_TIME: f"the solver ran out of its {max_time_s:g} s (solver.max_time_s)",
+        INVALID: "the dynamics gave a number that is not finite (NaN) along the motion, or the solver could not begin",
+    }.get(status)
+
+
 class Solver(Protocol):
     """A solver built for one program, as `casadi.nlpsol` makes them."""
 

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import ProblemError, one_line
-from linkplan.planner.problem.planning_problem import SOLVERS, SolverSettings
+from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.solvers.fatrop import FatropSolver
 from linkplan.planner.solvers.outcome import ACCEPTABLE, INVALID, MAX_ITERATIONS, OUT_OF_TIME, TOLERANCE, Solver
 from linkplan.planner.transcription.collocation import Transcribed
@@ -30,6 +30,8 @@ _LARGE = 200
 _WARM_BARRIER, _WARM_PUSH = 1e-6, 1e-9
 # The same without multipliers: near an answer, and at one but for its mesh, from which a larger barrier leads away.
 _NEAR_BARRIER, _AT_BARRIER = 1e-4, 1e-6
+# What a solve is given whose deadline has passed [s]: IPOPT takes no less than nothing, and stops after an iteration.
+_LEAST_TIME_S = 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -71,13 +73,14 @@ def build_solver(
         ProblemError: when the solver cannot be set up for the program.
     """
     settings = settings or SolverSettings()
-    if settings.name not in SOLVERS:
-        raise ProblemError(f"solver.name is one of {', '.join(SOLVERS)}, got '{settings.name}'")
     iterations = MAX_ITERATIONS if settings.max_iterations is None else settings.max_iterations
+    max_time_s = settings.max_time_s
+    if settings.deadline is not None:
+        max_time_s = max(_LEAST_TIME_S, min(max_time_s, settings.deadline - time.monotonic()))
     try:
         if settings.name == "fatrop":
-            return FatropSolver(program, endpoint, max_iterations=iterations, max_time_s=settings.max_time_s, warm=warm)
-        return _ipopt(program, iterations, settings.max_time_s, warm=warm, close=close)
+            return FatropSolver(program, endpoint, max_iterations=iterations, max_time_s=max_time_s, warm=warm)
+        return _ipopt(program, iterations, max_time_s, warm=warm, close=close)
     except RuntimeError as error:
         raise ProblemError(f"solver '{settings.name}' cannot be set up: {one_line(error)}") from error
 

@@ -18,6 +18,7 @@ so coefficients within a limit keep the effort within it at every instant. Its d
 
 from dataclasses import dataclass
 from functools import cache
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -155,6 +156,17 @@ def bernstein_matrix(degree: int, points: np.ndarray) -> np.ndarray:
     t = np.asarray(points, dtype=float)[:, None]
     k = np.arange(degree + 1)
     return comb(degree, k) * t**k * (1 - t) ** (degree - k)
+
+
+def bernstein_value(coefficients: Any, at: Any) -> Any:
+    """Return a Bernstein polynomial's value (n,) at one point by de Casteljau: coefficients (degree + 1, n).
+
+    Numbers or CasADi's symbols, whose value is a row.
+    """
+    points = coefficients
+    for left in range(points.shape[0] - 1, 0, -1):
+        points = points[:left, :] + at * (points[1:, :] - points[:left, :])
+    return points[0, :]
 
 
 def bernstein_gram(degree: int) -> np.ndarray:

@@ -9,7 +9,7 @@ from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.sampling import Sampling, sampling
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.compare import build_tracker
 from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, floquet_text, frozen_radii, tracker_gains
 from linkplan.studies.frequency.loops import LAW_NAMES, FeedbackLoop, OperatingPoint, feedback_loop

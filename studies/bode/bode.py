@@ -10,7 +10,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import reach
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.loops import (
     CONTINUOUS,
@@ -197,7 +197,7 @@ def _most_of_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]
     low, high = can.lower.position, can.upper.position
     home = float(mechanism.home[mechanism.independent[coordinate]])
     if can.turns_fully or not np.isfinite(high - low):
-        half = 0.5 * np.pi if mechanism.independent_joints[coordinate].kind == "hinge" else 0.5 * mechanism.model.stat.extent
+        half = 0.5 * np.pi if mechanism.independent_joints[coordinate].kind == "hinge" else 0.5 * mechanism.extent_m
         low, high = home - half, home + half
     return low + _OVER_THE_REACH[0] * (high - low), low + _OVER_THE_REACH[-1] * (high - low)
 

@@ -11,7 +11,8 @@ from linkplan.models.names import choose
 from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables, tracking_from_tables
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem, Tracking
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.cli.common import Say, output_folder, poses_asked, progress, show, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 
@@ -122,18 +123,18 @@ def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
     """Return the tracking settings with what the command line asks for in place."""
     from dataclasses import replace
 
-    names = [name for name in ("kp", "kd", "period_s", "delay_periods") if getattr(arguments, name, None) is not None]
-    settings = replace(settings, **{name: getattr(arguments, name) for name in names})
+    asked = {name: getattr(arguments, name, None) for name in ("kp", "kd", "period_s", "delay_periods")}
+    asked = {name: value for name, value in asked.items() if value is not None}
     for name in ("kp", "kd"):
-        value = getattr(settings, name)
-        if not (np.isfinite(value) and value >= 0):
-            raise ProblemError(f"--{name} is a number of at least 0, got {value:g}")
+        if name in asked and not (np.isfinite(asked[name]) and asked[name] >= 0):
+            raise ProblemError(f"--{name} is a number of at least 0, got {asked[name]:g}")
+    if "period_s" in asked and not (np.isfinite(asked["period_s"]) and asked["period_s"] > 0):
+        raise ProblemError(f"--period-s is a positive number, got {asked['period_s']:g}")
+    if "delay_periods" in asked and not (np.isfinite(asked["delay_periods"]) and 0 <= asked["delay_periods"] <= 1000):
+        raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {asked['delay_periods']:g}")
+    settings = replace(settings, **asked)
     if settings.kp == 0 and settings.kd == 0:
         raise ProblemError("--kp and --kd are both 0: there is no feedback")
-    if not (np.isfinite(settings.period_s) and settings.period_s > 0):
-        raise ProblemError(f"--period-s is a positive number, got {settings.period_s:g}")
-    if not (np.isfinite(settings.delay_periods) and 0 <= settings.delay_periods <= 1000):
-        raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {settings.delay_periods:g}")
     return settings
 
 

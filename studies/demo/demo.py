@@ -12,7 +12,7 @@ from linkplan.planner.files.plan_folder import record, versions
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_report import bode_record, bode_text
 from linkplan.studies.bode.draw_bode import save_bode

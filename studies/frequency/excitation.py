@@ -116,7 +116,7 @@ def signal_amplitude(
 ) -> np.ndarray:
     """Return amplitudes (n,) of a test signal [its unit] that move the joint by little and leave its actuator free."""
     joint = loop.point.mechanism.independent_joints[channel]
-    small = SMALL * (1.0 if joint.kind == "hinge" else float(loop.point.mechanism.model.stat.extent))
+    small = SMALL * (1.0 if joint.kind == "hinge" else loop.point.mechanism.extent_m)
     wanted = small if setup.amplitude is None else setup.amplitude
     room = np.inf if setup.amplitude is not None else EFFORT_SHARE * command_room(loop, effort_limit, channel)
     sensitivity = loop.gains("sensitivity", frequency_hz, channel)

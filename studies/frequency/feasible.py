@@ -131,7 +131,7 @@ def default_amplitudes(point: OperatingPoint, channel: int = 0, count: int = 25)
     joint = point.mechanism.independent_joints[channel]
     at = float(point.state[channel])
     widest = min(joint.upper - at, at - joint.lower)
-    unit = 1.0 if joint.kind == "hinge" else float(point.mechanism.model.stat.extent)
+    unit = 1.0 if joint.kind == "hinge" else point.mechanism.extent_m
     widest = widest if np.isfinite(widest) and widest > 0 else np.pi * unit
     return np.geomspace(np.radians(0.01) * unit, widest, count)
 

@@ -15,7 +15,7 @@ from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.loops import LAW_NAMES, LAWS, OperatingPoint, feedback_loop, law_gain
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.quick import quick_margins

@@ -5,7 +5,7 @@ from mujoco.batch import Batch
 
 from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.problem.planning_problem import Tracking
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.loops import feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.measure import measure

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
-from linkplan.planner.planning import finished
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.solvers.outcome import Solver

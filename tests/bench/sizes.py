@@ -20,7 +20,8 @@ from linkplan.models.tree.ties import tied_points
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.problem.limits import Limits, free
 from linkplan.planner.problem.motion import Motion
-from linkplan.planner.problem.planning_problem import MeshSettings, PlanningProblem, SolverSettings
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.solvers.solve import build_solver, run_solver
 from linkplan.studies.output.tables import table
 from tests.bench.timing import first_program, say

@@ -15,6 +15,8 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from tests.support.linkages import GRIPPER, RSSR
 from tests.support.mechanisms import replaced
+from tests.support.tolerances import UNIT_VECTOR
+from tests.support.tolerances_planner import ROLLOUT_GAP_M, ROUNDING, SERVO_AS_MOTOR
 
 PERIOD_S = 1e-3
 STEPS = 100
@@ -100,8 +102,8 @@ def test_a_servo_gives_the_effort_that_a_motor_would(integrator):
     efforts = wave(servo, 0.05) * [100.0, 1.0]
     first, second = scripted(servo, efforts), scripted(motor, efforts)
     assert np.abs(np.ptp(first.position, axis=0)).min() > 1e-3, "both coordinates move"
-    assert np.abs(first.pose - second.pose).max() < 1e-11
-    assert np.abs(first.applied - efforts).max() < 1e-12
+    assert np.abs(first.pose - second.pose).max() < SERVO_AS_MOTOR
+    assert np.abs(first.applied - efforts).max() < ROUNDING
 
 
 def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
@@ -109,8 +111,8 @@ def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
     efforts = np.tile([5.0, 0.9], (2, 1))
     held = replaced(GRIPPER, 'ctrlrange="-0.6 0.6"', 'ctrlrange="-0.01 0.01"')
     free, cut = scripted(mechanism, efforts, 50.0), scripted(load_mechanism(hard(held, 1e-4)), efforts, 50.0)
-    assert np.abs(free.applied[:, 1] - 0.9).max() < 1e-12
-    assert abs(cut.applied[0, 1] - 5 * 0.01) < 1e-12, "kp times the end of its range, at rest at home"
+    assert np.abs(free.applied[:, 1] - 0.9).max() < ROUNDING
+    assert abs(cut.applied[0, 1] - 5 * 0.01) < ROUNDING, "kp times the end of its range, at rest at home"
     assert cut.commanded[0, 1] == 0.9
 
 
@@ -124,7 +126,7 @@ def test_the_simulation_follows_the_reduced_model(name, text, size):
     assert rollout.finite
     assert np.ptp(rollout.position[:, 0]) > 20 * SIMULATED, "it moves"
     assert np.abs(rollout.pose - expected).max() < SIMULATED
-    assert rollout.gap_m.max() < 1e-5
+    assert rollout.gap_m.max() < ROLLOUT_GAP_M
 
 
 def test_a_run_with_a_ball_joint_starts_where_its_reference_does():
@@ -149,8 +151,8 @@ def test_a_run_with_a_ball_joint_starts_where_its_reference_does():
     rollout = run(
         mechanism, reference, Scripted(efforts=np.zeros((15, 1))), Loop(effort_limit=np.array([[-np.inf, np.inf]]))
     )
-    assert np.abs(rollout.pose[0] - pose[5]).max() < 1e-12
-    assert np.abs(rollout.velocity[0] - velocity[5]).max() < 1e-12
+    assert np.abs(rollout.pose[0] - pose[5]).max() < ROUNDING
+    assert np.abs(rollout.velocity[0] - velocity[5]).max() < ROUNDING
     assert len(rollout.pose[0]) == mechanism.model.nv != mechanism.model.nq
 
 
@@ -181,6 +183,6 @@ def test_a_playback_pose_is_mujocos():
     data = mujoco.MjData(mechanism.model)
     data.qpos[:] = qpos
     mujoco.mj_forward(mechanism.model, data)
-    assert np.abs(np.linalg.norm(qpos[1:5]) - 1) < 1e-14
+    assert np.abs(np.linalg.norm(qpos[1:5]) - 1) < UNIT_VECTOR
     ends = [data.site("ball").xpos, data.site("socket").xpos]
-    assert np.abs(np.linalg.norm(ends[0] - ends[1]) - rollout.gap_m[-1]) < 1e-12
+    assert np.abs(np.linalg.norm(ends[0] - ends[1]) - rollout.gap_m[-1]) < ROUNDING

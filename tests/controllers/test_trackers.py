@@ -12,13 +12,13 @@ from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import LQR, discretise, linearise, lqr
 from linkplan.controllers.trackers.pd import PD, pd
-from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan import Plan
-from linkplan.planner.trajectory import Trajectory
-from tests.planner.test_plans import optimal
-from tests.planner.test_schemes import HINGE, HINGE_INERTIA
+from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.fourbar import SHANK, knee
+from tests.support.plans import optimal
+from tests.support.references import hinge_reference
 from tests.support.tolerances_planner import CYCLE_GAINS, EXPONENTIAL, GAINS, LINEARISATION, ROUNDING, SAME_FIGURE
 
 PERIOD = 1e-3
@@ -216,15 +216,6 @@ def test_a_held_pendulum_has_its_closed_form():
 
 
 # LQR's gains.
-
-
-def hinge_reference(mechanism: Mechanism, n: int = 50) -> SampledReference:
-    """Return a hinge's reference that stays at zero for n periods of a hundredth of a second."""
-    zeros = np.zeros((2, 1, 1))
-    rest = Trajectory(
-        breaks_s=np.array([0.0, 1.0]), position=zeros, velocity=zeros, effort=zeros, start_pose=np.zeros(1), periodic=False
-    )
-    return sample(mechanism, rest, 0.01, 0.01 * n)
 
 
 def test_the_gains_of_a_pure_inertia_are_scipy_s_stationary_ones():

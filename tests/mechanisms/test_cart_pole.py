@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from tests.support.fourbar import G
 from tests.support.mechanism_checks import acceleration, mechanism_of, plan_of, tracked
 from tests.support.tolerances import relative_error
-from tests.support.tolerances_planner import BOUNDARY, EFFORT_EXCESS
+from tests.support.tolerances_planner import BOUNDARY, EFFORT_EXCESS, LQR_DEG, SECOND_ROUTE_DEG, SECOND_ROUTE_M, TRAPEZIA
 
 NAME, PROBLEM = "cart-pole", "cart-pole-swing-up"
 CART, POLE, LENGTH, FORCE = 1.0, 0.3, 0.5, 20.0
@@ -70,7 +70,7 @@ def test_the_swing_up_costs_no_more_than_published():
 def test_the_cost_is_the_integral_of_the_squared_force():
     plan = plan_of(PROBLEM)
     time = plan.trajectory.dense_times(200)
-    assert abs(np.trapezoid(states(time)[1] ** 2, time) / plan.objective - 1) < 1e-5
+    assert abs(np.trapezoid(states(time)[1] ** 2, time) / plan.objective - 1) < TRAPEZIA
 
 
 def test_the_swing_up_begins_hanging_and_ends_upright_a_metre_on_at_rest():
@@ -106,10 +106,10 @@ def test_the_planned_force_moves_the_textbook_model_to_the_goal():
         inside = np.nextafter(end, begin)
         force = lambda t, top=inside: trajectory.effort_at(np.array([min(t, top)]))[0, 0]  # noqa: E731
         x = solve_ivp(lambda t, y, f=force: field(y, f(t)).real, (begin, end), x, rtol=1e-9, atol=1e-11).y[:, -1]
-    assert np.abs(np.degrees(x[1]) - 180.0) < 0.01
-    assert abs(x[0] - 1.0) < 1e-5
+    assert np.abs(np.degrees(x[1]) - 180.0) < SECOND_ROUTE_DEG
+    assert abs(x[0] - 1.0) < SECOND_ROUTE_M
 
 
 def test_lqr_keeps_the_pole_up_in_mujoco_where_pd_on_the_cart_cannot():
-    assert np.degrees(np.abs(tracked(PROBLEM, "lqr").error[:, 1]).max()) < 0.01
+    assert np.degrees(np.abs(tracked(PROBLEM, "lqr").error[:, 1]).max()) < LQR_DEG
     assert np.degrees(np.abs(tracked(PROBLEM, "pd").error[-1, 1])) > 10.0

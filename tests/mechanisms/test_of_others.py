@@ -1,7 +1,6 @@
 """Mechanisms as others write them: an adaptive gripper and a sprung leg, with all that their files have in them."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,11 +12,11 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.compare.compare import track
+from tests.support.data import DATA
 from tests.support.mechanism_checks import acceleration, rigid_acceleration
 from tests.support.mechanisms import simulated
-from tests.support.tolerances import DIFFERENCES, TREE, relative_error
+from tests.support.tolerances import DIFFERENCES, REST_EFFORT, TREE, relative_error
 
-DATA = Path(__file__).parent.parent / "data"
 GRIPPER = DATA / "adaptive_gripper.xml"
 LEG = DATA / "sprung_leg.xml"
 LOCKS = (
@@ -116,7 +115,7 @@ def test_a_sprung_leg_rests_where_mujocos_forces_leave_nothing_to_its_springs():
     T = np.array([leg().qvel_of(q, rate) for rate in np.eye(leg().n_q)]).T
     along = T @ np.array(leg().dynamics.velocity_map(q))
     forces = along.T @ (at.passive - at.bias)
-    assert forces[list(columns)] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert forces[list(columns)] == pytest.approx([0.0, 0.0], abs=REST_EFFORT)
     assert np.abs(forces).max() > 0.1
     # Home is no rest: there the springs are bent by the loop's assembly.
     at_home = simulated(leg().model, leg().qpos_of(leg().home), leg().qvel_of(leg().home, still))

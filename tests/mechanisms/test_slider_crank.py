@@ -8,7 +8,6 @@ import pytest
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow, reach
-from tests.support.fourbar import G
 from tests.support.mechanism_checks import (
     acceleration,
     lagrangian_acceleration,
@@ -17,45 +16,17 @@ from tests.support.mechanism_checks import (
     rigid_acceleration,
     tracked,
 )
+from tests.support.slider_crank import (
+    inertia,
+    potential,
+    rod,
+    slider,
+)
 from tests.support.tolerances import ANGLE_RAD, BRACKET_RAD, DIFFERENCES, KNEE, relative_error
 from tests.support.tolerances_planner import CLOSURE_M, ROLLOUT_GAP_M
 
 NAME, PROBLEM = "slider-crank", "slider-crank-turn"
-CRANK, ROD = 0.05, 0.15
-# Masses [kg], centres from the link's first pin [m], moments about the centres [kg m2].
-CRANK_MASS, CRANK_CENTRE, CRANK_MOMENT = 0.3, 0.02, 2e-4
-ROD_MASS, ROD_CENTRE, ROD_MOMENT = 0.2, 0.06, 6e-4
-SLIDER_MASS = 0.6
 at_every_angle = pytest.mark.parametrize("th", np.radians([-170.0, -90.0, -35.0, 0.0, 50.0, 90.0, 140.0, 180.0]))
-
-
-def rod(th: float) -> tuple[float, float]:
-    """Return the rod's angle and its rate per crank rate."""
-    phi = np.arcsin(-CRANK / ROD * np.sin(th))
-    return phi, -CRANK * np.cos(th) / (ROD * np.cos(phi))
-
-
-def slider(th: float) -> tuple[float, float]:
-    """Return the slider's place and its rate per crank rate."""
-    phi, rate = rod(th)
-    return CRANK * np.cos(th) + ROD * np.cos(phi), -CRANK * np.sin(th) - ROD * np.sin(phi) * rate
-
-
-def inertia(s: np.ndarray) -> np.ndarray:
-    """Return the reduced inertia (1, 1)."""
-    (th,) = s
-    phi, rate = rod(th)
-    centre = CRANK * np.array([-np.sin(th), np.cos(th)]) + ROD_CENTRE * rate * np.array([-np.sin(phi), np.cos(phi)])
-    crank = CRANK_MOMENT + CRANK_MASS * CRANK_CENTRE**2
-    return np.array([[crank + ROD_MASS * centre @ centre + ROD_MOMENT * rate**2 + SLIDER_MASS * slider(th)[1] ** 2]])
-
-
-def potential(s: np.ndarray) -> float:
-    """Return the potential energy; the slider stays level."""
-    (th,) = s
-    return float(
-        G * (CRANK_MASS * CRANK_CENTRE * np.sin(th) + ROD_MASS * (CRANK * np.sin(th) + ROD_CENTRE * np.sin(rod(th)[0])))
-    )
 
 
 def pose(th: float) -> np.ndarray:
@@ -109,6 +80,7 @@ def test_the_slider_turns_back_at_both_dead_centres_and_the_crank_turns_fully():
     assert np.abs(np.array([at for _, at in can.toggles]) - [-np.pi, 0.0, np.pi]).max() < BRACKET_RAD
 
 
+@pytest.mark.slow
 def test_no_other_turn_of_the_same_duration_costs_less():
     """Sixteen smooth motions between the same states, near the plan and far from it, on either side."""
     plan = plan_of(PROBLEM)
@@ -138,6 +110,7 @@ def test_the_planned_turn_passes_its_certificate():
     assert plan.certificate.closure_gap_m < CLOSURE_M
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tracker", ["pd", "pd+ff", "lqr"])
 def test_every_tracker_carries_the_turn_through_both_dead_centres(tracker):
     rollout = tracked(PROBLEM, tracker)

@@ -7,9 +7,9 @@ from linkplan.models.audit import audit
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
-from tests.models.test_errors import TWO_BODIES, assert_names, refusal
 from tests.support.linkages import GRIPPER, LEG, LINKAGES, RSSR, WELDED
 from tests.support.mechanisms import CRANK_ROCKER, FIVE_BAR, SLIDER_CRANK, TRUSS, replaced
+from tests.support.refusals import TWO_BODIES, assert_names, refusal
 
 BARE_BAR = CRANK_ROCKER.mjcf(np.random.default_rng(0), bare=True)
 
@@ -174,6 +174,7 @@ FALSE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("text", "words"), FALSE.values(), ids=FALSE)
 def test_what_would_make_a_plan_false_is_named_in_one_line(text, words):
     (found,) = [item for item in audit(load_mechanism(text).model) if item.falsifies]

@@ -1,7 +1,5 @@
 """Plans against closed forms, a boundary-value solver and an independent integration; and the promises of every plan."""
 
-import json
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +12,9 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from tests.support.data import KNEE_TABLE
 from tests.support.fourbar import KNEE_PROBLEMS, SHANK, FourBar, Lump, Swing, knee, random_swing, rate_of
+from tests.support.plans import GOAL, LIMIT, START, optimal
 from tests.support.tolerances_planner import (
     AT_LIMIT,
     BINDS_DEG,
@@ -38,31 +37,9 @@ from tests.support.tolerances_planner import (
     SPEED_DEG_S,
 )
 
-TABLE = json.loads((Path(__file__).parent.parent / "data" / "knee.json").read_text(encoding="utf-8"))
-START, GOAL = np.radians([-49.07, 56.27])
-LIMIT = 100.0
 REACHES = ("knee-reach", "knee-sprint", "knee-sprint-bare")
 every_plan = pytest.mark.parametrize("name", KNEE_PROBLEMS)
 every_reach = pytest.mark.parametrize("name", REACHES)
-
-
-@cache
-def problem_of(name: str, *overrides: str) -> PlanningProblem:
-    """Return a built-in problem with overrides, loaded once."""
-    return load_problem(name, overrides)
-
-
-@cache
-def planned(name: str, *overrides: str) -> Plan:
-    """Return the plan of a built-in problem with overrides, planned once."""
-    return plan_motion(problem_of(name, *overrides))
-
-
-def optimal(name: str, *overrides: str) -> Plan:
-    """Return a plan after making sure that it is one."""
-    plan = planned(name, *overrides)
-    assert plan.status == "optimal", plan.message
-    return plan
 
 
 def carried_by(name: str) -> FourBar:
@@ -79,7 +56,7 @@ def dense(plan: Plan, per_interval: int = 200) -> np.ndarray:
 
 def test_the_oracle_has_the_reference_table_s_inertia_and_weight():
     fourbar = knee()
-    for row in TABLE["configurations"]:
+    for row in KNEE_TABLE["configurations"]:
         s = np.radians(row["q_O_deg"])
         weight = fourbar.fitted(s - 0.02, s + 0.02)[1].deriv()(s)
         assert fourbar.inertia(s)[0] == pytest.approx(row["reduced_inertia_kgm2"], rel=REFERENCE)
@@ -91,7 +68,7 @@ def test_the_oracle_has_the_reference_table_s_inertia_and_weight():
 
 @pytest.mark.parametrize(("name", "key"), [("knee-sprint", "shank_s"), ("knee-sprint-bare", "unloaded_s")])
 def test_a_sprint_takes_the_reference_table_s_least_time(name, key):
-    expected = TABLE["min_time_rest_to_rest"][key]
+    expected = KNEE_TABLE["min_time_rest_to_rest"][key]
     assert carried_by(name).minimum_time(START, GOAL, -LIMIT, LIMIT) == pytest.approx(expected, rel=REFERENCE)
     assert optimal(name).trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
 
@@ -108,6 +85,7 @@ def plan_swing(swing: Swing, folder: Path, *overrides: str) -> Plan:
     return plan_motion(load_problem("knee-sprint", settings))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(8))
 def test_any_four_bar_takes_the_least_time_that_its_energies_allow(seed, tmp_path):
     swing = random_swing(seed)
@@ -115,6 +93,7 @@ def test_any_four_bar_takes_the_least_time_that_its_energies_allow(seed, tmp_pat
     assert plan.trajectory.duration_s == pytest.approx(swing.minimum_time, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_a_payload_s_weight_and_inertia_enter_the_least_time(tmp_path):
     swing = random_swing(3)
     lump = Lump(mass=0.4, centre=(0.03, 0.1), inertia=0.002)
@@ -126,12 +105,14 @@ def test_a_payload_s_weight_and_inertia_enter_the_least_time(tmp_path):
     assert plan.trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_the_way_back_takes_as_long_as_the_energies_say():
     plan = optimal("knee-sprint", "motion.start_deg.O=56.27", "motion.goal_deg.O=-49.07")
     expected = carried_by("knee-sprint").minimum_time(GOAL, START, -LIMIT, LIMIT)
     assert plan.trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_a_lower_limit_on_one_side_moves_the_switch_and_the_time():
     plan = optimal("knee-sprint", "limits.effort.act_O=[-40.0, 100.0]")
     expected = carried_by("knee-sprint").minimum_time(START, GOAL, -40.0, LIMIT)
@@ -311,6 +292,7 @@ def test_the_work_of_the_effort_is_the_rise_in_energy(name):
 # Limits that bind between the nodes.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "override", "joint", "limit"),
     [
@@ -334,6 +316,7 @@ def test_a_speed_limit_that_binds_holds_between_the_nodes(name, override, joint,
     assert speed > 0.98 * limit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("override", "joint", "limit", "sign"),
     [
@@ -357,6 +340,7 @@ def test_a_range_that_binds_holds_between_the_nodes(override, joint, limit, sign
 # Tracking.
 
 
+@pytest.mark.slow
 def test_a_reference_within_the_limits_is_followed():
     plan = optimal("knee-sine", "motion.kind=periodic")
     assert plan.details["tracking_rms_deg"] < FOLLOWED_DEG
@@ -371,7 +355,7 @@ def test_an_exact_reference_is_the_sinusoid_itself():
 
 def test_an_exact_reference_asks_for_the_reference_table_s_effort():
     effort = optimal("knee-sine").trajectory.effort_at(np.linspace(0, 0.25, 20001)[:-1])[:, 0]
-    table = TABLE["seed_sine"]["unloaded"]
+    table = KNEE_TABLE["seed_sine"]["unloaded"]
     assert effort.min() == pytest.approx(table["min_Nm"], rel=PEAK_OF_SAMPLES)
     assert effort.max() == pytest.approx(table["max_Nm"], rel=PEAK_OF_SAMPLES)
     assert np.sqrt(np.mean(effort**2)) == pytest.approx(table["rms_Nm"], rel=PEAK_OF_SAMPLES)
@@ -379,6 +363,6 @@ def test_an_exact_reference_asks_for_the_reference_table_s_effort():
 
 def test_the_nearest_motion_is_nearer_than_a_sinusoid_that_keeps_the_limit():
     plan = optimal("knee-sine-shank")
-    share = LIMIT / TABLE["seed_sine"]["shank"]["max_Nm"]  # about the amplitude that the limit allows
+    share = LIMIT / KNEE_TABLE["seed_sine"]["shank"]["max_Nm"]  # about the amplitude that the limit allows
     shrunk = np.radians(52.67) * (1 - share) / np.sqrt(2)
     assert 0 < np.radians(plan.details["tracking_rms_deg"]) < 0.2 * shrunk

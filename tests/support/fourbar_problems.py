@@ -120,7 +120,7 @@ def _tables(rng: np.random.Generator, drawn: _Drawn, phase: Phase) -> dict:
         },
         "objective": {"minimize": "time"},
         "limits": {"effort": {"act_O": effort}},
-        "solver": {"max_time_s": 60.0},
+        "solver": {"max_time_s": 900.0},
     }
     speeds = {name: float(np.degrees(x)) for name, x in zip("OAC", phase.speed, strict=True) if np.isfinite(x)}
     if speeds:

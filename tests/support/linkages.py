@@ -1,5 +1,8 @@
 """Mechanisms closed otherwise than by one connect: welds, couplings, ball joints, loops that ride on a body."""
 
+from functools import cache
+
+from linkplan.models.mechanism import Mechanism, load_mechanism
 from tests.support.mechanisms import replaced
 
 _HEAD = """<mujoco model="{name}"><compiler angle="radian" autolimits="true"/>
@@ -134,3 +137,9 @@ COUNTS = {
     "press": (1, 6, 4),
     "leg": (3, 3, 2),
 }
+
+
+@cache
+def loaded(name: str) -> Mechanism:
+    """Return one of the linkages, loaded once."""
+    return load_mechanism(LINKAGES[name])

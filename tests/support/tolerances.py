@@ -56,6 +56,55 @@ RANDOM_ORDER = 0.1
 # The rate of energy against power, relative to the larger of the powers and the kinetic energy per second: rounding.
 POWER_RATE = 1e-9
 
+# Gap [m] of an assembled loop: what assembly promises.
+GAP_M = 1e-11
+# Gap [m] of a model that is drawn closed to its last digit.
+DRAWN_GAP_M = 1e-15
+# Gap [m] along a sweep: its own promise is 1e-11.
+SWEPT_GAP_M = 1e-10
+# Coordinates [rad] of one pose, assembled in two ways: both loops' gaps over links of a decimetre.
+POSE = 1e-9
+# Coordinates and inertias tied by a coupling, against its polynomial: the coupling's gap.
+COUPLED = 1e-10
+# Weight [N.m, and what is left at its zero] and inertia of a welded four-bar against the one in one piece, relative.
+WELD = 1e-9
+WELD_NM = 1e-12
+# Ends of a reach [rad] of one mechanism, described in two ways.
+REACH_END = 1e-8
+# A singular pose at which two branches meet [rad]: Newton converges as on a double root, to half of the digits.
+BRANCHING = 1e-6
+# Order of the determinant's root next to a singular pose, 1/2, at a hundredth to a ten thousandth of a degree.
+ROOT_ORDER = 1e-3
+# Unit vectors and quaternions against one another: rounding of their components.
+UNIT_VECTOR = 1e-14
+# Orientation coordinates at home, where they are zero by construction.
+CENTRED = 1e-15
+# Rates of orientation coordinates against the spin that they stand for, relative: the chart's condition.
+SPIN = 1e-13
+# Angular momentum [kg m2/s] and energy (relative) of a free top after 1.5 s, integrated to 1e-12.
+CONSERVED = 1e-9
+# A motion from the efforts that it needs, relative: efforts and accelerations through the condition of J_z and M.
+MOTION_FROM_EFFORT = 1e-8
+# Acceleration under an effort through a transmission, relative: as TREE_ACCELERATION, through the transmission's moment.
+ACTION = 1e-9
+# A servo's effort in MuJoCo at the ctrl that is to give it, relative to the ctrl: rounding.
+SERVO_EFFORT = 1e-12
+# What a motor cannot give of a motion of one freedom [N.m]: nothing but rounding.
+MISSED_NM = 1e-9
+# Figures as documents print them: to their last digit.
+PRINTED_DEG = 0.01
+PRINTED_M = 1e-6
+PRINTED_N = 1.0
+SOURCE_GAP_M = 5e-4
+# The five-bar's largest holding torque [N.m] on a grid of poses.
+HELD_NM = 0.01
+# Generalised forces [N.m] at a rest that was found by Newton on springs of 1e2 N.m/rad.
+REST_EFFORT = 1e-6
+# Andrews' published start [rad]: tabulated to sixteen digits.
+START_POSE = 1e-14
+# The cart with the pole's point mass, relative: the file gives the pole a moment of 1e-10 kg m2.
+POLE_INERTIA = 1e-8
+
 
 def relative_error(actual: object, expected: object) -> float:
     """Return the largest deviation relative to the largest expected entry; shapes must agree, NaN stays NaN."""

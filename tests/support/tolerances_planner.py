@@ -157,3 +157,62 @@ ODE_STATE_ARCS = 2e-4
 # Least effort, work and time against closed forms whose effort bends at a limit, relative. Measured 1e-12 to 6e-8; a bend
 # inside an interval leaves 1e-6 to 1e-3.
 SATURATED = 2e-7
+
+# A servo's motion against a motor's under the same efforts [rad, m]: the servo's ctrl is inverted to rounding.
+SERVO_AS_MOTOR = 1e-11
+# Geoms' distance [m] at the instant at which they first meet, over the mechanism's size: the instant's bracket.
+TOUCHING = 2e-6
+# The same as SATURATED where the bend falls at the motion's end.
+SATURATED_ROUGHLY = 1e-6
+# Power along an arc at its limit, relative, at the nodes: what the solver leaves of its rows.
+ON_THE_ARC = 1e-6
+# A least time with its switches found and its mesh refined, relative; the state's error at its end [deg].
+REFINED_TIME = 1e-8
+REFINED_DEG = 1e-6
+# A longest duration that is used to the full, relative, and the effort that falls with its third power.
+LONGEST_DURATION = 1e-6
+# A best duration, relative: the objective is flat there, met to its square.
+BEST_DURATION = 1e-5
+# A least time against the phase plane's, relative: both sides' own errors are below 1e-7.
+PHASE_PLANE_TIME = 1e-6
+# Angles at the ends of a motion [deg].
+BOUNDARY_DEG = 1e-6
+# An objective on a mesh of six intervals before it is refined, relative.
+COARSE_MESH = 1e-2
+# Objectives after refining to 1e-7 deg, and of the best of several starts on twenty intervals, relative.
+REFINED_EFFORT = 1e-7
+BEST_START = 1e-6
+# The knee's peak effort as documents print it [N.m].
+PRINTED_NM = 0.1
+# A linear-quadratic effort at the first instant, absolute: a polynomial's end, of lower order than its nodes.
+ODE_GAIN = 1e-4
+# Published figures of the oracles themselves: the book's time [s] to its digits, COPS's to what its meshes leave.
+BOOK_TIME = 0.01
+COPS_ROCKET = 1e-5
+COPS_CATALYST = 2e-7
+COPS_GLIDER = 2e-6
+# Half of the last of five and of six printed digits.
+FIVE_DIGITS = 5e-6
+SIX_DIGITS = 5e-7
+# The same as ODE_INTEGRATED where the effort chatters or bends between nodes.
+ODE_INTEGRATED_ROUGHLY = 1e-7
+# The highest frequency that limits allow, relative: its bisection's width.
+HIGHEST_FREQUENCY = 1e-4
+# The angle at a waypoint's best instant [deg]: scipy's instant, to the root of its own tolerance.
+WAYPOINT_DEG = 1e-2
+# A plan through compiled and through interpreted functions, relative: the order of sums differs.
+COMPILED = 1e-10
+# Solving again against a fresh plan where limits were tightened after certifying: the amount differs, relative.
+TIGHTENED_ANEW = 1e-4
+# The integral of a squared effort by trapezia, two hundred an interval, relative.
+TRAPEZIA = 1e-5
+# As SECOND_ROUTE_DEG, of a slide [m].
+SECOND_ROUTE_M = 1e-5
+# Work against energy by trapezia over a plan, relative: across switches, and the collocation's own error.
+WORK = 1e-3
+# LQR's largest error in MuJoCo [deg, m], and in turns that take a few hundredths of a second.
+LQR_DEG = 0.01
+LQR_M = 1e-4
+LQR_IN_A_FAST_TURN_DEG = 0.1
+# The peer's closed form, typed by hand, against the reduced model, relative: rounding through a closed loop.
+TYPED_BY_HAND = 1e-11

@@ -1,0 +1,138 @@
+"""Diagnoses: each asks one question of a problem without a motion and answers with a plan that says why, or with None.
+
+None of them returns a motion. What they compute is how far the limits would have to give, on motions made without them.
+"""
+
+import functools
+from dataclasses import replace
+
+import numpy as np
+
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.diagnosis.infeasibility import effort_sentence
+from linkplan.planner.diagnosis.relaxation import RELAXABLE, least_of, violated_sentence, without
+from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.search.durations import may_swing
+from linkplan.planner.search.first_mesh import first_mesh
+from linkplan.planner.search.ladder import HURRIED, Search
+from linkplan.planner.search.least_limit import least_limit_of_starts
+from linkplan.planner.search.presolve import plain_contradiction
+from linkplan.planner.search.starts import enough_time
+from linkplan.planner.solvers.outcome import why_stopped
+
+
+def other_limits(problem: PlanningProblem) -> bool:
+    """Return whether a motion has limits that the phase plane does not know of, which may be what makes it slow."""
+    return any(without(problem, what) is not None for what in RELAXABLE if what != "speed")
+
+
+def contradicted(search: Search) -> Plan | None:
+    """Return the plan that names a limit which no motion can keep, found without solving."""
+    problem = search.problem
+    sentence = plain_contradiction(problem)
+    if sentence is None:
+        return None
+    details: dict[str, float] = {}
+    longer_would_do = plain_contradiction(replace(problem, motion=replace(problem.motion, duration_s=None))) is None
+    return _infeasible(search, sentence, details, shortest=longer_would_do)
+
+
+def solver_stopped(search: Search) -> Plan | None:
+    """Return the plan that says why the solver stopped before it had an answer."""
+    reason = why_stopped(search.stopped or "", search.problem.solver.max_time_s)
+    return None if reason is None else _failed(search, reason)
+
+
+def one_limit(search: Search) -> Plan | None:
+    """Return the plan that names the limit without which there is a motion, and the least that it would have to be."""
+    for what in RELAXABLE:
+        plan = _without(search, what)
+        if plan is not None:
+            return plan
+    return None
+
+
+def efforts_contradicted(search: Search) -> Plan | None:
+    """Return the plan that says that the solver missed a motion which the phase plane knows."""
+    if not _over(search) or not enough_time(search):
+        return None
+    known = search.quickest.duration_s
+    return _failed(search, f"by the phase plane a motion of {known:.5g} s keeps the effort limits, but it was not found")
+
+
+def efforts_without_proof(search: Search) -> Plan | None:
+    """Return the plan that names the least efforts found, where energy may be built up in ways that no start has tried."""
+    if not _over(search) or not may_swing(search.problem):
+        return None
+    sentence, _ = effort_sentence(search.problem, search.least_limit)
+    return _failed(search, f"no motion was found; on the one of least effort that was, {sentence}, which is no proof")
+
+
+def efforts(search: Search) -> Plan | None:
+    """Return the plan that says what efforts a motion would need."""
+    if not _over(search):
+        return None
+    sentence, details = effort_sentence(search.problem, search.least_limit)
+    return _infeasible(search, f"infeasible: {sentence}", details)
+
+
+def efforts_without_other_limits(search: Search) -> Plan | None:
+    """Return the plan that says what efforts are missing even without the other limits."""
+    problem = search.within(HURRIED)
+    bare = functools.reduce(lambda kept, what: without(kept, what) or kept, RELAXABLE, problem)
+    if bare is problem:
+        return None
+    least = least_limit_of_starts(bare, search.smooth, search.history)
+    if least is None or least.factor <= 1.0:
+        return None
+    sentence, details = effort_sentence(bare, least)
+    return _infeasible(search, f"infeasible: even without its other limits, {sentence}", details)
+
+
+def ranges(search: Search) -> Plan | None:
+    """Return the plan that names the joint whose range forbids the motion."""
+    return _without(search, "position")
+
+
+def nothing_found(search: Search) -> Plan:
+    """Return the plan that says that neither a motion nor a reason was found."""
+    status = search.history[-1].solver_status if search.history else "no start closes the loop"
+    return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status})")
+
+
+def _over(search: Search) -> bool:
+    return search.least_limit is not None and search.least_limit.factor > 1.0
+
+
+def _without(search: Search, what: str) -> Plan | None:
+    """Return the plan that says by how much a motion made without a limit overruns it; None where it is not to blame."""
+    problem, guess = search.within(HURRIED), search.smooth
+    relaxed = without(problem, what)
+    if relaxed is None:
+        return None
+    mesh, durations = first_mesh(problem, guess)
+    word = f"without limits on {what}"
+    found = attempt(case_of(relaxed), guess, mesh, durations, word, search.history, search.say)
+    if found is None:
+        return None
+    motion = found.motion
+    if what in RELAXABLE and violated_sentence(problem, motion, what) is not None:
+        search.say(f"looking for the least that {what} has to be")
+        durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
+        motion = least_of(problem, what, motion, mesh, durations, search.history)
+    sentence = violated_sentence(problem, motion, what)
+    return None if sentence is None else _infeasible(search, f"infeasible: {sentence}", {})
+
+
+def _infeasible(search: Search, sentence: str, details: dict[str, float], *, shortest: bool = True) -> Plan:
+    problem: PlanningProblem = search.problem
+    message = sentence + (shortest_sentence(search, details) if shortest else "")
+    history = tuple(search.history)
+    return Plan(problem=problem, status="infeasible", message=message, history=history, details=details)
+
+
+def _failed(search: Search, reason: str) -> Plan:
+    return Plan(problem=search.problem, status="failed", message=f"failed: {reason}", history=tuple(search.history))

@@ -1,0 +1,20 @@
+"""A first solution of a user's problem, before it is refined."""
+
+from dataclasses import dataclass
+
+from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.refinement.case import Found
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class FirstSolution:
+    """What was found, as a solution of which case, from which of the starts.
+
+    `away` has the words on a duration that has no best, where there is none.
+    """
+
+    case: OdeCase
+    found: Found[OdeTrajectory]
+    number: int = 0
+    away: str | None = None

@@ -1,0 +1,135 @@
+"""Continuation in the duration: from a motion of least time to a longer one that another objective prefers.
+
+Left to themselves, solvers lose long motions under weak actuators: a swing amplifies what a coarse mesh leaves over, and a
+motion that flies through where the mesh does not look is cheaper than any that exists. A motion of least time is found
+reliably and keeps the dynamics; allowed a little more time, the best motion is next to it, and so on from one to the next.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.refinement.refine import refine
+from linkplan.planner.search.attempts import certified
+from linkplan.planner.search.continuation import Steps, followed
+from linkplan.planner.search.durations import longest
+from linkplan.planner.search.first_mesh import PER_LEG, graded_mesh
+from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.margin_continuation import nears_singular
+from linkplan.planner.search.phase_plane import stretched
+from linkplan.planner.search.starts import least_time_motion
+from linkplan.planner.transcription.mesh import Mesh, uniform
+
+# By how much a motion is lengthened at a time, the least that is tried where that is too much, and how often at the most.
+LENGTHENING, _LEAST, _STEPS = 1.15, 1.03, 40
+# A step that was lost is tried again on twice as many intervals, up to so many.
+_FINEST = 320
+# Accuracy of the motions on the way [deg].
+_ON_THE_WAY_DEG = 0.01
+# A free duration is long enough once lengthening it so saves less than this share of the objective, or once the motion ends
+# before what it is allowed by more than this share.
+SAVED, _BEFORE = 1e-3, 1e-3
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Lengthened:
+    """A motion on the way: a start, its mesh and transcription, and the longest duration it was allowed [s]."""
+
+    start: Guess
+    mesh: Mesh
+    scheme: str
+    longest_s: float
+    objective: float = np.inf
+    enough: bool = False  # whether the last step saved less than `SAVED` of the objective
+
+
+def from_lengthening(search: Search, budget: Budget) -> Plan | None:
+    """Return a plan reached from the motion of least time step by step; None where that is lost on the way."""
+    problem = search.within(budget)
+    swung = least_time_motion(search, budget)
+    n_intervals = max(2 * problem.mesh.intervals, PER_LEG * search.quickest.legs)
+    at = None if swung is None else lengthened(problem, swung, n_intervals, search.history, search.say)
+    if at is None:
+        return None
+    final = replace(problem, mesh=replace(problem.mesh, scheme=at.scheme), guess=None)
+    if problem.motion.duration_s is None:  # where the motion ends before that, it is as good as without
+        final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
+    durations, what = np.array([at.start.duration_s]), "at its full length"
+    found = attempt(case_of(final), at.start, at.mesh, durations, what, search.history, search.say, warm=True)
+    plan = None if found is None else certified(final, found, search.history, search.say, warm=True)
+    if plan is None or plan.status != "optimal":
+        return None
+    said = f"; its last {LENGTHENING - 1:.0%} of time saved less than {SAVED:.1%}, more was not tried" if at.enough else ""
+    return replace(plan, message=plan.message + said)
+
+
+def lengthened(
+    problem: PlanningProblem, quickest: Guess, n_intervals: int, history: list[Step], say: Say
+) -> Lengthened | None:
+    """Return the motion that a problem's objective prefers, reached from one of least time; None where it is lost.
+
+    Args:
+        problem: of a fixed duration, or of a free one.
+        quickest: a motion that keeps the dynamics in less time.
+        n_intervals: of the first mesh.
+        history: where steps are noted.
+        say: called with a line of progress now and then.
+    """
+    fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s or 0.0
+
+    def solve(at: Lengthened, allowed: float) -> Lengthened | None:
+        return _step(problem, at, allowed, history, say)
+
+    def enough(before: Lengthened, after: Lengthened, whole: bool) -> bool:
+        if fixed or after.longest_s < least:
+            return False
+        return after.start.duration_s < (1 - _BEFORE) * after.longest_s or (whole and _saved_little(before, after))
+
+    def finer(at: Lengthened) -> Lengthened | None:
+        if nears_singular(problem, at.start):
+            return None  # it goes on there, where no mesh is fine enough
+        mesh, _ = graded_mesh(at.start, np.empty(0), min(2 * at.mesh.n_intervals, _FINEST))
+        return replace(at, mesh=mesh)
+
+    begin = Lengthened(start=quickest, mesh=uniform(n_intervals), scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
+    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=LENGTHENING, least=_LEAST, most=_STEPS)
+    path = followed(begin, steps, solve, enough=enough, after_loss=finer)
+    if not path.arrived:
+        return None
+    at = path.stages[-1]
+    to_the_full = (1 - _BEFORE) * at.longest_s <= at.start.duration_s < longest(problem)
+    return replace(at, enough=not fixed and to_the_full and len(path.stages) > 1 and _saved_little(path.stages[-2], at))
+
+
+def _saved_little(before: Lengthened, after: Lengthened) -> bool:
+    return before.objective - after.objective < SAVED * abs(after.objective)
+
+
+def _step(problem: PlanningProblem, at: Lengthened, allowed: float, history: list[Step], say: Say) -> Lengthened | None:
+    """Return the best motion within a duration from one of a shorter; None where it is lost."""
+    fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s
+    motion = replace(problem.motion, min_duration_s=least if least is not None and least <= allowed else None)
+    motion = replace(motion, duration_s=allowed) if fixed else replace(motion, max_duration_s=allowed)
+    mesh = replace(problem.mesh, tolerance_deg=_ON_THE_WAY_DEG, scheme=at.scheme, breaks=None)
+    case = case_of(replace(problem, motion=motion, mesh=mesh, guess=None))
+    start = stretched(at.start, allowed) if fixed else at.start
+    durations = np.bincount(at.mesh.segment, weights=at.mesh.fraction) * start.duration_s
+    what = f"the least-time motion lengthened to {allowed:.4g} s"
+    found = attempt(case, start, at.mesh, durations, what, history, say, warm=True)
+    better = None if found is None else refine(case, found, history, say, warm=True)
+    if better is None or not better.certificate.passed:
+        return None
+    transcribed = better.solution.transcribed
+    return Lengthened(
+        start=motion_of(better.motion),
+        mesh=transcribed.program.mesh,
+        scheme=transcribed.scheme.name,
+        longest_s=allowed,
+        objective=better.solution.objective,
+    )

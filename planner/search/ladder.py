@@ -1,0 +1,165 @@
+"""The ladder: what the rungs of a search share, and how they are climbed in order.
+
+A rung is one way of looking for a motion: a start, or a continuation. Each has a condition, a budget and one function; the
+table of them stands in `planner.planning`. A rung returns a plan, passed or missed, or None where it found no motion.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.case import Found
+from linkplan.planner.refinement.history import Say, Step, silent
+from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
+from linkplan.planner.search.phase_plane import least_time_guess
+from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME
+
+# So little of a search's time [s] is none: a solver that stops at its limit stops a hair before or after it.
+_NO_TIME_S = 0.01
+# Motions that were found and do not pass: after so many, further starts will not lead to one that does.
+_MOST_MISSED = 2
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Budget:
+    """What a rung may spend: iterations of each solve (None: as many as a hard problem takes), a share of the time left."""
+
+    iterations: int | None = None
+    share_of_time: float = 1.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Search:
+    """A search for a motion, as every rung sees it.
+
+    `problem` is as it was asked, `start_pose` (n_q,) closed. `deadline` is on the monotonic clock [s]. `history` notes every
+    solve, `plans` every plan that a rung came to, in order. What is computed once for all rungs is computed when it is first
+    asked for: the phase plane's motion, the smooth path, the least factor on the effort limits.
+    """
+
+    problem: PlanningProblem
+    start_pose: np.ndarray
+    say: Say
+    deadline: float
+    repairs: Sequence["Repair"] = ()
+    history: list[Step] = field(default_factory=list)
+    plans: list[Plan] = field(default_factory=list)
+    verdicts: list[Plan] = field(default_factory=list)  # answers that no further rung would change
+
+    @cached_property
+    def quickest(self) -> Guess | None:
+        """The motion of least time that the phase plane knows; None where it knows of none."""
+        return least_time_guess(self.problem, self.start_pose)
+
+    @cached_property
+    def smooth(self) -> Guess:
+        """The smoothest path through start, waypoints and goal."""
+        return first_guess(self.problem, self.start_pose)
+
+    @cached_property
+    def least_limit(self) -> LeastLimit | None:
+        """The least factor on the effort limits with which a motion was found; None where none was."""
+        return least_limit_of_starts(self.within(Budget(iterations=HURRIED.iterations)), self.smooth, self.history)
+
+    def first_starts(self) -> Iterator[tuple[str, Guess]]:
+        """Yield the user's own guess where it closes the loops, then the smooth path, with a word on each."""
+        own = users_guess(self.problem, self.start_pose)
+        if own is not None:
+            yield "the guess given", own
+        yield "a smooth path", self.smooth
+
+    def of_another(self, problem: PlanningProblem) -> "Search":
+        """Return a search for another problem's motion from the same start, silent and with a history of its own."""
+        return Search(problem=problem, start_pose=self.start_pose, say=silent, deadline=self.deadline, repairs=self.repairs)
+
+    def within(self, budget: Budget) -> PlanningProblem:
+        """Return the problem with the settings that a budget allows its solves."""
+        left = self.deadline - time.monotonic()
+        ends = time.monotonic() + budget.share_of_time * left
+        fewer = self.problem.solver.max_iterations
+        if budget.iterations is not None:
+            fewer = min(budget.iterations, fewer or budget.iterations)
+        return replace(self.problem, solver=replace(self.problem.solver, max_iterations=fewer, deadline=ends))
+
+    @property
+    def only_time_counts(self) -> bool:
+        """Whether the objective is time alone."""
+        return list(self.problem.objective.weights) == ["time"]
+
+    @property
+    def best(self) -> Plan | None:
+        """The answer so far: a verdict, the last plan that passes, the first that does not; None without any."""
+        passed = [plan for plan in self.plans if plan.status == "optimal"]
+        return next(iter([*self.verdicts, *reversed(passed), *self.plans]), None)
+
+    @property
+    def solved(self) -> bool:
+        """Whether a plan passes."""
+        return any(plan.status == "optimal" for plan in self.plans)
+
+    @property
+    def missed(self) -> bool:
+        """Whether motions were found and none passes."""
+        return bool(self.plans) and not self.solved
+
+    @property
+    def starts_are_worth_it(self) -> bool:
+        """Whether a further start may lead to a motion: none passes, and not too many were found that do not."""
+        return not self.solved and len(self.plans) < _MOST_MISSED
+
+    @property
+    def stopped(self) -> str | None:
+        """The solver's word where nothing more is to be had of it: time is up, or a number is not finite; None elsewhere."""
+        if time.monotonic() > self.deadline - _NO_TIME_S:
+            return OUT_OF_TIME
+        if not self.plans and self.history and self.history[-1].solver_status == INVALID:
+            return INVALID
+        return None
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Rung:
+    """One way of looking for a motion: when it is tried, by which function, and what that may spend."""
+
+    name: str
+    climb: Callable[[Search, Budget], Plan | None]
+    budget: Budget
+    tried: Callable[[Search], bool] = lambda _: True
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Repair:
+    """One way of mending a motion whose certificate does not pass: when it is tried, and by which function.
+
+    Both take the search and the problem within its budget, `tried` the plan so far, `mend` the first solution: it returns
+    another plan, or None where it found none.
+    """
+
+    name: str
+    tried: Callable[[Search, PlanningProblem, Plan], bool]
+    mend: Callable[[Search, PlanningProblem, Found], Plan | None]
+    always: bool = True  # or only for motions that are worth every repair
+
+
+# Budgets: of a first start, and of what is tried after it. A motion that exists is found in tens of iterations; none of the
+# random problems of the tests took more than 150 where it led to a plan.
+PATIENT, HURRIED = Budget(), Budget(iterations=200)
+
+
+def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
+    """Return the best plan that the rungs lead to, tried in their order; None where none found a motion."""
+    for rung in rungs:
+        if search.verdicts or search.stopped:
+            break
+        if rung.tried(search):
+            plan = rung.climb(search, rung.budget)
+            if plan is not None:
+                search.plans.append(plan)
+    best = search.best
+    return None if best is None else replace(best, problem=search.problem, history=tuple(search.history))

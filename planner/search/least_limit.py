@@ -1,0 +1,85 @@
+"""The least effort limits with which a motion exists: a start where they suffice, the reason where they do not."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.planner.closed_chain.guess import Guess, bent_guesses, closes, motion_of
+from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.history import Step, step_of
+from linkplan.planner.refinement.switch_search import NO_WORSE, cut_mesh
+from linkplan.planner.refinement.switches import find_cuts, pinned_efforts
+from linkplan.planner.search.first_mesh import first_mesh
+from linkplan.planner.solvers.solve import solve
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.mesh import Mesh
+
+# Starts looked at: what one finds may be a local answer. Bends looked at for one that closes the loops.
+_STARTS, _LOOKED_AT = 3, 20
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class LeastLimit:
+    """The smallest common factor on the effort limits with which a problem has a motion, that motion, and its mesh."""
+
+    factor: float
+    trajectory: Trajectory
+    mesh: Mesh
+    durations: np.ndarray  # (n_segments,) [s]
+
+
+def least_limit_of_starts(problem: PlanningProblem, guess: Guess, history: list[Step]) -> LeastLimit | None:
+    """Return the least factor on the effort limits from several starts; None where none led to a motion.
+
+    Further starts are tried while the factor is above 1.
+    """
+    bends = itertools.islice(bent_guesses(problem, guess.start_pose), _LOOKED_AT)
+    others = (start for _, start in bends if closes(problem.mechanism, start))
+    best = None
+    for start in (guess, *itertools.islice(others, _STARTS - 1)):
+        found = least_limit(problem, start, *first_mesh(problem, start), history)
+        if found is not None and (best is None or found.factor < best.factor):
+            best = found
+        if best is None or best.factor <= 1.0:
+            break
+    return best
+
+
+def least_limit(
+    problem: PlanningProblem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: list[Step]
+) -> LeastLimit | None:
+    """Return the least factor on the effort limits that admits a motion, or None where none was found.
+
+    Solved twice: on the mesh as given, then with cuts at the switches that it showed, where the factor is exact.
+    """
+    limit = problem.limits.effort
+    if not np.all(np.isfinite(limit)):
+        return None
+    best, pinned = None, None
+    for _ in range(2):
+        transcribed = transcribe(problem, guess, mesh, durations, least_limit=True, pinned=pinned)
+        solution = solve(transcribed, problem.solver)
+        history.append(step_of("least effort limit", transcribed, solution))
+        if not solution.converged:
+            break
+        factor = float(solution.x[transcribed.program.layout.extra()][0])
+        if best is not None and factor > best.factor * (1 + NO_WORSE):
+            break
+        best = LeastLimit(
+            factor=factor,
+            trajectory=trajectory_of(transcribed, solution.x, factor * limit),
+            mesh=mesh,
+            durations=solution.x[transcribed.program.layout.durations()] * transcribed.units.time_s,
+        )
+        knots = best.trajectory.breaks_s[mesh.knots()]
+        cuts = find_cuts(best.trajectory, factor * limit, knots)
+        if len(cuts) == 0:
+            break
+        mesh, durations = cut_mesh(knots, cuts, mesh.n_intervals)
+        pinned = pinned_efforts(best.trajectory, factor * limit, np.cumsum(durations)[:-1]) / factor
+        for bound in limit.T:  # as the limits' own numbers, free of rounding
+            pinned = np.where(np.isclose(pinned, bound, rtol=1e-9), bound, pinned)
+        guess = motion_of(best.trajectory)
+    return best

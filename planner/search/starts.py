@@ -1,0 +1,153 @@
+"""Rungs that begin anew: the user's guess, the smooth path, the phase plane, swings, random bends, or several at once."""
+
+import itertools
+from collections.abc import Iterator
+from dataclasses import replace
+
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.guess import Guess, bent_guesses, closes, motion_of, swinging_guesses, users_guess
+from linkplan.planner.plan import Plan
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.search.attempts import certified, plan_from
+from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
+from linkplan.planner.search.first_mesh import first_mesh
+from linkplan.planner.search.ladder import HURRIED, Budget, Search
+from linkplan.planner.search.phase_plane import phase_plane_guess, stretched
+
+# Bends tried after the first failure, where the user asks for no further starts.
+_BENDS = 3
+# Bends looked at for one that closes the loops, per one that is wanted.
+_LOOKED_AT = 20
+# A least time beyond so many times that of the phase plane's motion is a local one.
+_SLOW = 1.002
+# A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
+_WORTH = 0.999
+
+
+def no_time(search: Search) -> bool:
+    """Return whether the phase plane knows that the time given is too short: no start leads to a motion then."""
+    quickest = search.quickest
+    if quickest is None or quickest.knots_s is not None:
+        return False
+    surely = SURELY if quickest.cuts_s is not None else SURELY_LIMITED
+    return longest(search.problem) * surely < quickest.duration_s
+
+
+def enough_time(search: Search) -> bool:
+    """Return whether the phase plane knows of a motion that takes no more than the time given."""
+    return search.quickest is not None and longest(search.problem) >= SURELY * search.quickest.duration_s
+
+
+def from_the_guess(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan that the user's guess leads to; None where it does not close the loops."""
+    guess = users_guess(search.problem, search.start_pose)
+    return None if guess is None else plan_from(search, budget, "the guess given", guess, mended=not search.only_time_counts)
+
+
+def from_a_smooth_path(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan that the smoothest path leads to."""
+    return plan_from(search, budget, "a smooth path", search.smooth, mended=not search.only_time_counts)
+
+
+def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan that the phase plane's motion leads to; where it swings, first that of the motion of least time."""
+    return _first_of(search, budget, _of_the_phase_plane(search, budget))
+
+
+def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
+    problem, quickest = search.problem, search.quickest
+    if quickest.legs > 1 and quickest.knots_s is None and not search.only_time_counts:
+        swung = least_time_motion(search, budget)
+        if swung is not None:
+            duration = problem.motion.duration_s or max(swung.duration_s, problem.motion.min_duration_s or 0.0)
+            yield "the least-time motion", replace(stretched(swung, duration), legs=quickest.legs)
+    yield "the phase plane", phase_plane_guess(problem, search.start_pose, quickest)
+
+
+def from_swings(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan that a swing away from the goal, or beyond it, leads to."""
+    swings = swinging_guesses(search.problem, search.start_pose)
+    return _first_of(search, budget, (("a swing", swing) for swing in swings))
+
+
+def from_random_bends(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan that the smooth path leads to, bent at random."""
+    return _first_of(search, budget, itertools.islice(bent_guesses(search.problem, search.start_pose), _BENDS))
+
+
+def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]]) -> Plan | None:
+    """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
+    missed = None
+    for what, guess in starts:
+        if missed is not None:
+            search.plans.append(missed)
+            if not search.starts_are_worth_it:
+                return None
+        missed = plan_from(search, budget, what, guess)
+        if search.verdicts or search.stopped or (missed is not None and missed.status == "optimal"):
+            break
+    return missed
+
+
+def is_slow(search: Search) -> bool:
+    """Return whether a least-time plan is slower than the phase plane's motion: a local optimum."""
+    if not search.solved or not search.only_time_counts or search.quickest is None:
+        return False
+    return search.best.trajectory.duration_s > _SLOW * search.quickest.duration_s
+
+
+def quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
+    """Return a least-time plan that is quicker than the one found; None where there is none."""
+    known = search.best.trajectory.duration_s
+    plan = plan_from(search, budget, "the phase plane", search.quickest, worth=_WORTH * known, mended=False)
+    passes = plan is not None and plan.status == "optimal"
+    return plan if passes and plan.trajectory.duration_s < known else None
+
+
+def least_time_motion(search: Search, budget: Budget) -> Guess | None:
+    """Return the motion of least time as a start for another objective; None without one."""
+    problem = search.within(budget)
+    motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
+    free = search.of_another(replace(problem, objective="time", motion=motion, guess=None))
+    plan = plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
+    return None if plan is None or plan.trajectory is None else motion_of(plan.trajectory)
+
+
+def best_of_several(search: Search, budget: Budget) -> Plan | None:
+    """Return the best plan of as many starts as the problem asks for (multistart)."""
+    problem, wanted = search.within(budget), search.problem.solver.starts
+    bends = bent_guesses(problem, search.start_pose)
+    few = itertools.islice(_every_start(search, budget), wanted)
+    more = itertools.islice(bends, _BENDS, _LOOKED_AT * wanted)
+    closed = (start for start in itertools.chain(few, more) if closes(problem.mechanism, start[1]))
+    found = []
+    for number, (what, guess) in enumerate(itertools.islice(closed, wanted), start=1):
+        mesh, durations = first_mesh(problem, guess)
+        word = f"start {number} of {wanted}, {what}"
+        solved = attempt(case_of(problem), guess, mesh, durations, word, search.history, search.say)
+        if solved is not None:
+            found.append((solved.solution.objective, number, solved))
+    missed = None
+    for _, number, solved in sorted(found, key=lambda item: item[:2]):
+        search.say(f"refining start {number}")
+        solved, unbounded = with_longer_durations(problem, solved, search.history, search.say)
+        if unbounded is not None:
+            search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
+            return None
+        plan = certified(problem, solved, search.history, search.say)
+        if plan.status == "optimal":
+            told = {"starts": wanted, "starts_solved": len(found), "best_start": number}
+            return replace(plan, details={**plan.details, **told})
+        missed = missed or plan
+    return missed
+
+
+def _every_start(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
+    """Yield starts in the order in which they are worth trying."""
+    yield from search.first_starts()
+    if no_time(search):
+        return
+    if search.quickest is not None:
+        yield from _of_the_phase_plane(search, budget)
+    yield from (("a swing", swing) for swing in swinging_guesses(search.problem, search.start_pose))
+    yield from itertools.islice(bent_guesses(search.problem, search.start_pose), _BENDS)

@@ -1,0 +1,400 @@
+"""Loop closure and the reduced dynamics: against MuJoCo's constrained dynamics, null spaces, energy and differences."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import pytest
+import scipy.integrate
+import scipy.linalg
+
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.along import joint_rates, needed_effort, sampled
+from linkplan.models.poses.assembly import close_at
+from tests.support.mechanisms import (
+    CHAINS,
+    CRANK_ROCKER,
+    Simulated,
+    derivative,
+    random_four_bar,
+    random_quaternion,
+    second_derivative,
+    simulated,
+)
+from tests.support.tolerances import (
+    CLOSURE,
+    DIFFERENCES,
+    ENERGY,
+    INTEGRATED_GAP,
+    MOTION_FROM_EFFORT,
+    POWER,
+    REDUCED,
+    SOFT_LIMIT,
+    SOFT_ORDER,
+    TREE,
+    relative_error,
+)
+
+N_POSES = 5
+FOUR_BARS = tuple(f"four-bar {seed}" for seed in range(8))
+NAMES = (*FOUR_BARS, *CHAINS)
+on_every_mechanism = pytest.mark.parametrize("name", NAMES)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Case:
+    """A mechanism with closed poses q (n, n_q), and speeds v, accelerations a and efforts u to go with them."""
+
+    mechanism: Mechanism
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    u: np.ndarray
+
+    def samples(self):
+        return zip(self.q, self.v, self.a, self.u, strict=True)
+
+    def simulated(self, k: int, impedance: float = 0.9999) -> Simulated:
+        rates = joint_rates(self.mechanism, self.q, self.v)
+        return simulated(self.mechanism.model, self.q[k], rates[k], self.u[k], impedance=impedance)
+
+    def limit(self, k: int, quantity: str) -> np.ndarray:
+        """Return MuJoCo's quantity for a constraint of no softness, extrapolated from two small softnesses."""
+        impedance = np.array([0.999, 0.9999])
+        soft = (1 - impedance) / impedance
+        first, second = (getattr(self.simulated(k, d), quantity) for d in impedance)
+        return (soft[0] * second - soft[1] * first) / (soft[0] - soft[1])
+
+
+@cache
+def case(name: str) -> Case:
+    if name in CHAINS:
+        rng = np.random.default_rng(3)
+        mechanism = load_mechanism(CHAINS[name])
+        centre = mechanism.home[mechanism.independent]
+        s = centre + rng.uniform(-0.4, 0.4, (N_POSES, mechanism.dof))
+        q = np.array([close_at(mechanism, x) for x in s])
+    else:
+        seed = int(name.split()[1])
+        rng = np.random.default_rng(seed)
+        bar = random_four_bar(rng)
+        motors = ("O",) if seed % 4 else ("O", "C", "O")
+        text = bar.mjcf(rng, quaternion=random_quaternion(rng), anchor_form=seed % 2 == 1, motors=motors)
+        mechanism = load_mechanism(text)
+        q = bar.samples(rng, N_POSES)
+    shape = (N_POSES, mechanism.dof)
+    return Case(
+        mechanism=mechanism,
+        q=q,
+        v=rng.normal(size=shape),
+        a=rng.normal(size=shape),
+        u=rng.uniform(-1, 1, (N_POSES, mechanism.n_u)),
+    )
+
+
+def null_space_map(mechanism: Mechanism, rows: np.ndarray) -> np.ndarray:
+    """Return Gamma from a basis of the null space of all constraint rows, scaled to the independent joints' rates."""
+    basis = scipy.linalg.null_space(rows, rcond=1e-9)
+    assert basis.shape == (mechanism.n_q, mechanism.dof)
+    return basis @ np.linalg.inv(basis[mechanism.independent])
+
+
+@on_every_mechanism
+def test_the_closure_equations_are_mujocos_residual_where_the_loop_is_open(name):
+    mechanism = case(name).mechanism
+    for q in np.random.default_rng(0).uniform(-1, 1, (N_POSES, mechanism.n_q)):
+        expected = simulated(mechanism.model, q, np.zeros_like(q)).residual
+        assert np.abs(expected).max() > 1e-3, "the loop is open"
+        assert np.abs(np.array(mechanism.dynamics.closure(q)).ravel() - expected).max() < CLOSURE
+
+
+@on_every_mechanism
+def test_the_closure_jacobian_is_mujocos_where_the_loop_is_open(name):
+    mechanism = case(name).mechanism
+    for q in np.random.default_rng(0).uniform(-1, 1, (N_POSES, mechanism.n_q)):
+        expected = simulated(mechanism.model, q, np.zeros_like(q)).rows
+        assert np.abs(np.array(mechanism.dynamics.closure_jacobian(q)) - expected).max() < CLOSURE
+
+
+@on_every_mechanism
+def test_the_velocity_map_is_the_null_space_of_mujocos_constraint_rows(name):
+    c = case(name)
+    for k, q in enumerate(c.q):
+        expected = null_space_map(c.mechanism, c.simulated(k).rows)
+        assert relative_error(np.array(c.mechanism.dynamics.velocity_map(q)), expected) < REDUCED
+
+
+@on_every_mechanism
+def test_reduced_inertia_is_the_constrained_mass_matrix(name):
+    c = case(name)
+    for k, q in enumerate(c.q):
+        s = c.simulated(k)
+        basis = null_space_map(c.mechanism, s.rows)
+        expected = basis.T @ s.mass_matrix @ basis
+        assert relative_error(np.array(c.mechanism.dynamics.reduced_inertia(q)), expected) < REDUCED
+
+
+@on_every_mechanism
+def test_gravity_effort_is_the_weight_projected_on_the_motion(name):
+    c = case(name)
+    for k, q in enumerate(c.q):
+        basis = null_space_map(c.mechanism, c.simulated(k).rows)
+        expected = basis.T @ simulated(c.mechanism.model, q, np.zeros_like(q)).bias
+        actual = np.array(c.mechanism.dynamics.gravity_effort(q)).ravel()
+        assert relative_error(actual, expected) < REDUCED
+
+
+@on_every_mechanism
+def test_the_effort_map_is_the_actuator_moment_projected_on_the_motion(name):
+    c = case(name)
+    for k, q in enumerate(c.q):
+        s = c.simulated(k)
+        expected = (s.moment @ null_space_map(c.mechanism, s.rows)).T
+        assert relative_error(np.array(c.mechanism.dynamics.effort_map(q)), expected) < REDUCED
+
+
+@on_every_mechanism
+def test_acceleration_is_the_limit_of_mujocos_as_the_loop_hardens(name):
+    c = case(name)
+    for k, (q, v, _, u) in enumerate(c.samples()):
+        expected = c.limit(k, "acceleration")[c.mechanism.independent]
+        actual = np.array(c.mechanism.dynamics.acceleration(q, v, u)).ravel()
+        assert relative_error(actual, expected) < SOFT_LIMIT
+
+
+@on_every_mechanism
+def test_mujocos_acceleration_approaches_ours_in_proportion_to_the_loops_softness(name):
+    c = case(name)
+    impedance = np.array([0.99, 0.999, 0.9999])
+    for k, (q, v, _, u) in enumerate(c.samples()):
+        actual = np.array(c.mechanism.dynamics.acceleration(q, v, u)).ravel()
+        errors = [relative_error(actual, c.simulated(k, d).acceleration[c.mechanism.independent]) for d in impedance]
+        order = np.diff(np.log(errors)) / np.diff(np.log((1 - impedance) / impedance))
+        assert np.abs(order - 1).max() < SOFT_ORDER, errors
+
+
+@on_every_mechanism
+def test_closure_forces_act_on_the_joints_as_mujocos_constraint_does(name):
+    c = case(name)
+    for k, (q, v, _, u) in enumerate(c.samples()):
+        expected = c.limit(k, "constraint_force")
+        assert np.abs(expected).max() > 1e-3, "the pin carries load"
+        a = c.mechanism.dynamics.acceleration(q, v, u)
+        force = np.array(c.mechanism.dynamics.closure_force(q, v, a, u)).ravel()
+        jacobian = np.array(c.mechanism.dynamics.closure_jacobian(q))
+        assert relative_error(jacobian.T @ force, expected) < SOFT_LIMIT
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("anchor_form", [False, True])
+def test_the_pin_force_of_an_upright_four_bar_is_mujocos_efc_force(seed, anchor_form):
+    rng = np.random.default_rng(seed)
+    bar = random_four_bar(rng)
+    turn = rng.uniform(-np.pi, np.pi)
+    about_y = np.array([np.cos(turn / 2), 0, np.sin(turn / 2), 0])
+    mechanism = load_mechanism(bar.mjcf(rng, quaternion=about_y, anchor_form=anchor_form))
+    q, v, u = bar.samples(rng, 1), rng.normal(size=(1, 1)), rng.normal(size=(1, 1))
+    expected = Case(mechanism=mechanism, q=q, v=v, a=v, u=u).limit(0, "row_force")
+    assert np.abs(expected).max() > 1e-3, "the pin carries load"
+    a = mechanism.dynamics.acceleration(q[0], v[0], u[0])
+    force = np.array(mechanism.dynamics.closure_force(q[0], v[0], a, u[0])).ravel()
+    assert relative_error(force, expected) < SOFT_LIMIT
+
+
+@on_every_mechanism
+def test_closure_forces_balance_the_tree_exactly(name):
+    c = case(name)
+    h = 1e-3
+    for k, (q, v, a, u) in enumerate(c.samples()):
+        s = c.simulated(k)
+        path = path_derivatives(c.mechanism, q, v, a, h)[1]
+        force = np.array(c.mechanism.dynamics.closure_force(q, v, a, u)).ravel()
+        # Along the motion the motors may miss (u is not what a needs), across it the loop must make up the difference.
+        missing = s.mass_matrix @ path + s.bias - s.passive - s.moment.T @ u - s.rows.T @ force
+        scale = np.abs(s.rows.T @ force).max()
+        assert np.abs(missing[c.mechanism.dependent]).max() < DIFFERENCES * scale
+
+
+def path_derivatives(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, h: float):
+    """Return q' and q'' at q of the motion s = s0 + v t + a t^2 / 2, by differences of assembled poses."""
+    s = q[mechanism.independent]
+
+    def pose(t: float) -> np.ndarray:
+        return close_at(mechanism, s + v * t + a * t**2 / 2, start=q)
+
+    return derivative(pose, h), second_derivative(pose, h)
+
+
+@on_every_mechanism
+def test_joint_rates_are_the_derivative_of_the_assembled_pose(name):
+    c = case(name)
+    rates = joint_rates(c.mechanism, c.q, c.v)
+    for k, (q, v, a, _) in enumerate(c.samples()):
+        assert relative_error(rates[k], path_derivatives(c.mechanism, q, v, a, 1e-3)[0]) < DIFFERENCES
+
+
+@on_every_mechanism
+def test_inverse_dynamics_is_the_trees_along_the_assembled_motion(name):
+    c = case(name)
+    for k, (q, v, a, _) in enumerate(c.samples()):
+        s = c.simulated(k)
+        acceleration = path_derivatives(c.mechanism, q, v, a, 1e-3)[1]
+        basis = null_space_map(c.mechanism, s.rows)
+        expected = basis.T @ (s.mass_matrix @ acceleration + s.bias - s.passive)
+        actual = np.array(c.mechanism.dynamics.inverse_dynamics(q, v, a)).ravel()
+        assert relative_error(actual, expected) < DIFFERENCES
+
+
+@on_every_mechanism
+def test_acceleration_undoes_inverse_dynamics(name):
+    c = case(name)
+    dynamics = c.mechanism.dynamics
+    for q, v, _, u in c.samples():
+        needed = np.array(dynamics.inverse_dynamics(q, v, dynamics.acceleration(q, v, u))).ravel()
+        assert relative_error(needed, np.array(dynamics.effort_map(q) @ u).ravel()) < REDUCED
+
+
+@on_every_mechanism
+def test_the_residual_is_what_the_motors_miss(name):
+    c = case(name)
+    dynamics = c.mechanism.dynamics
+    for q, v, a, u in c.samples():
+        expected = np.array(dynamics.inverse_dynamics(q, v, a) - dynamics.effort_map(q) @ u)
+        assert relative_error(np.array(dynamics.residual(q, v, a, u)), expected) < REDUCED
+
+
+@on_every_mechanism
+def test_flow_is_joint_rates_and_acceleration(name):
+    c = case(name)
+    for k, (q, v, _, u) in enumerate(c.samples()):
+        rates, acceleration = (np.array(x).ravel() for x in c.mechanism.dynamics.flow(q, v, u))
+        assert relative_error(rates, joint_rates(c.mechanism, c.q, c.v)[k]) < TREE
+        assert relative_error(acceleration, np.array(c.mechanism.dynamics.acceleration(q, v, u)).ravel()) < TREE
+
+
+@on_every_mechanism
+def test_linearisation_by_position_is_the_difference_along_the_closed_chain(name):
+    c = case(name)
+    for q, v, _, u in c.samples():
+
+        def acceleration(h: float, i: int, q=q, v=v, u=u) -> np.ndarray:
+            s = q[c.mechanism.independent] + h * np.eye(c.mechanism.dof)[i]
+            return np.array(c.mechanism.dynamics.acceleration(close_at(c.mechanism, s, start=q), v, u)).ravel()
+
+        expected = [derivative(lambda h, i=i: acceleration(h, i), 1e-3) for i in range(c.mechanism.dof)]
+        by_position = np.array(c.mechanism.dynamics.linearisation(q, v, u)[0])
+        assert relative_error(by_position, np.transpose(expected)) < DIFFERENCES
+
+
+@on_every_mechanism
+@pytest.mark.parametrize("argument", [1, 2], ids=["speed", "effort"])
+def test_linearisation_by_speed_and_effort_is_the_difference(name, argument):
+    c = case(name)
+    for q, v, _, u in c.samples():
+
+        def acceleration(h: float, i: int, at=(q, v, u)) -> np.ndarray:
+            moved = [np.array(x) for x in at]
+            moved[argument][i] += h
+            return np.array(c.mechanism.dynamics.acceleration(*moved)).ravel()
+
+        n = len((q, v, u)[argument])
+        expected = [derivative(lambda h, i=i: acceleration(h, i), 1e-3) for i in range(n)]
+        actual = np.array(c.mechanism.dynamics.linearisation(q, v, u)[argument])
+        assert relative_error(actual, np.transpose(expected)) < DIFFERENCES
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Motion:
+    """Energy along an integrated motion: at both ends, put in by the motors, taken out by the dampers [J]."""
+
+    energy_gain: float
+    work: float
+    dissipated: float
+    kinetic: float
+    gap_m: float
+
+
+def motion(mechanism: Mechanism, duration: float, effort: float) -> Motion:
+    """Return the energies of `duration` [s] from rest at home under u = effort * cos(20 t)."""
+    n_q, n_s = mechanism.n_q, mechanism.dof
+    dynamics = mechanism.dynamics
+
+    def rates(t: float, y: np.ndarray) -> np.ndarray:
+        q, v = y[:n_q], y[n_q : n_q + n_s]
+        u = np.full(mechanism.n_u, effort * np.cos(20 * t))
+        dq, dv = (np.array(x).ravel() for x in dynamics.flow(q, v, u))
+        damper = np.array(dynamics.passive(q, dq) - dynamics.passive(q, np.zeros(n_q))).ravel()
+        power = v @ np.array(dynamics.effort_map(q)) @ u
+        return np.concatenate([dq, dv, [power, -damper @ dq]])
+
+    start = np.concatenate([mechanism.home, np.zeros(n_s), [0.0, 0.0]])
+    end = scipy.integrate.solve_ivp(rates, (0, duration), start, method="DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
+    first, last = (sum(float(e) for e in dynamics.energy(y[:n_q], y[n_q : n_q + n_s])) for y in (start, end))
+    return Motion(
+        energy_gain=last - first,
+        work=end[-2],
+        dissipated=end[-1],
+        kinetic=float(dynamics.energy(end[:n_q], end[n_q : n_q + n_s])[0]),
+        gap_m=mechanism.gap_m(end[:n_q]),
+    )
+
+
+def crank_rocker(seed: int, bare: bool) -> Mechanism:
+    rng = np.random.default_rng(seed)
+    return load_mechanism(CRANK_ROCKER.mjcf(rng, quaternion=random_quaternion(rng), bare=bare))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_energy_gained_is_work_less_dissipation_on_a_sprung_four_bar(seed):
+    m = motion(crank_rocker(seed, bare=False), 1.0, 0.2)
+    assert min(abs(m.work), m.dissipated) > 1e-3 * abs(m.energy_gain) > 0, "motors and dampers both matter"
+    assert abs(m.energy_gain - m.work + m.dissipated) < POWER * max(abs(m.work), m.dissipated)
+
+
+@pytest.mark.parametrize(
+    ("name", "duration", "effort"), [("five-bar", 0.1, 0.2), ("spatial-loop", 0.1, 0.2), ("six-bar", 0.5, 0.5)]
+)
+def test_energy_gained_is_work_less_dissipation_on_other_loops(name, duration, effort):
+    m = motion(case(name).mechanism, duration, effort)
+    assert min(abs(m.work), m.dissipated) > 1e-3 * abs(m.energy_gain) > 0, "motors and dampers both matter"
+    assert abs(m.energy_gain - m.work + m.dissipated) < POWER * max(abs(m.work), m.dissipated)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_energy_is_kept_where_nothing_drives_or_damps(seed):
+    m = motion(crank_rocker(seed, bare=True), 1.0, 0.0)
+    assert m.work == m.dissipated == 0
+    assert m.kinetic > 1e-3, "it swings"
+    assert abs(m.energy_gain) < POWER * m.kinetic
+
+
+def test_a_loop_stays_closed_along_an_integrated_motion():
+    m = motion(crank_rocker(0, bare=True), 1.0, 0.0)
+    assert m.kinetic > 1e-3, "it swings"
+    assert m.gap_m < INTEGRATED_GAP
+
+
+@on_every_mechanism
+def test_kinetic_energy_is_half_the_reduced_inertia_times_speed_squared(name):
+    c = case(name)
+    for q, v, _, _ in c.samples():
+        inertia = np.array(c.mechanism.dynamics.reduced_inertia(q))
+        assert relative_error(float(c.mechanism.dynamics.energy(q, v)[0]), v @ inertia @ v / 2) < ENERGY
+
+
+@on_every_mechanism
+def test_needed_efforts_produce_the_motion(name):
+    c = case(name)
+    effort, missed = needed_effort(c.mechanism, c.q, c.v, c.a)
+    assert np.abs(missed).max() < REDUCED * np.abs(sampled(c.mechanism.dynamics.inverse_dynamics, c.q, c.v, c.a)).max()
+    actual = sampled(c.mechanism.dynamics.acceleration, c.q, c.v, effort)[:, :, 0]
+    assert relative_error(actual, c.a) < MOTION_FROM_EFFORT
+
+
+def test_needed_efforts_are_the_least_that_do():
+    c = case("four-bar 0")
+    assert c.mechanism.n_u == 3, "there are more motors than degrees of freedom"
+    effort, _ = needed_effort(c.mechanism, c.q, c.v, c.a)
+    for q, u in zip(c.q, effort, strict=True):
+        spare = scipy.linalg.null_space(np.array(c.mechanism.dynamics.effort_map(q)))
+        assert np.abs(spare.T @ u).max() < REDUCED * np.abs(u).max()

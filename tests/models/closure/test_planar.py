@@ -1,0 +1,210 @@
+"""Random planar mechanisms of one to three loops against MuJoCo: tree, actuators, constrained motion, forces.
+
+Thirty seeds by default; LINKPLAN_PLANAR=200 in the environment runs two hundred.
+"""
+
+import copy
+import os
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.along import joint_rates
+from linkplan.models.poses.assembly import close_at
+from tests.support.mechanisms import Simulated, simulated
+from tests.support.planar import Planar, random_planar
+from tests.support.tolerances import (
+    GAP_M,
+    MOMENT,
+    POWER_RATE,
+    RANDOM_LIMIT,
+    RANDOM_ORDER,
+    SERVO_EFFORT,
+    TREE,
+    relative_error,
+)
+
+N_SEEDS = int(os.environ.get("LINKPLAN_PLANAR", "30"))
+N_POSES = 2
+SOFTNESS = (1e-5, 1e-6)
+ROUNDING = 2e-12  # of MuJoCo's acceleration and ours, relative
+on_every_seed = pytest.mark.parametrize("seed", range(N_SEEDS))
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Case:
+    """A generated mechanism with closed poses q (n, n_q), and speeds v and efforts u to go with them."""
+
+    planar: Planar
+    mechanism: Mechanism
+    q: np.ndarray
+    v: np.ndarray
+    u: np.ndarray
+
+    def samples(self):
+        return zip(self.q, self.v, joint_rates(self.mechanism, self.q, self.v), self.u, strict=True)
+
+
+@cache
+def case(seed: int) -> Case:
+    planar = random_planar(seed)
+    mechanism = load_mechanism(planar.text)
+    rng = np.random.default_rng(seed)
+    centre, poses = mechanism.home[mechanism.independent], []
+    while len(poses) < N_POSES:
+        try:
+            poses.append(close_at(mechanism, centre + rng.uniform(-0.2, 0.2, mechanism.dof)))
+        except AssemblyError:  # beyond the reach: elsewhere then
+            continue
+    shape = (N_POSES, mechanism.dof)
+    u = rng.uniform(-1, 1, (N_POSES, mechanism.n_u))
+    return Case(planar=planar, mechanism=mechanism, q=np.array(poses), v=rng.normal(size=shape), u=u)
+
+
+def controls(mechanism: Mechanism, q: np.ndarray, rates: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the ctrl (nu,) at which MuJoCo's actuators, servos among them, give the efforts u (n_u,)."""
+    data = mujoco.MjData(mechanism.model)
+    data.qpos[:], data.qvel[:] = q, rates
+    mujoco.mj_forward(mechanism.model, data)
+    ctrl = np.zeros(mechanism.model.nu)
+    for actuator, effort in zip(mechanism.actuators, u, strict=True):
+        length, velocity = data.actuator_length[actuator.output], data.actuator_velocity[actuator.output]
+        ctrl[actuator.channel] = actuator.control(effort, length, velocity)
+    return ctrl
+
+
+def hardened(c: Case, k: int, softness: float) -> Simulated:
+    """Return MuJoCo's quantities with its loops `softness` times as soft as its hardest impedance makes them.
+
+    A constraint's softness is in proportion to the inverse weights that MuJoCo keeps of bodies and joints, which a link of
+    1e-4 kg makes enormous: they are scaled down.
+    """
+    q, _, rates, u = list(c.samples())[k]
+    model = copy.copy(c.mechanism.model)
+    model.body_invweight0[:] *= softness
+    model.dof_invweight0[:] *= softness
+    return simulated(model, q, rates, controls(c.mechanism, q, rates, u))
+
+
+def limit(c: Case, k: int, quantity: str) -> np.ndarray:
+    """Return MuJoCo's quantity for a constraint of no softness, extrapolated from two small softnesses."""
+    first, second = (getattr(hardened(c, k, softness), quantity) for softness in SOFTNESS)
+    return (SOFTNESS[0] * second - SOFTNESS[1] * first) / (SOFTNESS[0] - SOFTNESS[1])
+
+
+@pytest.mark.slow
+def test_the_generator_makes_mechanisms_of_every_kind():
+    made = [random_planar(seed) for seed in range(30)]
+    assert {planar.n_loops for planar in made} == {1, 2, 3}
+    assert {kind for planar in made for kind in planar.closures} == {"connect", "fork", "weld"}
+    assert {planar.rides for planar in made} == {True, False}
+    assert {a.is_servo for seed in range(30) for a in case(seed).mechanism.actuators} == {True, False}
+    targets = {a.target.split()[0] for seed in range(30) for a in case(seed).mechanism.actuators}
+    assert targets == {"joint", "tendon", "site", "slider-crank"}
+    assert any(case(seed).mechanism.model.body_mass.min() < 2e-4 for seed in range(30))
+
+
+@on_every_seed
+def test_each_loop_takes_its_own_freedom_and_leaves_that_of_the_crank(seed):
+    c = case(seed)
+    assert c.mechanism.dof == c.planar.dof
+    assert max(c.mechanism.gap_m(q) for q in c.q) < GAP_M
+
+
+@on_every_seed
+def test_the_trees_mass_matrix_and_bias_are_mujocos(seed):
+    mechanism = case(seed).mechanism
+    rng = np.random.default_rng(seed)
+    q, v = rng.uniform(-1, 1, (2, mechanism.n_q))
+    expected = simulated(mechanism.model, q, v)
+    assert relative_error(np.array(mechanism.dynamics.mass_matrix(q)), expected.mass_matrix) < TREE
+    assert relative_error(np.array(mechanism.dynamics.bias(q, v)).ravel(), expected.bias) < TREE
+
+
+@on_every_seed
+def test_springs_and_dampers_of_joints_and_tendons_are_mujocos(seed):
+    c = case(seed)
+    for q, _, rates, _ in c.samples():
+        expected = simulated(c.mechanism.model, q, rates).passive
+        actual = np.array(c.mechanism.dynamics.passive(q, rates)).ravel()
+        assert np.abs(actual - expected).max() < TREE * max(1.0, np.abs(expected).max())
+
+
+@on_every_seed
+def test_actuator_moments_are_mujocos_through_every_transmission(seed):
+    c = case(seed)
+    for q, _, rates, _ in c.samples():
+        expected = simulated(c.mechanism.model, q, rates).moment
+        gamma = np.array(c.mechanism.dynamics.velocity_map(q))
+        assert relative_error(np.array(c.mechanism.dynamics.effort_matrix(q)), expected.T) < MOMENT
+        assert relative_error(np.array(c.mechanism.dynamics.effort_map(q)), gamma.T @ expected.T) < MOMENT
+
+
+@on_every_seed
+def test_a_servos_ctrl_is_inverted_to_the_effort_asked(seed):
+    c = case(seed)
+    for q, _, rates, u in c.samples():
+        data = mujoco.MjData(c.mechanism.model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = q, rates, controls(c.mechanism, q, rates, u)
+        mujoco.mj_forward(c.mechanism.model, data)
+        acted = data.actuator_force[[actuator.output for actuator in c.mechanism.actuators]]
+        assert np.abs(acted - u).max() < SERVO_EFFORT * max(1.0, np.abs(data.ctrl).max())
+
+
+@on_every_seed
+def test_acceleration_is_the_limit_of_mujocos_as_the_loops_harden(seed):
+    c = case(seed)
+    for k, (q, v, _, u) in enumerate(c.samples()):
+        expected = limit(c, k, "acceleration")[c.mechanism.independent]
+        actual = np.array(c.mechanism.dynamics.acceleration(q, v, u)).ravel()
+        assert relative_error(actual, expected) < RANDOM_LIMIT
+
+
+@on_every_seed
+def test_mujocos_acceleration_approaches_ours_as_the_loops_harden(seed):
+    c = case(seed)
+    for k, (q, v, _, u) in enumerate(c.samples()):
+        actual = np.array(c.mechanism.dynamics.acceleration(q, v, u)).ravel()
+        for pair in (SOFTNESS, (1e-3, 1e-4), (1.0, 0.1)):  # the hardest at which more than rounding is left
+            soft = [hardened(c, k, softness).acceleration[c.mechanism.independent] for softness in pair]
+            errors = [relative_error(actual, expected) for expected in soft]
+            if errors[1] > ROUNDING:
+                break
+        assert errors[1] > ROUNDING, "softness shows"
+        order = np.diff(np.log(errors)) / np.diff(np.log(pair))
+        assert abs(float(order[0]) - 1) < RANDOM_ORDER, errors
+
+
+@on_every_seed
+def test_closure_forces_act_on_the_joints_as_mujocos_constraints_do(seed):
+    c = case(seed)
+    for k, (q, v, _, u) in enumerate(c.samples()):
+        expected = limit(c, k, "constraint_force")
+        assert np.abs(expected).max() > 1e-3, "the pins carry load"
+        a = c.mechanism.dynamics.acceleration(q, v, u)
+        force = np.array(c.mechanism.dynamics.closure_force(q, v, a, u)).ravel()
+        jacobian = np.array(c.mechanism.dynamics.closure_jacobian(q))
+        assert relative_error(jacobian.T @ force, expected) < RANDOM_LIMIT
+
+
+@on_every_seed
+def test_energy_changes_by_the_power_of_motors_and_dampers(seed):
+    c = case(seed)
+    dynamics, n_q, n_s = c.mechanism.dynamics, c.mechanism.n_q, c.mechanism.dof
+    q, v, dq, dv = (ca.SX.sym(name, n) for name, n in (("q", n_q), ("v", n_s), ("dq", n_q), ("dv", n_s)))
+    energy = sum(dynamics.energy(q, v))
+    rate = ca.Function("rate", [q, v, dq, dv], [ca.jtimes(energy, q, dq) + ca.jtimes(energy, v, dv)])
+    for pose, speed, rates, u in c.samples():
+        flow = dynamics.flow(pose, speed, u)
+        gained = float(rate(pose, speed, *flow))
+        damper = np.array(dynamics.passive(pose, rates) - dynamics.passive(pose, np.zeros(n_q))).ravel()
+        driven, damped = float(speed @ np.array(dynamics.effort_map(pose)) @ u), float(damper @ rates)
+        assert abs(driven) > 0, "the motors work"
+        scale = max(abs(driven), abs(damped), abs(float(dynamics.energy(pose, speed)[0])))
+        assert abs(gained - driven - damped) < POWER_RATE * scale

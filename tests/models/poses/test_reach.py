@@ -1,0 +1,141 @@
+"""The reach: where a coordinate's way ends and why, against the closed forms of planar linkages."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+
+from linkplan.models.closure.newton import CLOSED_M
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.assembly import reach
+from tests.support.four_bars import PLAIN, RANGED, load, random_bars
+from tests.support.mechanisms import (
+    CHAINS,
+    CRANK_ROCKER,
+    FIVE_BAR,
+    SLIDER_CRANK,
+    TRIPLE_ROCKER,
+    numbers,
+    replaced,
+    slider_crank,
+    wrapped,
+)
+from tests.support.tolerances import (
+    BRACKET_RAD,
+    CLOSURE,
+    SINGULAR_RAD,
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bar", [TRIPLE_ROCKER, *random_bars()], ids=lambda bar: f"crank {bar.crank:.3g}")
+def test_the_reach_of_a_four_bar_ends_at_its_singular_poses(bar):
+    r = reach(load(bar, 1, aslant=True))
+    if not len(bar.singular()):
+        assert r.turns_fully
+        return
+    around = np.sort(np.concatenate([bar.singular() + turn for turn in (-2 * np.pi, 0, 2 * np.pi)]))
+    k = np.searchsorted(around, bar.drawn)
+    assert (r.lower.reason, r.upper.reason) == ("singular pose", "singular pose")
+    assert np.abs(np.array([r.lower.position, r.upper.position]) - around[k - 1 : k + 1]).max() < SINGULAR_RAD
+    assert r.singular == (r.lower.position, r.upper.position)
+
+
+def test_some_of_the_random_four_bars_have_singular_poses_and_some_turn_fully():
+    assert {bool(len(bar.singular())) for bar in random_bars()} == {False, True}
+
+
+def test_the_crank_of_a_grashof_crank_rocker_turns_fully():
+    r = reach(load(CRANK_ROCKER))
+    assert r.turns_fully
+    assert np.abs([r.lower.position + 2 * np.pi - 0.2, r.upper.position - 2 * np.pi - 0.2]).max() < BRACKET_RAD
+
+
+def test_the_rocker_turns_back_where_crank_and_coupler_are_in_line():
+    bar, r = CRANK_ROCKER, reach(load(CRANK_ROCKER))
+    # |OB| = L2 +- L1, |CB| = L3, |OC| = L4: the law of cosines at O gives OB, and the crank lies along or against it.
+    found = np.array([at for joint, at in r.toggles if joint == 2])
+    expected = []
+    for reach_OB, against in ((bar.coupler + bar.crank, 0.0), (bar.coupler - bar.crank, np.pi)):
+        cosine = (reach_OB**2 + bar.ground**2 - bar.rocker**2) / (2 * reach_OB * bar.ground)
+        # The ground OC lies at 90 deg, and on this branch B is above it.
+        expected.append(np.pi / 2 - np.arccos(cosine) + against)
+    away = np.abs(wrapped(found[:, None] - np.array(expected)))
+    assert len(found) == 4, "two in each turn, a turn to either side"
+    assert away.min(axis=1).max() < BRACKET_RAD
+    assert away.min(axis=0).max() < BRACKET_RAD
+
+
+@pytest.mark.parametrize("limit", [0.3, 0.5])
+def test_the_reach_ends_where_a_dependent_joint_meets_its_range(limit):
+    bar = CRANK_ROCKER
+    home_C = bar.pose(bar.drawn)[0, 2]
+    ranged = replaced(PLAIN, '<joint name="C"', f'<joint name="C" limited="true" range="{home_C - limit} 3"')
+    r = reach(load_mechanism(ranged))
+
+    def excess(q_O: float) -> float:
+        return bar.pose(q_O)[0, 2] - (home_C - limit)
+
+    grid = bar.drawn + np.linspace(0, 2 * np.pi, 721)
+    values = np.array([excess(x) for x in grid])
+    assert values.min() < -0.01, "the range binds"
+    up, down = np.argmax(values < 0), len(grid) - 1 - np.argmax(values[::-1] < 0)
+    upper = scipy.optimize.brentq(excess, grid[up - 1], grid[up], xtol=1e-14)
+    lower = scipy.optimize.brentq(excess, grid[down], grid[down + 1], xtol=1e-14) - 2 * np.pi
+    assert [(end.reason, end.joint) for end in (r.lower, r.upper)] == [("range of C", 2)] * 2
+    assert np.abs(np.array([r.lower.position, r.upper.position]) - [lower, upper]).max() < BRACKET_RAD
+
+
+def test_the_reach_ends_at_the_first_of_two_ranges_met_in_one_step():
+    bar = CRANK_ROCKER
+    home, at_C, at_A = bar.pose(bar.drawn + np.array([0.0, 0.5, 0.5001]))
+    text = PLAIN
+    for joint, index, end in (("A", 1, at_A), ("C", 2, at_C)):
+        bounds = sorted([end[index], 2 * home[index] - end[index]])
+        text = replaced(text, f'name="{joint}"', f'name="{joint}" limited="true" range="{numbers(bounds)}"')
+    upper = reach(load_mechanism(text)).upper
+    assert upper.reason == "range of C"
+    assert abs(upper.position - bar.drawn - 0.5) < BRACKET_RAD
+
+
+def test_the_reach_of_a_joint_ends_at_its_own_range():
+    r = reach(load_mechanism(RANGED))
+    assert [(end.reason, end.joint) for end in (r.lower, r.upper)] == [("range of O", 0)] * 2
+    assert [r.lower.position, r.upper.position] == [-1.0, 2.0]
+
+
+def test_a_disabled_limit_ends_no_reach():
+    free = replaced(RANGED, "/>\n  <worldbody>", '><flag limit="disable"/></option>\n  <worldbody>')
+    assert reach(load_mechanism(free)).turns_fully
+
+
+@pytest.mark.parametrize("size", [0.05, 1.0, 30.0])
+def test_a_driven_slider_of_any_size_reaches_from_dead_centre_to_dead_centre(size):
+    mechanism = load_mechanism(replaced(slider_crank(size), '<motor joint="crank"', '<motor joint="slide"'))
+    r = reach(mechanism)
+    assert (mechanism.independent_joints[0].name, r.lower.reason, r.upper.reason) == ("slide", *["singular pose"] * 2)
+    ends = np.array([r.lower.position, r.upper.position]) / size
+    assert np.abs(ends - [0.3 - 0.1, 0.3 + 0.1]).max() < SINGULAR_RAD
+
+
+def test_the_slider_turns_back_at_every_half_turn_of_the_crank():
+    found = np.array([at for joint, at in reach(load_mechanism(SLIDER_CRANK)).toggles if joint == 2])
+    assert np.abs(found - np.pi * np.array([-1, 0, 1, 2])).max() < BRACKET_RAD
+
+
+@pytest.mark.parametrize("coordinate", [0, 1])
+def test_the_other_motor_of_a_five_bar_stays_at_home_over_the_reach(coordinate):
+    mechanism = load_mechanism(FIVE_BAR)
+    r = reach(mechanism, coordinate)
+    moving, still = mechanism.independent[coordinate], mechanism.independent[1 - coordinate]
+    assert np.ptp(r.poses[:, moving]) > 1
+    assert not np.ptp(r.poses[:, still])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["optimus-knee", "optimus-knee-source", *CHAINS])
+def test_the_poses_of_a_reach_are_closed_and_in_order(name):
+    mechanism = load_mechanism(CHAINS.get(name, name))
+    r = reach(mechanism)
+    assert max(mechanism.gap_m(q) for q in r.poses) < 10 * CLOSURE + CLOSED_M
+    assert np.all(np.diff(r.poses[:, mechanism.independent[0]]) > 0)
+    assert list(r.toggles) == sorted(r.toggles, key=lambda toggle: toggle[1])

@@ -1,0 +1,92 @@
+"""Solving in symbols: against numpy, whatever the structure, and in how many operations."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.reduction.elimination import block_determinants, determinant, factorise, solve_positive
+from tests.support.mechanisms import SIX_BAR, replaced
+from tests.support.tolerances_planner import ROUNDING
+
+SOLVED = 1e-12  # relative to the condition number: rounding
+
+
+def structured(n: int, density: float, seed: int) -> tuple[ca.SX, np.ndarray]:
+    """Return a symbol's entries on a random structure that is not singular as such, and which they are."""
+    rng = np.random.default_rng(seed)
+    there = rng.random((n, n)) < density
+    there |= np.eye(n, dtype=bool)[rng.permutation(n)]
+    symbol, matrix = ca.SX.sym("a", n, n), ca.SX(n, n)
+    for i, j in zip(*np.nonzero(there), strict=True):
+        matrix[int(i), int(j)] = symbol[int(i), int(j)]
+    return ca.vertcat(ca.vec(symbol), ca.vec(matrix)), there
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 6, 9])
+@pytest.mark.parametrize("density", [0.0, 0.3, 0.6, 1.0])
+def test_a_linear_system_of_any_structure_is_solved_as_numpy_does(n, density):
+    for seed in range(4):
+        both, there = structured(n, density, seed)
+        symbol, matrix = ca.reshape(both[: n * n], n, n), ca.reshape(both[n * n :], n, n)
+        b = ca.SX.sym("b", n, 2)
+        function = ca.Function("f", [symbol, b], [factorise(matrix)(b), determinant(matrix), block_determinants(matrix)])
+        rng = np.random.default_rng(seed)
+        numbers, right = rng.normal(size=(n, n)), rng.normal(size=(n, 2))
+        x, det, dets = (np.array(v) for v in function(numbers, right))
+        A = numbers * there
+        assert np.abs(A @ x - right).max() < SOLVED * np.linalg.cond(A)
+        assert abs(det[0, 0] / np.linalg.det(A) - 1) < SOLVED * np.linalg.cond(A)
+        assert abs(np.prod(np.abs(dets)) / abs(np.linalg.det(A)) - 1) < SOLVED * np.linalg.cond(A)
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8])
+def test_an_inertia_is_inverted_as_numpy_does(n):
+    symbol, b = ca.SX.sym("a", n, n), ca.SX.sym("b", n)
+    function = ca.Function("f", [symbol, b], [solve_positive(symbol, b)])
+    rng = np.random.default_rng(n)
+    half, right = rng.normal(size=(n, n)), rng.normal(size=n)
+    A = half @ half.T + 0.1 * np.eye(n)
+    assert np.abs(A @ np.array(function(A, right)).ravel() - right).max() < SOLVED * np.linalg.cond(A)
+
+
+def test_a_matrix_that_no_fixed_order_of_pivots_solves_is_solved():
+    angle, b = ca.SX.sym("angle"), ca.SX.sym("b", 4)
+    turn = ca.SX(ca.DM(np.eye(4)))
+    turn[:2, :2] = turn[2:, 2:] = ca.vertcat(
+        ca.horzcat(ca.cos(angle), -ca.sin(angle)), ca.horzcat(ca.sin(angle), ca.cos(angle))
+    )
+    mixed = turn @ ca.DM(np.linalg.qr(np.random.default_rng(0).normal(size=(4, 4)))[0])
+    function = ca.Function("f", [angle, b], [factorise(mixed)(b)])
+    for at in np.linspace(0, 2 * np.pi, 9):
+        assert abs(np.linalg.norm(np.array(function(at, [1.0, 2, 3, 4]))) - np.sqrt(30)) < ROUNDING
+
+
+def ladder(n_loops: int) -> str:
+    """Return four-bars in a row, each rocker the crank of the next."""
+    text = SIX_BAR
+    for k in range(2, n_loops):
+        last = (
+            '<site name="E2" pos="0.01 0 0.17"/></body>\n  </worldbody>'
+            if k == 2
+            else f'<site name="e{k - 1}" pos="0.01 0 0.17"/></body>\n  </worldbody>'
+        )
+        link = (
+            f'<body pos="0.05 0 0.12"><joint name="L{k}"/><geom type="capsule" fromto="0 0 0 0.16 0 0.05"/>'
+            f'<site name="l{k}" pos="0.16 0 0.05"/></body></body>'
+            f'<body pos="{0.2 * (k + 1)} 0 0"><joint name="R{k}"/><geom type="capsule" fromto="0 0 0 0.01 0 0.17"/>'
+            f'<site name="e{k}" pos="0.01 0 0.17"/></body>\n  </worldbody>'
+        )
+        text = replaced(text, last, last.replace("</body>\n  </worldbody>", link))
+        text = replaced(text, "</equality>", f'<connect site1="l{k}" site2="e{k}"/></equality>')
+    return text
+
+
+def test_expressions_grow_no_faster_than_the_loops():
+    sizes = []
+    for n_loops in (2, 4, 8):
+        mechanism = load_mechanism(ladder(n_loops))
+        assert (mechanism.dof, len(mechanism.dependent)) == (1, 2 * n_loops)
+        sizes.append(mechanism.dynamics.acceleration.n_instructions())
+    assert sizes[2] - sizes[1] < 1.1 * 2 * (sizes[1] - sizes[0])

@@ -1,0 +1,231 @@
+"""Ball and free joints: three coordinates each, their rates and accelerations, against MuJoCo's quaternions."""
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import scipy.integrate
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.tree.coordinates import CHART_RANGE
+from tests.support.mechanisms import derivative, numbers, random_quaternion, replaced, simulated
+from tests.support.tolerances import (
+    CENTRED,
+    CONSERVED,
+    DIFFERENCES,
+    ENERGY,
+    MOMENT,
+    SPIN,
+    TREE,
+    TREE_ACCELERATION,
+    UNIT_VECTOR,
+    relative_error,
+)
+from tests.support.tolerances_planner import ROUNDING
+
+# A free body that carries a ball-jointed arm with a forearm: off-centre masses and anchors, damping, armature, actuators.
+ACROBAT = """
+<mujoco model="acrobat"><compiler angle="radian"/><option gravity="1 -2 -9"/>
+  <default><geom contype="0" conaffinity="0" size="0.05"/></default>
+  <worldbody><site name="beacon" pos="0.3 0.2 1" euler="0.2 0.3 1"/>
+    <body name="trunk" pos="1 2 3" euler="0.1 0.2 0.3"><freejoint name="base"/>
+      <geom type="box" size="0.1 0.2 0.3" pos="0.02 0.03 0.01"/>
+      <body name="arm" pos="0.1 0.2 0.3" euler="1 0.2 0.1">
+        <joint name="shoulder" type="ball" pos="0.05 0.1 0.02" damping="0.3" armature="0.02"/>
+        <geom type="capsule" fromto="0 0 0 0.2 0.1 0.3"/><site name="hand" pos="0.2 0.1 0.3" euler="1 0.2 0.3"/>
+        <body name="fore" pos="0.2 0.1 0.3" euler="0.3 0.1 2"><joint name="elbow" axis="0 1 1" ref="-0.2" damping="0.1"/>
+          <geom type="capsule" fromto="0 0 0 0.1 0 0.2"/><site name="tip" pos="0.1 0 0.2"/></body></body></body>
+  </worldbody>
+  <actuator>
+    <motor name="torso" joint="base" gear="1 2 3 4 5 6"/><motor name="world" jointinparent="base" gear="1 2 3 4 5 6"/>
+    <motor name="own" joint="shoulder" gear="1 2 3"/><motor name="parent" jointinparent="shoulder" gear="1 2 3"/>
+    <motor name="jet" site="tip" gear="1 2 3 4 5 6"/><motor name="seen" site="tip" refsite="hand" gear="1 2 3 4 5 6"/>
+    <motor name="far" site="tip" refsite="beacon" gear="0.3 1 -2 0 0 0"/>
+  </actuator>
+  <keyframe><key name="home" qpos="1 2 3 0.5 -0.5 0.5 0.5 0.8 0.6 0 0 0.3"/></keyframe>
+</mujoco>"""
+
+
+@cache
+def acrobat() -> Mechanism:
+    return load_mechanism(ACROBAT)
+
+
+@cache
+def states(n: int = 20) -> tuple[np.ndarray, np.ndarray]:
+    """Return poses and rates (n, n_q), every chart turned by up to 200 deg."""
+    rng = np.random.default_rng(4)
+    return rng.uniform(-2.5, 2.5, (n, acrobat().n_q)), 2 * rng.normal(size=(n, acrobat().n_q))
+
+
+def at(q: np.ndarray, rates: np.ndarray, ctrl: np.ndarray | None = None):
+    return simulated(acrobat().model, acrobat().qpos_of(q), acrobat().qvel_of(q, rates), ctrl)
+
+
+def velocity_matrix(q: np.ndarray) -> np.ndarray:
+    return np.array([acrobat().qvel_of(q, rate) for rate in np.eye(acrobat().n_q)]).T
+
+
+def test_a_ball_joint_has_three_coordinates_and_a_free_joint_six():
+    names = [joint.name for joint in acrobat().joints]
+    assert names == [*(f"base_{x}" for x in ("x", "y", "z", "rx", "ry", "rz")), *(f"shoulder_r{x}" for x in "xyz"), "elbow"]
+    assert [joint.unit for joint in acrobat().joints[:4]] == ["m", "m", "m", "deg"]
+    assert acrobat().n_q == acrobat().dof == acrobat().model.nv == 10
+    assert acrobat().model.nq == 12
+
+
+def test_the_charts_are_centred_at_the_home_orientation():
+    home = acrobat().home
+    assert np.abs(home[[3, 4, 5, 6, 7, 8]]).max() < CENTRED
+    assert np.abs(acrobat().qpos_of(home) - acrobat().model.key_qpos[0]).max() < CENTRED
+
+
+def test_coordinates_come_back_from_mujocos_positions():
+    q, rates = states()
+    qpos, qvel = acrobat().qpos_of(q), acrobat().qvel_of(q, rates)
+    assert np.abs(np.linalg.norm(qpos[:, 3:7], axis=1) - 1).max() < UNIT_VECTOR
+    assert np.abs(acrobat().q_of(qpos) - q).max() < ROUNDING
+    assert np.abs(acrobat().rates_of(q, qvel) - rates).max() < ROUNDING
+
+
+@settings(max_examples=50, deadline=None, derandomize=True, database=None)
+@given(angle=st.floats(-3.7, 3.7), axis=st.tuples(*[st.floats(-1, 1)] * 3))
+def test_a_coordinate_is_four_times_the_tangent_of_a_quarter_of_the_angle(angle, axis):
+    length = np.linalg.norm(axis)
+    unit = np.array([1.0, 0, 0]) if length < 0.1 else np.array(axis) / length
+    turn = np.array([np.cos(angle / 2), *(np.sin(angle / 2) * unit)])
+    q = np.array(acrobat().home)
+    q[6:9] = 4 * np.tan(angle / 4) * unit
+    expected = np.zeros(4)
+    mujoco.mju_mulQuat(expected, acrobat().model.key_qpos[0, 7:11], turn)
+    assert np.abs(acrobat().qpos_of(q)[7:11] - expected).max() < UNIT_VECTOR
+    assert np.abs(acrobat().q_of(acrobat().qpos_of(q)) - q).max() < ROUNDING
+
+
+def test_rates_are_the_derivative_of_what_mujoco_integrates():
+    q, rates = states()
+    for pose, rate in zip(q, rates, strict=True):
+
+        def moved(t: float, pose=pose, rate=rate) -> np.ndarray:
+            qpos = acrobat().qpos_of(pose)
+            mujoco.mj_integratePos(acrobat().model, qpos, acrobat().qvel_of(pose, rate), t)
+            return acrobat().q_of(qpos)
+
+        assert relative_error(derivative(moved, 1e-3), rate) < DIFFERENCES
+
+
+def test_the_mass_matrix_is_mujocos_in_these_coordinates():
+    for q, rates in zip(*states(), strict=True):
+        T = velocity_matrix(q)
+        assert relative_error(np.array(acrobat().dynamics.mass_matrix(q)), T.T @ at(q, rates).mass_matrix @ T) < TREE
+
+
+def spin(c: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Return the angular velocity of a chart, from its formula; takes complex numbers."""
+    sigma = c / 4
+    square = sigma @ sigma
+    return ((1 - square) * rate - 2 * np.cross(sigma, rate) + 2 * sigma * (sigma @ rate)) / (1 + square) ** 2
+
+
+def test_the_bias_is_mujocos_by_the_change_of_coordinates():
+    for q, rates in zip(*states(), strict=True):
+        T, s, convective = velocity_matrix(q), at(q, rates), np.zeros(acrobat().n_q)
+        for turning in (slice(3, 6), slice(6, 9)):
+            assert np.abs(spin(q[turning], rates[turning]) - (T @ rates)[turning]).max() < SPIN * np.abs(rates).max()
+            # The derivative of G c' along c', exact by a complex step.
+            convective[turning] = spin(q[turning] + 1e-30j * rates[turning], rates[turning]).imag / 1e-30
+        expected = T.T @ (s.bias + s.mass_matrix @ convective)
+        assert np.abs(expected - T.T @ s.bias).max() > 1e-3, "the coordinates' own curvature matters"
+        assert relative_error(np.array(acrobat().dynamics.bias(q, rates)).ravel(), expected) < TREE
+
+
+def test_springs_and_dampers_are_mujocos():
+    for q, rates in zip(*states(), strict=True):
+        expected = velocity_matrix(q).T @ at(q, rates).passive
+        assert np.abs(expected).max() > 1e-3, "the dampers act"
+        assert relative_error(np.array(acrobat().dynamics.passive(q, rates)).ravel(), expected) < TREE
+
+
+def test_actuator_moments_are_mujocos_on_balls_and_free_bodies():
+    assert acrobat().n_u == 7
+    for q, rates in zip(*states(), strict=True):
+        expected = velocity_matrix(q).T @ at(q, rates).moment.T
+        assert relative_error(np.array(acrobat().dynamics.effort_matrix(q)), expected) < MOMENT
+
+
+def test_kinetic_and_potential_energy_are_mujocos():
+    for q, rates in zip(*states(), strict=True):
+        kinetic, potential = (float(e) for e in acrobat().dynamics.energy(q, rates))
+        expected = at(q, rates).energy
+        assert relative_error([kinetic, potential], expected[::-1]) < ENERGY
+
+
+def test_acceleration_is_mujocos():
+    rng = np.random.default_rng(2)
+    for q, rates in zip(*states(), strict=True):
+        u = rng.normal(size=7)
+        a = np.array(acrobat().dynamics.acceleration(q, rates, u)).ravel()
+        moved = derivative(lambda t, q=q, r=rates, a=a: acrobat().qvel_of(q + t * r + t**2 / 2 * a, r + t * a), 1e-3)
+        assert relative_error(moved, at(q, rates, u).acceleration) < DIFFERENCES
+    q, rates = np.array(acrobat().home), np.zeros(10)
+    rates[3:9] = [1, 2, 3, -1, 2, 1]
+    # At a chart's centre T is the identity and its derivative along c' vanishes.
+    expected = at(q, rates, np.zeros(7)).acceleration
+    assert (
+        relative_error(np.array(acrobat().dynamics.acceleration(q, rates, np.zeros(7))).ravel(), expected)
+        < TREE_ACCELERATION
+    )
+
+
+def test_a_spinning_body_keeps_its_angular_momentum_and_energy():
+    text = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="top" type="ball"/>
+      <inertial mass="1" pos="0 0 0" diaginertia="0.3 0.2 0.12"/></body></worldbody></mujoco>"""
+    top = load_mechanism(text)
+
+    def rates(_: float, y: np.ndarray) -> np.ndarray:
+        return np.concatenate([np.array(x).ravel() for x in top.dynamics.flow(y[:3], y[3:], np.zeros(0))])
+
+    start = np.array([0.0, 0, 0, 0.1, 2.0, 0.2])
+    path = scipy.integrate.solve_ivp(rates, (0, 1.5), start, method="DOP853", rtol=1e-12, atol=1e-12).y.T
+    momenta = []
+    for y in (path[0], path[-1]):
+        turn, w = np.zeros(9), top.qvel_of(y[:3], y[3:])
+        mujoco.mju_quat2Mat(turn, top.qpos_of(y[:3]))
+        momenta.append(turn.reshape(3, 3) @ (np.array([0.3, 0.2, 0.12]) * w))
+    assert np.abs(path[-1, :3] - path[0, :3]).max() > 1, "it has turned"
+    assert np.abs(momenta[1] - momenta[0]).max() < CONSERVED
+    energies = [float(top.dynamics.energy(y[:3], y[3:])[0]) for y in (path[0], path[-1])]
+    assert abs(energies[1] / energies[0] - 1) < CONSERVED
+
+
+def test_a_chart_centred_elsewhere_describes_the_same_body():
+    turned = random_quaternion(np.random.default_rng(0))
+    qpos = np.array(acrobat().model.key_qpos[0])
+    key = f'qpos="{numbers([*qpos[:7], *turned, qpos[-1]])}"'
+    other = load_mechanism(replaced(ACROBAT, 'qpos="1 2 3 0.5 -0.5 0.5 0.5 0.8 0.6 0 0 0.3"', key))
+    q, rates = (x[0] for x in states())
+    p = other.q_of(acrobat().qpos_of(q))
+    p_rates = other.rates_of(p, acrobat().qvel_of(q, rates))
+    assert np.abs(p - q).max() > 0.1, "the coordinates differ"
+    first, second = (m.dynamics.energy(*x) for m, x in ((acrobat(), (q, rates)), (other, (p, p_rates))))
+    assert relative_error([float(e) for e in second], [float(e) for e in first]) < ENERGY
+
+
+def test_a_chart_ends_well_before_its_singularity():
+    assert 4 * np.arctan(np.sqrt(3) * CHART_RANGE / 4) < np.radians(271)
+    assert 4 * np.arctan(CHART_RANGE / 4) > np.radians(215)
+    assert all(joint.upper == CHART_RANGE for joint in acrobat().joints if joint.name.startswith("shoulder"))
+
+
+def test_several_roots_are_several_trees():
+    text = """<mujoco><worldbody>
+      <body name="a"><joint name="a" type="ball"/><geom size="0.1" pos="0.2 0 0"/></body>
+      <body name="b" pos="1 0 0"><joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body>
+      </worldbody></mujoco>"""
+    chain = load_mechanism(text)
+    inertia = np.array(chain.dynamics.mass_matrix(chain.home))
+    assert chain.dof == 4
+    assert not np.any(inertia[:3, 3])
+    assert np.linalg.eigvalsh(inertia)[0] > 0

@@ -1,0 +1,212 @@
+"""The symbolic tree against MuJoCo's own numbers, at a thousand random states a model."""
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.models.library import built_in_text
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.along import sampled
+from tests.support.mechanisms import PENDULUM, SLIDER_CRANK, Simulated, random_tree, replaced, simulated
+from tests.support.tolerances import ENERGY, TREE, TREE_ACCELERATION, relative_error, worst_relative_error
+
+N_STATES = 1000
+
+KNEE_JOINTS = '<joint type="hinge" axis="0 1 0"/>'
+SPRUNG_JOINTS = (
+    '<joint type="hinge" axis="0 1 0" stiffness="3 -0.4 0.2" springref="12" damping="0.5 0.2 0.1" armature="0.003"/>'
+)
+
+TREES = ("tree 1", "tree 2", "tree 3")
+SPRUNG = ("sprung knee", *TREES)
+MODELS = ("optimus-knee", "optimus-knee-source", *SPRUNG)
+
+
+@cache
+def mechanism(name: str) -> Mechanism:
+    if name == "sprung knee":
+        return load_mechanism(replaced(built_in_text("optimus-knee"), KNEE_JOINTS, SPRUNG_JOINTS))
+    return load_mechanism(random_tree(int(name.split()[1])) if name in TREES else name)
+
+
+@cache
+def states(name: str) -> tuple[np.ndarray, np.ndarray, tuple[Simulated, ...]]:
+    """Return positions and speeds (n, n_q), and MuJoCo's quantities there."""
+    rng = np.random.default_rng(len(name) + 7 * sum(map(ord, name)))
+    n_q = mechanism(name).n_q
+    q, v = rng.uniform(-np.pi, np.pi, (N_STATES, n_q)), 3 * rng.normal(size=(N_STATES, n_q))
+    model = mechanism(name).model
+    return q, v, tuple(simulated(model, *state) for state in zip(q, v, strict=True))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MODELS)
+def test_mass_matrix_is_mujocos(name):
+    q, _, expected = states(name)
+    matrices = np.array([s.mass_matrix for s in expected])
+    assert worst_relative_error(sampled(mechanism(name).dynamics.mass_matrix, q), matrices) < TREE
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_bias_force_is_mujocos(name):
+    q, v, expected = states(name)
+    forces = np.array([s.bias for s in expected])
+    assert worst_relative_error(sampled(mechanism(name).dynamics.bias, q, v)[:, :, 0], forces) < TREE
+
+
+@pytest.mark.parametrize("name", SPRUNG)
+def test_passive_force_is_mujocos(name):
+    q, v, expected = states(name)
+    forces = np.array([s.passive for s in expected])
+    assert np.abs(forces).max(axis=1).min() > 1e-3, "springs and dampers act at every state"
+    assert worst_relative_error(sampled(mechanism(name).dynamics.passive, q, v)[:, :, 0], forces) < TREE
+
+
+@pytest.mark.parametrize("name", ["optimus-knee", "optimus-knee-source"])
+def test_a_model_without_springs_and_dampers_has_no_passive_force(name):
+    q, v, _ = states(name)
+    assert not np.any(sampled(mechanism(name).dynamics.passive, q, v))
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_an_open_tree_accelerates_as_in_mujoco_under_its_motors(name):
+    chain = mechanism(name)
+    q, v, passive_only = states(name)
+    ctrl = np.random.default_rng(0).normal(size=(50, chain.n_u))
+    expected = np.array([simulated(chain.model, *x).acceleration for x in zip(q, v, ctrl, strict=False)])
+    unpowered = np.array([s.acceleration for s in passive_only[:50]])
+    assert np.abs(expected - unpowered).max(axis=1).min() > 1e-3, "the motors move every state"
+    actual = sampled(chain.dynamics.acceleration, q[:50], v[:50], ctrl)[:, :, 0]
+    assert worst_relative_error(actual, expected) < TREE_ACCELERATION
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_kinetic_energy_is_mujocos(name):
+    q, v, expected = states(name)
+    kinetic = np.array([s.energy[1] for s in expected])
+    actual = [float(mechanism(name).dynamics.energy(*x)[0]) for x in zip(q[:100], v[:100], strict=True)]
+    assert relative_error(actual, kinetic[:100]) < ENERGY
+
+
+@pytest.mark.parametrize("name", TREES)
+def test_potential_energy_is_mujocos(name):
+    q, v, expected = states(name)
+    potential = np.array([s.energy[0] for s in expected])
+    actual = [float(mechanism(name).dynamics.energy(*x)[1]) for x in zip(q[:100], v[:100], strict=True)]
+    assert relative_error(actual, potential[:100]) < ENERGY
+
+
+def test_the_random_trees_carry_every_feature_that_they_are_there_to_test():
+    models = [mechanism(name).model for name in TREES]
+
+    def some(values: str, axis: slice = np.s_[...]) -> bool:
+        return any(np.any(np.asarray(getattr(model, values))[axis] != 0) for model in models)
+
+    assert {joint.kind for name in TREES for joint in mechanism(name).joints} == {"hinge", "slide"}
+    assert max(model.body_jntnum.max() for model in models) == 3, "several joints on one body"
+    assert min(model.body_jntnum[1:].min() for model in models) == 1
+    assert any(len(set(model.body_parentid[2:])) < model.nbody - 2 for model in models), "a branching tree"
+    for values in ("jnt_pos", "qpos0", "qpos_spring", "jnt_stiffness", "dof_damping", "dof_armature", "body_ipos"):
+        assert some(values), values
+    for values in ("jnt_stiffnesspoly", "dof_dampingpoly", "actuator_dampingpoly"):
+        assert some(values, np.s_[:, 0]), values
+        assert some(values, np.s_[:, 1]), values
+    assert some("actuator_armature")
+    assert some("actuator_damping")
+    assert any(np.any(model.actuator_gear[:, 0] < 0) for model in models)
+    assert some("body_quat", np.s_[:, 1:])
+    assert some("body_iquat", np.s_[:, 1:])
+    assert all(np.all(model.opt.gravity != 0) for model in models), "gravity is aslant"
+
+
+def test_a_small_product_of_inertia_is_kept():
+    inertial = '<inertial mass="1" pos="0 0 0" fullinertia="0.1 0.2 0.15 2e-6 -1e-6 3e-6"/>'
+    hinge = '<joint axis="0 1 0"/><joint axis="1 0 0"/><joint axis="0 0 1"/>'
+    chain = load_mechanism(f"<mujoco><worldbody><body>{hinge}{inertial}</body></worldbody></mujoco>")
+    expected = simulated(chain.model, np.zeros(3), np.zeros(3)).mass_matrix
+    assert relative_error(np.diag(np.diag(expected)), expected) > 1e-5, "the products matter"
+    assert relative_error(np.array(chain.dynamics.mass_matrix(np.zeros(3))), expected) < TREE
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_payloads_moments_are_about_its_bodys_axes(axis):
+    text = replaced(PENDULUM, 'axis="0 1 0"', f'axis="{" ".join(map(str, np.eye(3)[axis]))}"')
+    moments = [0.3, 0.4, 0.5]
+    load = {"body": "rod", "mass_kg": 2.0, "com_m": [0.0, 0.0, 0.0], "inertia_kgm2": moments}
+    bare, loaded = (float(load_mechanism(text, payload=p).dynamics.reduced_inertia(0.0)) for p in (None, load))
+    assert relative_error(loaded - bare, moments[axis]) < TREE
+
+
+@pytest.mark.parametrize("flag", ["gravity", "spring", "damper"])
+def test_a_disabled_force_is_disabled_here_too(flag):
+    text = random_tree(1)
+    disabled = load_mechanism(replaced(text, "/>\n  <worldbody>", f'><flag {flag}="disable"/></option>\n  <worldbody>'))
+    q, v, _ = states("tree 1")
+    with_flag, without = simulated(disabled.model, q[0], v[0]), simulated(mechanism("tree 1").model, q[0], v[0])
+    assert relative_error(with_flag.passive - with_flag.bias, without.passive - without.bias) > 1e-3, "the flag matters"
+    actual = np.array(disabled.dynamics.passive(q[0], v[0]) - disabled.dynamics.bias(q[0], v[0])).ravel()
+    assert relative_error(actual, with_flag.passive - with_flag.bias) < TREE
+
+
+@pytest.mark.parametrize("flag", ["spring", "gravity"])
+def test_a_disabled_force_leaves_the_potential_energy(flag):
+    text = replaced(random_tree(1), "/>\n  <worldbody>", f'><flag {flag}="disable"/></option>\n  <worldbody>')
+    q, v, expected = states("tree 1")
+    disabled = load_mechanism(text)
+    potential = simulated(disabled.model, q[0], v[0]).energy[0]
+    assert abs(potential - expected[0].energy[0]) > 1e-3, "the flag matters"
+    assert relative_error(float(disabled.dynamics.energy(q[0], v[0])[1]), potential) < ENERGY
+
+
+MOTORS = {
+    "ctrlrange": '<motor joint="crank" ctrlrange="-2 3"/>',
+    "ctrlrange and gear": '<motor joint="crank" gear="-4" ctrlrange="-2 3"/>',
+    "gain": '<general joint="crank" gainprm="-5" ctrllimited="true" ctrlrange="-2 3"/>',
+    "forcerange": '<motor joint="crank" gear="3" ctrlrange="-20 30" forcerange="-1 7"/>',
+    "forcerange inside one end": '<general joint="crank" gainprm="2" ctrlrange="-2 3" forcerange="-9 5"/>',
+    "slide": '<motor joint="slide" ctrlrange="-8 9"/>',
+    "joint in parent": '<motor jointinparent="crank" gear="2" ctrlrange="-2 3"/>',
+}
+
+
+def saturated(model: mujoco.MjModel, joint: int) -> np.ndarray:
+    """Return the least and greatest generalised effort on a joint that any control gets out of MuJoCo."""
+    efforts = []
+    for ctrl in (-1e6, 1e6):
+        data = mujoco.MjData(model)
+        data.ctrl[:] = ctrl
+        mujoco.mj_forward(model, data)
+        efforts.append(data.qfrc_actuator[joint])
+    return np.sort(efforts)
+
+
+@pytest.mark.parametrize("motor", MOTORS.values(), ids=MOTORS)
+def test_effort_limits_are_where_mujoco_saturates(motor):
+    chain = load_mechanism(replaced(SLIDER_CRANK, '<motor joint="crank" ctrlrange="-2 2"/>', motor))
+    (actuator,) = chain.actuators
+    expected = saturated(chain.model, actuator.joint)
+    assert relative_error(np.sort(actuator.gear * chain.effort_limit[0]), expected) < TREE
+
+
+@pytest.mark.parametrize("gear", [2.0, -0.5])
+def test_the_joints_own_force_range_limits_its_motor(gear):
+    text = replaced(SLIDER_CRANK, '<joint name="crank"', '<joint name="crank" actuatorfrcrange="-1 0.6"')
+    chain = load_mechanism(replaced(text, '<motor joint="crank"', f'<motor joint="crank" gear="{gear}"'))
+    expected = saturated(chain.model, 0)
+    assert expected.tolist() == [-1.0, 0.6], "the joint's range binds on both sides"
+    assert relative_error(np.sort(gear * chain.effort_limit[0]), expected) < TREE
+
+
+def test_unclamped_controls_leave_a_motor_unlimited():
+    text = replaced(SLIDER_CRANK, "<worldbody>", '<option><flag clampctrl="disable"/></option><worldbody>')
+    chain = load_mechanism(text)
+    assert saturated(chain.model, 0).tolist() == [-1e6, 1e6], "the flag matters"
+    assert chain.effort_limit.tolist() == [[-np.inf, np.inf]]
+
+
+@pytest.mark.parametrize(("joint", "unit"), [("crank", "N.m"), ("slide", "N")])
+def test_an_effort_has_its_joints_unit(joint, unit):
+    chain = load_mechanism(replaced(SLIDER_CRANK, '<motor joint="crank"', f'<motor joint="{joint}"'))
+    assert chain.actuators[0].unit == unit

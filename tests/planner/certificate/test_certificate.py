@@ -1,0 +1,229 @@
+"""Certificates: what a motion that is broken on purpose is told, and figures against other routes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.certificate.certificate import Certificate, certify
+from linkplan.planner.trajectory import Trajectory
+from tests.support.bodies import HINGE, body_problem
+from tests.support.fourbar import KNEE_PROBLEMS, SHANK, knee
+from tests.support.plans import planned, problem_of
+from tests.support.tolerances_planner import CLOSURE_M, EXCESS, EXTREME, PEAK_ON_A_GRID, SAME_FIGURE, SINGULARITY
+
+
+def motion() -> Trajectory:
+    return planned("knee-reach").trajectory
+
+
+def found(trajectory: Trajectory, *overrides: str) -> Certificate:
+    return certify(problem_of("knee-reach", *overrides), trajectory)
+
+
+def moved(name: str, by: float, where: slice) -> Trajectory:
+    """Return the motion with the coefficients of some intervals shifted."""
+    coefficients = np.array(getattr(motion(), name))
+    coefficients[:, where] += by
+    return replace(motion(), **{name: coefficients})
+
+
+def sentence(certificate: Certificate, *words: str) -> bool:
+    return any(all(word in failure for word in words) for failure in certificate.failures)
+
+
+def test_an_effort_above_its_limit_is_named_with_its_instant():
+    certificate = found(replace(motion(), effort=1.3 * motion().effort))
+    assert not certificate.passed
+    assert certificate.effort_excess == pytest.approx(1.3 * np.abs(motion().effort).max() - 100.0, rel=SAME_FIGURE)
+    assert sentence(certificate, "the effort exceeds its limit by 12.2", "t = 0 s")
+
+
+def test_an_effort_above_its_limit_in_one_interval_is_found():
+    effort = np.array(motion().effort)
+    effort[:, 17] = 100.001
+    certificate = found(replace(motion(), effort=effort))
+    assert certificate.effort_excess == pytest.approx(0.001, rel=EXCESS)
+    assert motion().breaks_s[17] <= certificate.worst_time_s["effort_excess"] < motion().breaks_s[18]
+
+
+def test_an_effort_below_its_lower_limit_is_found():
+    certificate = found(motion(), "limits.effort.act_O=[-50, 100]")
+    assert certificate.effort_excess == pytest.approx(-motion().effort.min() - 50, rel=EXCESS)
+    assert sentence(certificate, "the effort exceeds its limit")
+
+
+def test_a_speed_that_only_touches_its_limit_is_not_said_to_overrun_it():
+    """v = L (1 - (1 - tau)^3) ends at L and is below it everywhere; the parabola through three samples of it is not."""
+    problem = body_problem(HINGE, 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 45.0 }\nduration_s = 1.0\n')
+    limit = np.radians(60.0)
+    problem = replace(problem, limits=replace(problem.limits, speed=np.array([[-limit, limit]])))
+    velocity = limit * np.array([0.0, 1.0, 1.0, 1.0])
+    touching = Trajectory(
+        breaks_s=np.array([0.0, 1.0]),
+        position=np.concatenate([[0.0], np.cumsum(velocity) / 4]).reshape(-1, 1, 1),
+        velocity=velocity.reshape(-1, 1, 1),
+        effort=np.zeros((1, 1, 1)),
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+    assert certify(problem, touching).speed_margin[0] == 0.0
+    beyond = replace(touching, velocity=(1 + 1e-9) * touching.velocity)
+    assert certify(problem, beyond).speed_margin[0] == pytest.approx(-1e-9 * limit, rel=EXCESS)
+
+
+def test_an_effort_that_is_another_motion_s_is_found_by_inverse_dynamics():
+    certificate = found(replace(motion(), effort=0.9 * motion().effort))
+    assert sentence(certificate, "between nodes the motion needs", "more effort than planned")
+
+
+def test_an_effort_that_is_a_hundredth_short_is_found_by_integration():
+    certificate = found(replace(motion(), effort=0.99 * motion().effort))
+    assert certificate.integration_error_deg > 0.5
+    assert sentence(certificate, "the state integrated under the planned effort ends", "deg")
+
+
+def test_no_effort_at_all_does_not_pass():
+    assert not found(replace(motion(), effort=0 * motion().effort)).passed
+
+
+def test_a_velocity_that_is_shifted_throughout_does_not_pass():
+    certificate = found(moved("velocity", np.radians(20), slice(None)))
+    assert sentence(certificate, "the state integrated under the planned effort ends", "deg")
+
+
+def test_a_velocity_that_is_shifted_after_the_first_interval_does_not_pass():
+    assert not found(moved("velocity", np.radians(100), slice(1, None))).passed
+
+
+def test_a_velocity_that_is_shifted_in_one_interval_does_not_pass():
+    assert not found(moved("velocity", np.radians(100), slice(20, 21))).passed
+
+
+def test_a_position_that_is_shifted_in_one_interval_does_not_pass():
+    certificate = found(moved("position", np.radians(0.5), slice(20, 21)))
+    assert sentence(certificate, "the state integrated under the planned effort ends 0.5 deg")
+
+
+def test_a_position_that_bulges_within_one_interval_does_not_pass():
+    position = np.array(motion().position)
+    position[1:-1, 20] += np.radians(3)
+    assert not found(replace(motion(), position=position)).passed
+
+
+def test_a_motion_to_another_goal_does_not_pass():
+    """Flawless in itself; the problem asks for something else."""
+    assert found(motion()).passed
+    assert not found(motion(), "motion.goal_deg.O=30").passed
+
+
+@pytest.mark.parametrize(
+    ("override", "joint", "by"),
+    [
+        ("limits.range_deg.A=[20, 150]", "A", "11.6"),
+        ("limits.range_deg.O=[-45, 90]", "O", "4.07"),
+        ("limits.range_deg.C=[-120, 40]", "C", "2.13"),
+    ],
+)
+def test_a_joint_that_leaves_its_range_is_named_with_its_excess(override, joint, by):
+    certificate = found(motion(), override)
+    assert sentence(certificate, f"joint {joint} leaves its range by {by}", "deg at t =")
+
+
+def test_a_joint_that_keeps_its_range_has_the_distance_as_its_margin():
+    certificate = found(motion(), "limits.range_deg.A=[5, 150]")
+    least = knee().angles(motion().position_at(motion().dense_times(50))[:, 0])
+    q_A = least[1] - least[0]
+    assert certificate.passed
+    assert certificate.position_margin[1] == pytest.approx(q_A.min() - np.radians(5), abs=SAME_FIGURE)
+
+
+@pytest.mark.parametrize("joint", ["O", "A", "C"])
+def test_a_joint_that_is_too_fast_is_named_with_its_excess(joint):
+    free = found(motion(), f"limits.speed_deg_s.{joint}=1e5")
+    assert free.passed
+    index = "OAC".index(joint)
+    fastest = 1e5 - np.degrees(free.speed_margin[index])
+    certificate = found(motion(), f"limits.speed_deg_s.{joint}={fastest - 10}")
+    assert sentence(certificate, f"joint {joint} leaves its speed limit by 10 deg/s")
+
+
+def test_the_fastest_of_each_joint_agrees_with_the_closed_form():
+    time = motion().dense_times(400)  # the certificate finds its extremes between its own, coarser samples
+    fourbar, s = knee(), motion().position_at(time)[:, 0]
+    rates = fourbar.rates(s) * motion().velocity_at(time)[:, 0]
+    expected = np.abs([rates[0], rates[1] - rates[0], rates[2]]).max(axis=1)
+    certificate = found(motion(), *(f"limits.speed_deg_s.{joint}=1e5" for joint in "OAC"))
+    np.testing.assert_allclose(np.radians(1e5) - certificate.speed_margin, expected, rtol=EXTREME)
+
+
+def test_what_nothing_limits_has_an_infinite_margin():
+    certificate = found(motion())
+    assert np.all(np.isinf(certificate.speed_margin))
+    assert np.all(np.isfinite(certificate.position_margin))
+
+
+@pytest.mark.parametrize("joint", [0, 1, 2])
+def test_a_start_pose_that_is_open_or_elsewhere_is_refused(joint):
+    pose = np.array(motion().start_pose)
+    pose[joint] += 0.1
+    with pytest.raises(AssemblyError):
+        found(replace(motion(), start_pose=pose))
+
+
+def test_a_motion_on_the_other_branch_does_not_pass():
+    th = replace(knee(), branch=-1).angles(motion().position[0, 0])[:, 0]
+    start = np.array([th[0], th[1] - th[0], th[2]])
+    assert np.abs(np.exp(1j * start[1:]) - np.exp(1j * motion().start_pose[1:])).min() > 0.5  # it is the other branch
+    assert problem_of("knee-reach").mechanism.gap_m(start) < CLOSURE_M
+    assert not found(replace(motion(), start_pose=start)).passed
+
+
+@pytest.mark.parametrize("name", KNEE_PROBLEMS)
+def test_the_peak_effort_is_the_largest_of_the_carried_ones(name):
+    plan = planned(name)
+    effort = np.abs(plan.trajectory.effort_at(plan.trajectory.dense_times(100)))
+    assert plan.certificate.peak_effort[0] == pytest.approx(effort.max(), rel=PEAK_ON_A_GRID)
+
+
+def test_the_distance_to_a_singular_pose_is_the_transmission_angle_s_sine():
+    """det J_z = L2 L3 sin(mu) in this four-bar, and its least singular value falls with it."""
+    plan = planned("knee-reach", "motion.goal_deg.O=77", "motion.duration_s=0.25")
+    sines = knee().carrying("crank", SHANK).transmission(np.array([0.0, np.radians(77)]))
+    assert sines[1] < 0.5 * sines[0]
+    assert plan.certificate.singularity_ratio < planned("knee-reach").certificate.singularity_ratio
+    assert plan.certificate.singularity_ratio == pytest.approx(sines[1] / sines[0], rel=SINGULARITY)
+
+
+def test_certifying_does_not_change_the_motion():
+    before = [np.array(getattr(motion(), name)) for name in ("breaks_s", "position", "velocity", "effort")]
+    found(motion())
+    for name, value in zip(("breaks_s", "position", "velocity", "effort"), before, strict=True):
+        np.testing.assert_array_equal(getattr(motion(), name), value)
+
+
+def test_a_motion_s_poses_close_the_loop():
+    poses = follow(problem_of("knee-reach").mechanism, motion().position_at(motion().breaks_s), motion().start_pose)
+    th = knee().angles(poses[:, 0])
+    np.testing.assert_allclose(poses[:, 2], th[2], atol=CLOSURE_M)
+
+
+@pytest.mark.parametrize("name", ["breaks_s", "position", "velocity", "effort", "start_pose"])
+def test_a_trajectory_with_a_value_that_is_not_finite_is_refused(name):
+    value = np.array(getattr(motion(), name))
+    value.flat[0] = np.nan
+    with pytest.raises(ValueError, match=f"trajectory.{name}"):
+        replace(motion(), **{name: value})
+
+
+@pytest.mark.parametrize("name", ["position", "velocity", "effort"])
+def test_a_trajectory_with_an_interval_missing_is_refused(name):
+    with pytest.raises(ValueError, match="intervals"):
+        replace(motion(), **{name: getattr(motion(), name)[:, :-1]})
+
+
+def test_a_trajectory_s_arrays_cannot_be_written_to():
+    with pytest.raises(ValueError, match="read-only"):
+        motion().position[0] = 0.0

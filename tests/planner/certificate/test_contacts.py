@@ -1,0 +1,210 @@
+"""Contacts on the way: a plan whose geoms meet is refused and says where; overlaps by construction are only named."""
+
+import json
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.library import built_in_text
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.contacts import meetings
+from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.closed_chain.answer import finished
+from linkplan.planner.files.plan_folder import read_plan, record, write_plan
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.studies.cli.main import main
+from tests.support.tolerances_planner import TOUCHING
+
+KNEE = built_in_text("optimus-knee")
+# The rod of the rocker, and the ball on its tip, can meet what has bit 2; nothing else does.
+HARD_ROCKER = KNEE.replace('<geom name="L3" class="rocker"', '<geom name="L3" class="rocker" conaffinity="2"')
+# The scan's step, in seconds, and what the plan's depth between its own instants may miss, in metres.
+SCAN_S = 2e-6
+DEPTH_M = 2e-5
+# A gate of a hundredth of a millimetre across the tip's way, which no sample of 0.1 mm need fall into.
+THIN_M = 1e-5
+
+
+def with_block(*, y: float = 0.0) -> str:
+    """Return the knee with a block in the world that the rocker's rod can meet, or passes where it stands aside."""
+    block = f'<geom name="block" type="box" pos="0.118 {y} 0.56" size="0.004 0.004 0.01" contype="2"/>'
+    return HARD_ROCKER.replace('<body name="thigh"', f'{block}<body name="thigh"')
+
+
+def problem_with(text: str, *overrides: str) -> PlanningProblem:
+    problem = load_problem("knee-reach", list(overrides))
+    return replace(problem, mechanism=load_mechanism(text, payload="shank"))
+
+
+@pytest.fixture(scope="module")
+def free() -> Plan:
+    """Return the plan of the knee that nothing is in the way of."""
+    return plan_motion(problem_with(KNEE)).require()
+
+
+def judged(free: Plan, text: str, *overrides: str) -> Plan:
+    """Return the free motion as the plan of another model with the same links."""
+    problem = problem_with(text, *overrides)
+    assert free.trajectory is not None
+    assert free.certificate is not None
+    return finished(problem, free.trajectory, certify(problem, free.trajectory), free.objective, [], None)
+
+
+def scanned(made: Plan) -> tuple[float, float]:
+    """Return the instant of the first contact of a plan's motion, by MuJoCo's own forward pass, and the deepest [m]."""
+    model, trajectory = made.problem.mechanism.model, made.trajectory
+    time = np.arange(0.0, trajectory.duration_s, SCAN_S)
+    poses = follow(made.problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
+    data, first, deepest = mujoco.MjData(model), np.inf, 0.0
+    for t, pose in zip(time, poses, strict=True):
+        data.qpos[:] = pose
+        mujoco.mj_fwdPosition(model, data)
+        if data.ncon:
+            first = min(first, float(t))
+            deepest = max(deepest, -float(data.contact.dist.min()))
+    return first, deepest
+
+
+def test_a_plan_that_meets_a_block_is_refused_with_the_geoms_the_instant_and_the_depth():
+    made = plan_motion(problem_with(with_block()))
+    instant, deepest = scanned(made)
+    assert 0 < instant < made.trajectory.duration_s
+    (met,) = made.certificate.contacts
+    assert {met.first, met.second} == {"block", "L3"}
+    assert met.since == pytest.approx(instant, abs=SCAN_S)
+    assert met.depth_m == pytest.approx(deepest, abs=DEPTH_M)
+    assert met.home_depth_m == 0.0
+    assert made.status == "failed"
+    assert not made.certificate.passed
+    assert "geoms block (world) and L3 (rocker) collide at t = " in made.message
+    assert f"t = {instant:.3g}" in made.message.replace(f"{met.since:.5g}", f"{met.since:.3g}")
+    assert "\n" not in made.message
+
+
+def test_the_same_block_out_of_the_way_lets_the_plan_pass(free):
+    made = judged(free, with_block(y=0.1))
+    assert made.status == "optimal"
+    assert made.certificate.contacts == ()
+
+
+def test_a_problem_can_ask_for_contacts_to_be_noted_only(free):
+    made = judged(free, with_block(), "limits.contacts=note")
+    assert made.status == "optimal"
+    assert made.certificate.passed
+    (text,) = record(made)["not_honoured"]
+    assert text.startswith("contact of geoms block (world) and L3 (rocker) from t = ")
+    (kept,) = record(made)["certificate"]["contacts"]
+    assert kept["geoms"] == ["block", "L3"]
+    assert 0 < kept["since_s"] < kept["deepest_at_s"] <= made.trajectory.duration_s
+
+
+def test_other_words_for_contacts_are_refused():
+    with pytest.raises(ProblemError, match=r"limits\.contacts 'ignore'.*legal: refuse, note"):
+        load_problem("knee-reach", ["limits.contacts=ignore"])
+
+
+def test_links_that_overlap_on_their_pin_are_named_and_not_refused(free):
+    made = judged(free, KNEE.replace('contype="0" conaffinity="0"', 'contype="1" conaffinity="1"'))
+    assert made.status == "optimal"
+    named = {frozenset((met.first, met.second)) for met in made.certificate.contacts}
+    assert frozenset(("L2", "B")) in named
+    assert any(
+        "L2 (coupler) and B (rocker)" in text and "on a pin that they share" in text for text in record(made)["not_honoured"]
+    )
+    assert record(judged(free, KNEE))["not_honoured"] == []
+
+
+def test_bodies_on_one_pin_that_meet_elsewhere_are_refused(free):
+    # A horn on the coupler and one on the rocker: far from pin B, and apart at home.
+    horns = KNEE.replace(
+        '<site name="B_coupler"',
+        '<geom name="horn" type="sphere" pos="0.03 0 0.03" size="0.012" contype="2"/><site name="B_coupler"',
+    ).replace('<geom name="L3" class="rocker"', '<geom name="L3" class="rocker" conaffinity="2"')
+    made = judged(free, horns)
+    instant, _ = scanned(made)
+    (met,) = made.certificate.contacts
+    assert {met.first, met.second} == {"horn", "L3"}
+    assert met.since == pytest.approx(instant, abs=SCAN_S)
+    assert made.status == "failed"
+
+
+def test_a_gate_thinner_than_a_step_of_the_samples_is_not_jumped():
+    """Two samples, one on each side of a thin plate that the rod passes: it is looked for between them."""
+    plate = f'<geom name="plate" type="box" pos="0.06 0 0.585" size="{THIN_M} 0.004 0.01" contype="2"/>'
+    tip = '<geom name="tip" type="sphere" pos="0 0 0.0855" size="0.001" conaffinity="2"/><site name="B_rocker"'
+    text = KNEE.replace('<body name="thigh"', f'{plate}<body name="thigh"').replace('<site name="B_rocker"', tip)
+    mechanism = load_mechanism(text)
+
+    def position_at(t: np.ndarray) -> np.ndarray:
+        return np.radians(-49.0 + 70.0 * np.asarray(t))[:, None]
+
+    time = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+    poses = follow(mechanism, position_at(time))
+    data, touched = mujoco.MjData(mechanism.model), []
+    for pose in poses:
+        data.qpos[:] = pose
+        mujoco.mj_fwdPosition(mechanism.model, data)
+        touched.append(data.ncon)
+    assert touched == [0] * len(time)
+    (met,) = meetings(mechanism, time, poses, position_at)
+    assert {met.first, met.second} == {"plate", "tip"}
+    data.qpos[:] = follow(mechanism, position_at(np.array([met.since])))[0]
+    mujoco.mj_fwdPosition(mechanism.model, data)
+    assert data.contact.dist.min() == pytest.approx(0.0, abs=mechanism.extent_m * TOUCHING)
+
+
+def test_a_filtered_pair_is_no_contact(free):
+    excluded = with_block().replace("<equality>", '<contact><exclude body1="world" body2="rocker"/></contact><equality>')
+    assert judged(free, excluded).status == "optimal"
+
+
+def test_an_explicit_pair_with_a_margin_meets_at_its_margin(free):
+    block = '<geom name="block" type="box" pos="0.118 0 0.56" size="0.004 0.004 0.01"/>'
+    pair = '<contact><pair geom1="block" geom2="L3" margin="0.003"/></contact><equality>'
+    made = judged(free, KNEE.replace('<body name="thigh"', f'{block}<body name="thigh"').replace("<equality>", pair))
+    (met,) = made.certificate.contacts
+    bare = judged(free, with_block()).certificate.contacts[0]
+    assert met.depth_m - bare.depth_m == pytest.approx(0.003, abs=DEPTH_M)
+    assert met.since < bare.since
+
+
+def test_a_saved_plan_is_judged_by_its_contacts_too(free, tmp_path):
+    model = tmp_path / "blocked.xml"
+    model.write_text(with_block(y=0.1), encoding="utf-8")
+    made = judged(free, with_block(y=0.1))
+    made = replace(made, problem=load_problem("knee-reach", [f"mechanism.model={model}"]))
+    folder = tmp_path / "saved"
+    folder.mkdir()
+    write_plan(made, folder)
+    assert read_plan(folder).status == "optimal"
+    model.write_text(with_block(), encoding="utf-8")
+    again = read_plan(folder)
+    assert again.status == "failed"
+    assert "geoms block (world) and L3 (rocker) collide" in again.message
+
+
+def test_check_of_the_problem_says_it_before_any_solving(tmp_path, capsys):
+    def ask_json(*arguments: str) -> tuple[int, dict]:
+        code = main([*arguments, "--json"])
+        return code, json.loads(capsys.readouterr().out)
+
+    model = tmp_path / "blocked.xml"
+    model.write_text(with_block(), encoding="utf-8")
+    asked = ("check", "knee-reach", "--set", f"mechanism.model={model}")
+    code, said = ask_json(*asked)
+    assert code == 1
+    (problem,) = said["problems"]
+    assert problem.startswith("geoms block (world) and L3 (rocker) collide at O = ")
+    code, said = ask_json(*asked, "--set", "limits.contacts=note")
+    assert code == 0
+    assert any("geoms block (world) and L3 (rocker) collide at O = " in note for note in said["notes"])
+    code, said = ask_json(*asked, "--set", "motion.goal_deg.O=20")
+    assert code == 0
+    assert any("but not along the smooth path of knee-reach" in note for note in said["notes"])

@@ -1,0 +1,98 @@
+"""Starts and goals that leave freedoms on springs unnamed: these rest where springs and weight balance."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.equilibrium import resting, sprung_freedoms
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.planning import plan_motion
+from tests.support.fourbar import G
+from tests.support.tolerances_planner import SAME_FIGURE
+
+MASS, STIFFNESS = 2.0, 400.0
+# An arm on a motor, and a weight that hangs from its tip on a spring along the arm.
+HANGING = f"""<mujoco><compiler angle="radian"/><option gravity="0 0 -{G}"/><worldbody>
+<body name="arm"><joint name="arm" axis="0 -1 0"/><inertial mass="1" pos="0.2 0 0" diaginertia="0.01 0.01 0.01"/>
+<body name="weight" pos="0.4 0 0"><joint name="spring" type="slide" axis="1 0 0" {{spring}}/>
+<inertial mass="{MASS}" pos="0 0 0" diaginertia="0.001 0.001 0.001"/></body></body>
+</worldbody><actuator><motor name="drive" joint="arm" ctrlrange="-60 60"/></actuator></mujoco>"""
+SPRUNG = HANGING.format(spring=f'stiffness="{STIFFNESS}" damping="4"')
+# Rests found against the closed form [m].
+REST_M = 1e-12
+
+
+def tables(path, start: dict, goal: dict) -> dict:
+    motion = {"kind": "reach", "start_deg": start, "goal_deg": goal, "duration_s": 1.0}
+    return {"mechanism": {"model": str(path)}, "motion": motion}
+
+
+@pytest.fixture
+def arm(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(SPRUNG, encoding="utf-8")
+    return path
+
+
+def test_an_unnamed_weight_hangs_where_its_spring_holds_it(arm):
+    problem = problem_from_tables("arm", tables(arm, {"arm": -30.0}, {"arm": 20.0}))
+    for s, angle in ((problem.motion.start, -30.0), (problem.motion.goal, 20.0)):
+        # Along the arm at this angle above the horizon gravity has -g sin.
+        assert s == pytest.approx([np.radians(angle), -MASS * G * np.sin(np.radians(angle)) / STIFFNESS], abs=REST_M)
+
+
+def test_a_value_that_is_named_is_kept(arm):
+    named = tables(arm, {"arm": -30.0}, {"arm": 20.0})
+    named["motion"]["start_m"] = {"spring": 0.0}
+    problem = problem_from_tables("arm", named)
+    assert problem.motion.start[1] == 0.0
+    assert problem.motion.goal[1] < -1e-3
+
+
+def test_from_rest_to_rest_a_plan_needs_no_effort_beyond_the_arm_s_at_its_ends(arm):
+    plan = plan_motion(problem_from_tables("arm", tables(arm, {"arm": -30.0}, {"arm": 20.0}))).require()
+    assert plan.certificate.passed
+    ends = plan.trajectory.position_at(np.array([0.0, plan.trajectory.duration_s]))
+    assert ends[:, 1] == pytest.approx(
+        [-MASS * G * np.sin(np.radians(a)) / STIFFNESS for a in (-30.0, 20.0)], abs=SAME_FIGURE
+    )
+
+
+def test_without_a_spring_the_value_is_asked_for(tmp_path):
+    path = tmp_path / "loose.xml"
+    path.write_text(HANGING.format(spring='damping="4"'), encoding="utf-8")
+    with pytest.raises(ProblemError, match="names no value for joint spring, which is independent"):
+        problem_from_tables("loose", tables(path, {"arm": 0.0}, {"arm": 20.0}))
+
+
+def test_a_driven_joint_is_always_asked_for(arm):
+    unnamed = tables(arm, {}, {})
+    unnamed["motion"]["start_m"] = unnamed["motion"]["goal_m"] = {"spring": 0.0}
+    with pytest.raises(ProblemError, match="names no value for joint arm"):
+        problem_from_tables("arm", unnamed)
+
+
+def test_a_rest_within_a_loop_is_where_no_effort_is_missing():
+    """A five-bar driven at one crank, the other on a spring: at the rest its motor alone holds all."""
+    text = """<mujoco><compiler angle="degree"/><worldbody>
+<body><joint name="a" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 0.1 0 0.2" size="0.01" contype="0"/>
+<body pos="0.1 0 0.2"><joint name="b" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 0.1 0 0.1" size="0.01" contype="0"/>
+<site name="one" pos="0.1 0 0.1"/></body></body>
+<body pos="0.4 0 0"><joint name="c" axis="0 -1 0" stiffness="3"/>
+<geom type="capsule" fromto="0 0 0 -0.1 0 0.2" size="0.01" contype="0"/>
+<body pos="-0.1 0 0.2"><joint name="d" axis="0 -1 0"/>
+<geom type="capsule" fromto="0 0 0 -0.1 0 0.1" size="0.01" contype="0"/><site name="two" pos="-0.1 0 0.1"/></body></body>
+</worldbody><equality><connect name="pin" site1="one" site2="two"/></equality>
+<actuator><motor name="m" joint="a" ctrlrange="-9 9"/></actuator></mujoco>"""
+    mechanism = load_mechanism(text, independent=["a", "c"])
+    assert sprung_freedoms(mechanism) == (1,)
+    s = resting(mechanism, {0: np.radians(5.0)}, (1,))
+    assert s is not None
+    assert abs(s[1]) > 1e-3
+    still = np.zeros(2)
+    pose = close_at(mechanism, s)
+    tau = np.array(mechanism.dynamics.inverse_dynamics(pose, still, still)).ravel()
+    assert abs(tau[1]) < SAME_FIGURE
+    assert abs(tau[0]) > 1e-3

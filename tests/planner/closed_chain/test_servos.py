@@ -1,0 +1,21 @@
+"""Servos as bounded efforts: what their ctrl cannot give is said at once, and no finer mesh is tried for it."""
+
+from tests.support.bodies import body_plan
+
+SERVO = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0"/>
+<inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+<actuator><position name="s" joint="J" kp="100" ctrlrange="-{reach} {reach}" forcerange="-20 20"/></actuator></mujoco>"""
+REACH = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 60.0 }\nduration_s = 0.8\n'
+
+
+def test_a_servo_with_room_is_planned():
+    plan = body_plan(SERVO.format(reach=2.0), REACH)
+    assert plan.status == "optimal", plan.message
+
+
+def test_a_servo_that_would_need_more_ctrl_than_it_has_fails_on_the_first_mesh():
+    plan = body_plan(SERVO.format(reach=0.9), REACH)
+    assert plan.status == "failed"
+    assert "s would need a ctrl" in plan.message
+    assert len(plan.history) == 1
+    assert plan.history[0].intervals == 40

@@ -1,0 +1,244 @@
+"""Problems without an answer: which limit, which joint, when, by how much; and none that has an answer among them."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
+from linkplan.planner.plan import Plan
+from tests.support.data import KNEE_TABLE
+from tests.support.fourbar import SHANK, knee
+from tests.support.plans import GOAL, LIMIT, START, planned
+from tests.support.tolerances_planner import HIGHEST_FREQUENCY, MINIMUM_TIME, NEEDED_EFFORT, PEAK
+
+SHORTEST = KNEE_TABLE["min_time_rest_to_rest"]["shank_s"]
+LOADED = knee().carrying("crank", SHANK)
+HURRIED = ("knee-reach", "motion.duration_s=0.10")
+
+# What is asked, and what the sentence says of it.
+INFEASIBLE = {
+    "too short a time": (HURRIED, ["act_O", "joint O", "N.m", "limit of 100", "0.12185 s"]),
+    "a hair too short a time": (("knee-reach", "motion.duration_s=0.1218"), ["act_O", "0.12185 s"]),
+    "too weak a motor": (("knee-reach", "limits.effort.act_O=[-20, 20]"), ["act_O", "limit of 20", "shortest feasible"]),
+    "an exact reference": (("knee-sine-shank", "motion.kind=track"), ["act_O", "120.0 N.m", "0.1875 s", "limit of 100"]),
+    "an exact reference's range": (
+        ("knee-sine", "limits.range_deg.A=[10, 150]"),
+        ["joint A", "8.352 deg", "0.0625 s", "limit of 10"],
+    ),
+    "an exact reference's speed": (
+        ("knee-sine", "limits.speed_deg_s.O=1000"),
+        ["joint O", "1323.7", "deg/s", "limit of 1000"],
+    ),
+    "an average speed": (
+        ("knee-reach", "limits.speed_deg_s.O=500"),
+        ["joint O", "658.4 deg/s", "on average", "0.16 s", "limit of 500", "0.2107 s"],
+    ),
+    "an average speed one way": (
+        ("knee-reach", "limits.speed_deg_s.O=[-2000, 600]"),
+        ["joint O", "658.4 deg/s", "limit of 600", "0.1756 s"],
+    ),
+    "a speed at the start": (
+        ("knee-reach", "limits.speed_deg_s.O=800", "motion.start_speed_deg_s.O=900"),
+        ["start_speed", "joint O", "900 deg/s", "limit of 800"],
+    ),
+    "a speed at the goal": (
+        ("knee-reach", "limits.speed_deg_s.O=800", "motion.goal_speed_deg_s.O=-900"),
+        ["goal_speed", "joint O", "-900 deg/s", "limit of -800"],
+    ),
+    "a dependent joint's range at the goal": (
+        ("knee-reach", "limits.range_deg.A=[20, 150]"),
+        ["joint A", "8.352 deg", "limit of 20"],
+    ),
+    "a dependent joint's range at the start": (
+        ("knee-reach", "limits.range_deg.C=[-20, 120]"),
+        ["joint C", "-25.94", "-20"],
+    ),
+    "a longest duration": (("knee-sprint", "motion.max_duration_s=0.1"), ["act_O", "N.m", "limit of 100"]),
+}
+every_case = pytest.mark.parametrize("case", INFEASIBLE)
+
+
+def refused(case: str) -> Plan:
+    return planned(*INFEASIBLE[case][0])
+
+
+@pytest.mark.slow
+@every_case
+def test_a_problem_without_an_answer_is_called_infeasible(case):
+    plan = refused(case)
+    assert plan.status == "infeasible", plan.message
+    assert plan.trajectory is None
+    assert plan.certificate is None
+    assert plan.objective is None
+
+
+@every_case
+def test_the_sentence_says_which_limit_which_joint_and_by_how_much(case):
+    message = refused(case).message
+    assert "\n" not in message
+    for words in INFEASIBLE[case][1]:
+        assert words in message
+
+
+@every_case
+def test_requiring_an_infeasible_plan_raises_the_sentence_and_carries_the_plan(case):
+    plan = refused(case)
+    with pytest.raises(InfeasibleError, match=re.escape(plan.message)) as raised:
+        plan.require()
+    assert raised.value.plan is plan
+
+
+def test_an_infeasible_plan_s_error_is_one_of_linkplan_s():
+    with pytest.raises(LinkplanError):
+        planned(*HURRIED).require()
+
+
+def test_requiring_a_plan_that_is_optimal_returns_it():
+    plan = planned("knee-reach")
+    assert plan.require() is plan
+
+
+def test_the_details_hold_the_shortest_feasible_duration():
+    assert planned(*HURRIED).details["shortest_duration_s"] == pytest.approx(SHORTEST, rel=MINIMUM_TIME)
+
+
+def test_the_details_hold_the_effort_with_which_the_time_would_do():
+    """The least peak effort is bang-bang: the limit whose own least time is the one asked for."""
+    enough = brentq(lambda limit: LOADED.minimum_time(START, GOAL, -limit, limit) - 0.10, 100.0, 300.0, xtol=1e-12)
+    details = planned(*HURRIED).details
+    assert details["needed_effort"] == pytest.approx(enough, rel=NEEDED_EFFORT)
+    assert details["needed_limit_factor"] == pytest.approx(enough / LIMIT, rel=NEEDED_EFFORT)
+
+
+@pytest.mark.slow
+def test_the_effort_that_the_sentence_names_is_enough():
+    needed = 1.0001 * planned(*HURRIED).details["needed_effort"]
+    plan = planned(*HURRIED, f"limits.effort.act_O=[{-needed}, {needed}]")
+    assert plan.status == "optimal", plan.message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [1.0001, 1.01, 1.2])
+def test_a_little_more_than_the_shortest_duration_is_feasible(share):
+    plan = planned("knee-reach", f"motion.duration_s={share * SHORTEST}")
+    assert plan.status == "optimal", plan.message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.9999, 0.99])
+def test_a_little_less_than_the_shortest_duration_is_infeasible(share):
+    plan = planned("knee-reach", f"motion.duration_s={share * SHORTEST}")
+    assert plan.status == "infeasible", plan.message
+    assert plan.details["needed_limit_factor"] > 1
+
+
+def test_an_exact_reference_s_worst_instant_is_the_reference_table_s():
+    details = refused("an exact reference").details
+    assert details["needed"] == pytest.approx(KNEE_TABLE["seed_sine"]["shank"]["max_Nm"], rel=PEAK)
+    assert details["time_s"] == pytest.approx(0.1875, abs=PEAK)
+    assert details["limit"] == LIMIT
+
+
+def test_an_exact_reference_points_to_the_motion_that_keeps_the_limits():
+    assert 'motion.kind = "periodic"' in refused("an exact reference").message
+
+
+@pytest.mark.slow
+def test_a_limit_on_one_side_is_named_by_its_own_end():
+    plan = planned("knee-sine-shank", "motion.kind=track", "limits.effort.act_O=[-100, 130]")
+    assert plan.status == "infeasible"
+    needed = KNEE_TABLE["seed_sine"]["shank"]["min_Nm"]
+    assert plan.details["needed"] == pytest.approx(needed, rel=PEAK)
+    assert plan.details["limit"] == -LIMIT
+
+
+@pytest.mark.slow
+def test_a_reference_just_within_the_limits_is_followed():
+    peak = KNEE_TABLE["seed_sine"]["shank"]["max_Nm"]
+    plan = planned("knee-sine-shank", "motion.kind=track", f"limits.effort.act_O=[{-peak - 1e-6}, {peak + 1e-6}]")
+    assert plan.status == "optimal", plan.message
+
+
+def test_an_infeasible_plan_keeps_the_history_of_what_was_tried():
+    history = planned(*HURRIED).history
+    assert [step.what for step in history] == ["first solve", "a coarser mesh", *6 * ["least effort limit"]]
+    assert [step.converged for step in history] == [False, False, *6 * [True]]
+    assert history[0].solver_status != "Solve_Succeeded"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("overrides", "words"),
+    [
+        (("motion.goal_deg.O=80",), ["motion.goal_deg", "O = 80 deg", "-90 to 78.52", "singular pose"]),
+        (("motion.start_deg.O=79",), ["motion.start_deg", "O = 79 deg", "-90 to 78.52", "singular pose"]),
+        (("motion.goal_deg.O=-91",), ["O = -91 deg", "-90", "range of O"]),
+        (("motion.goal_deg.O=120",), ["O = 120 deg", "range of O"]),
+        (("motion.goal_deg.O=1e300",), ["1e+300", "range of O"]),
+        (("limits.range_deg.O=[-60, 40]",), ["O = 56.27 deg", "-60 to 40 deg", "range of O"]),
+        (("limits.range_deg.O=[-40, 60]",), ["motion.start_deg", "O = -49.07 deg", "-40 to 60 deg"]),
+    ],
+)
+def test_a_state_beyond_reach_is_refused_with_the_interval(overrides, words):
+    with pytest.raises(ProblemError) as raised:
+        planned("knee-reach", *overrides)
+    assert "\n" not in str(raised.value)
+    for word in words:
+        assert word in str(raised.value)
+
+
+def test_a_reference_that_the_linkage_cannot_follow_is_refused_with_the_interval():
+    with pytest.raises(ProblemError, match=r"reference O = 83.6 deg is beyond reach.*-90 to 78.52.*singular pose"):
+        planned("knee-sine", "reference.amplitude_deg.O=80")
+
+
+@pytest.mark.slow
+def test_a_goal_just_short_of_the_singular_pose_is_not_refused():
+    plan = planned("knee-reach", "motion.goal_deg.O=77", "motion.duration_s=0.25")
+    assert plan.status == "optimal", plan.message
+    assert 0 < plan.certificate.singularity_ratio < 0.5
+
+
+def test_a_least_time_without_effort_limits_is_not_called_optimal():
+    """There is no least time then: any duration can be halved. A bound of the solver's own is not an answer."""
+    try:
+        plan = planned("knee-sprint", "limits.effort.act_O=[-inf, inf]")
+    except ProblemError:
+        return
+    assert plan.status != "optimal", plan.message
+
+
+@pytest.mark.slow
+def test_the_longest_duration_is_no_hindrance_where_the_least_time_is_shorter():
+    plan = planned("knee-sprint", "motion.max_duration_s=0.2")
+    assert plan.trajectory.duration_s == pytest.approx(SHORTEST, rel=MINIMUM_TIME)
+
+
+def test_a_longest_duration_bounds_a_least_effort():
+    plan = planned("knee-reach", "motion.duration_s=free", "motion.max_duration_s=0.3")
+    assert plan.status == "optimal", plan.message
+    assert plan.trajectory.duration_s == pytest.approx(0.3, rel=MINIMUM_TIME)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", ["limits.effort.act_O=[-100, 100]", "limits.speed_deg_s.O=1000"])
+def test_the_highest_frequency_is_the_border_between_feasible_and_not(limit):
+    asked = ("knee-sine", "mechanism.payload=shank", limit)
+    frequency = planned(*asked).details["highest_frequency_hz"]
+    assert 1.0 < frequency < 4.0
+    for share, status in ((0.9999, "optimal"), (1.0001, "infeasible")):
+        assert planned(*asked, f"reference.frequency_hz={share * frequency}").status == status
+
+
+def test_a_speed_limit_s_highest_frequency_is_speed_over_two_pi_amplitude():
+    frequency = planned("knee-sine", "limits.speed_deg_s.O=1000").details["highest_frequency_hz"]
+    assert frequency == pytest.approx(1000 / (2 * np.pi * 52.67), rel=HIGHEST_FREQUENCY)
+
+
+@pytest.mark.slow
+def test_a_range_that_the_amplitude_itself_leaves_has_no_highest_frequency():
+    plan = planned("knee-sine", "limits.range_deg.A=[20, 150]")
+    assert plan.status == "infeasible"
+    assert "highest_frequency_hz" not in plan.details

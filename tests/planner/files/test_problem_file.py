@@ -1,0 +1,388 @@
+"""Problem files: what they mean, what `--set` changes, and one line for everything that cannot be meant."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.payload import SHANK
+from linkplan.planner.files.problem_file import KEYS, load_problem, problem_from_tables
+from linkplan.planner.files.tables import BUILT_IN, built_in_text
+from linkplan.planner.problem.planning_problem import Limits, Motion, PlanningProblem
+from linkplan.planner.problem.settings import MAX_INTERVALS
+from linkplan.planner.transcription.schemes import NAMES
+from tests.support.tolerances_planner import ROUNDING
+
+REACH = "knee-reach"
+
+# Overrides of knee-reach that cannot be used, and words of the answer.
+MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
+    # the override itself
+    ("motion", ["section.key=value", "'motion'"]),
+    ("kind=reach", ["section.key=value"]),
+    ("=3", ["section.key=value"]),
+    ("motion.=3", ["section.key=value"]),
+    ("motion.kind.x=3", ["'motion.kind' is a value, not a table"]),
+    ("motion.start_deg.O.x=3", ["'motion.start_deg.O' is a value"]),
+    ("motion.duration_s=", ["motion.duration_s", "neither TOML nor a bare word"]),
+    ("motion.duration_s=1 2", ["neither TOML nor a bare word"]),
+    ("motion.duration_s=[1,", ["neither TOML nor a bare word"]),
+    ("motion.goal_deg={O=}", ["neither TOML nor a bare word"]),
+    ("motion.kind=\n", ["motion.kind"]),
+    # unknown names, with the nearest legal one
+    ("motin.kind=reach", ["'motin'", "did you mean 'motion'", "objective"]),
+    ("motion.goal=3", ["motion.goal", "did you mean 'goal_"]),
+    ("objective.minimise=time", ["objective.minimise", "did you mean 'minimize'"]),
+    ("tracking.kq=1", ["tracking.kq", "kp, kd"]),
+    ("limits.efort.act_O=[-1, 1]", ["limits.efort", "did you mean 'effort'"]),
+    ("motion.kind=reech", ["motion.kind", "'reech'", "did you mean 'reach'", "periodic"]),
+    ("objective.minimize=tim", ["objective.minimize", "did you mean 'time'"]),
+    ("mesh.scheme=radu-3", ["mesh.scheme", "'radu-3'", "did you mean 'radau-3'"]),
+    ("mesh.scheme=radau-10", ["mesh.scheme", "radau-1 to radau-9"]),
+    ("limits.effort.act_K=[-1, 1]", ["limits.effort", "'act_K'", "did you mean 'act_O'"]),
+    ("motion.goal_deg.K=3", ["'K'", "optimus-knee", "O, A, C"]),
+    ("limits.range_deg.Q=[-1, 1]", ["'Q'", "O, A, C"]),
+    ("mechanism.model=optimus-kne", ["'optimus-kne'", "did you mean 'optimus-knee'"]),
+    ("mechanism.payload=shnk", ["'shnk'", "did you mean 'shank'"]),
+    ("mechanism.payload.body=thig", ["'thig'", "did you mean 'thigh'"]),
+    ("mechanism.payload.weight=1", ["payload.weight", "mass_kg"]),
+    ("mechanism.home_deg.Z=3", ["'Z'", "O, A, C"]),
+    # wrong types
+    ("motion.kind=3", ["motion.kind", "got 3"]),
+    ("motion.goal_deg=3", ["motion.goal_deg", "table of joint = value"]),
+    ("motion.goal_deg.O=true", ["motion.goal", "joint O", "a number", "True"]),
+    ('motion.goal_deg.O="3"', ["motion.goal", "joint O", "'3'"]),
+    ("motion.duration_s=fre", ['"free"', "'fre'"]),
+    ("motion.duration_s=1979-05-27", ["motion.duration_s", "a positive number"]),
+    ("limits.effort=[-1, 1]", ["limits.effort", "table of actuator"]),
+    ("limits.effort.act_O=5", ["limits.effort.act_O", "[low, high]", "got 5"]),
+    ("limits.effort.act_O=[1, 2, 3]", ["limits.effort.act_O", "[low, high]"]),
+    ("mesh.intervals=40.0", ["mesh.intervals", "whole number", "40.0"]),
+    ("mesh.intervals=true", ["mesh.intervals", "True"]),
+    ("mesh.scheme=3", ["mesh.scheme", "'3'"]),
+    ("mesh.scheme=[1, 2]", ["mesh.scheme", "radau-1 to radau-9"]),
+    ("mesh.scheme={a=1}", ["mesh.scheme", "radau-1 to radau-9"]),
+    ("tracking.delay_periods=1.5", ["tracking.delay_periods", "whole number", "1.5"]),
+    ("mechanism.model=3", ["mechanism.model", "got 3"]),
+    ("mechanism.payload=3", ["payload", "got 3"]),
+    ("mechanism.payload.com_m=5", ["payload.com_m", "three"]),
+    ("mechanism.payload.mass_kg=true", ["payload.mass_kg", "True"]),
+    ("mechanism.home_deg=3", ["mechanism.home_deg", "table of joint = value"]),
+    ("mechanism.home_m.O=0.1", ["O", "hinge", "home_deg"]),
+    ("motion.goal_m.O=1", ["joint 'O' is a hinge", "motion.goal_deg"]),
+    ("limits.range_m.O=[-1, 1]", ["joint 'O' is a hinge", "limits.range_deg"]),
+    # not a number, infinite, negative, too large, empty
+    ("motion.goal_deg.O=nan", ["motion.goal", "joint O", "nan"]),
+    ("motion.goal_deg.O=inf", ["motion.goal", "joint O", "inf"]),
+    ("motion.duration_s=0", ["motion.duration_s", "positive", "got 0"]),
+    ("motion.duration_s=-1", ["motion.duration_s", "positive", "got -1"]),
+    ("motion.duration_s=nan", ["motion.duration_s", "nan"]),
+    ("motion.duration_s=inf", ["motion.duration_s", "inf"]),
+    ("motion.duration_s=1" + "0" * 400, ["motion.duration_s"]),
+    ("motion.max_duration_s=-3", ["motion.max_duration_s", "positive", "-3"]),
+    ("limits.effort.act_O=[1, -1]", ["limits.effort.act_O", "low < high"]),
+    ("limits.effort.act_O=[5, 5]", ["limits.effort.act_O", "low < high"]),
+    ("limits.effort.act_O=[nan, 5]", ["limits.effort.act_O", "nan"]),
+    ("limits.range_deg.O=[-95, 95]", ["limits.range_deg.O", "wider", "[-90, 90]"]),
+    ("limits.speed_deg_s.O=0", ["limits.speed_deg_s.O", "positive"]),
+    ("limits.speed_deg_s.O=nan", ["limits.speed_deg_s.O", "nan"]),
+    ("limits.speed_deg_s.O=[5, 10]", ["limits.speed_deg_s.O", "rest"]),
+    ("mesh.intervals=1", ["mesh.intervals", "from 2 to"]),
+    ("mesh.intervals=100000", ["mesh.intervals", str(MAX_INTERVALS)]),
+    ("tracking.kp=-1", ["tracking.kp", "at least 0", "-1"]),
+    ("tracking.kd=nan", ["tracking.kd", "nan"]),
+    ("tracking.period_s=0", ["tracking.period_s", "positive"]),
+    ("tracking.delay_periods=-1", ["tracking.delay_periods", "-1"]),
+    ("tracking.lqr_position_deg=0", ["tracking.lqr_position_deg", "positive"]),
+    ("mechanism.payload.mass_kg=-1", ["payload.mass_kg", "positive", "-1"]),
+    ("mechanism.payload.mass_kg=nan", ["payload.mass_kg", "nan"]),
+    ("mechanism.payload.com_m=[1, 2]", ["payload.com_m", "three"]),
+    ("mechanism.payload.inertia_kgm2=[1, 0, 0]", ["payload.inertia_kgm2", "no rigid body"]),
+    # words with a line's end in them
+    ('motion.kind="reach\\nx"', ["motion.kind"]),
+    ('mechanism.model="a\\nb"', ["unknown model"]),
+    ("mechanism.model=" + "a" * 300, ["unknown model"]),
+    # values that contradict each other
+    ("objective.minimize=time", ["minimize 'time'", '"free"', "0.16"]),
+    ("objective.minimize=tracking", ["'tracking'", "[reference]"]),
+    ("motion.kind=track", ["'track'", "[reference]"]),
+    ("motion.goal_deg={}", ["'reach'", "motion.goal_deg"]),
+    ("motion.start_deg.A=20", ["motion.start_deg", "does not close", "106.8", "20"]),
+    ("motion.goal_speed_deg_s.A=20", ["joint A", "follows from O"]),
+    ("mechanism.home_deg.O=89", ["does not close", "O = 89 deg"]),
+    ("reference.frequency_hz=4", ["reference.amplitude_deg", "joint O"]),
+    ("reference.amplitude_deg.O=4", ["reference.frequency_hz", "positive"]),
+    (("reference.frequency_hz=4", "reference.amplitude_deg.A=4"), ["reference.amplitude", "independent", "A"]),
+    (("reference.frequency_hz=0", "reference.amplitude_deg.O=4"), ["reference.frequency_hz", "positive"]),
+    (("mechanism.payload=none", "mechanism.payload.mass_kg=1"), ["'mechanism.payload' is a value"]),
+]
+
+
+def assert_one_line(error: Exception, words: list[str]) -> None:
+    text = str(error)
+    assert text.strip() == text
+    assert len(text.splitlines()) == 1
+    for word in words:
+        assert word in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("overrides", "words"), MALFORMED, ids=lambda value: repr(value)[:40])
+def test_a_malformed_setting_is_refused_in_one_line(overrides, words):
+    with pytest.raises(LinkplanError) as raised:
+        load_problem(REACH, [overrides] if isinstance(overrides, str) else overrides)
+    assert_one_line(raised.value, words)
+
+
+# Files and models that cannot be used: name, content, words of the answer.
+
+FRICTION = """<mujoco><worldbody><body name="arm"><joint name="J" type="hinge" axis="0 1 0" frictionloss="0.5"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody><equality/>
+<actuator><motor name="motor" joint="J" ctrlrange="-4 4"/></actuator></mujoco>"""
+MODELS = {
+    "frictionloss": (FRICTION, ["frictionloss 0.5 of joint J", "does not honour"]),
+    "no actuator": (
+        FRICTION.replace(' frictionloss="0.5"', "").replace('<motor name="motor" joint="J" ctrlrange="-4 4"/>', ""),
+        ["no usable actuator"],
+    ),
+    "not XML": ("<mujoco><worldbody>", ["does not parse"]),
+    "empty": ("", ["is empty"]),
+    "no joint": ("<mujoco><worldbody/></mujoco>", ["no joint"]),
+    "a ball joint": (FRICTION.replace('type="hinge"', 'type="ball"'), ["'J'", "J_rx, J_ry, J_rz"]),
+    "gravity compensation": (
+        FRICTION.replace(' frictionloss="0.5"', "").replace('<body name="arm">', '<body name="arm" gravcomp="1">'),
+        ["gravcomp of body arm"],
+    ),
+    "a filtered servo": (
+        FRICTION.replace(' frictionloss="0.5"', "").replace("<motor", '<position kp="5" timeconst="0.1"'),
+        ["actuator motor", "state of its own"],
+    ),
+}
+PROBLEM = '[mechanism]\nmodel = "model.xml"\n[motion]\nkind = "reach"\nstart_deg = { J = 0 }\ngoal_deg = { J = 9 }\n'
+
+
+@pytest.mark.parametrize("case", MODELS)
+def test_a_model_that_cannot_be_planned_truly_is_refused_in_one_line(case, tmp_path):
+    (tmp_path / "model.xml").write_text(MODELS[case][0], encoding="utf-8")
+    (tmp_path / "problem.toml").write_text(PROBLEM + "duration_s = 1.0\n", encoding="utf-8")
+    with pytest.raises(LinkplanError) as raised:
+        load_problem(tmp_path / "problem.toml")
+    assert_one_line(raised.value, MODELS[case][1])
+
+
+def write(content: bytes) -> Callable[[Path], Path]:
+    def prepare(folder: Path) -> Path:
+        path = folder / "problem.toml"
+        path.write_bytes(content)
+        return path
+
+    return prepare
+
+
+FILES: dict[str, tuple[Callable[[Path], str | Path], list[str]]] = {
+    "malformed TOML": (write(b"[motion\nkind = 1"), ["is not TOML"]),
+    "a key twice": (write(b"[motion]\nkind = 'reach'\nkind = 'track'"), ["is not TOML"]),
+    "not UTF-8": (write(b"description = '\xff\xfe'"), ["not UTF-8"]),
+    "bytes": (write(bytes(range(256))), ["problem.toml"]),
+    "an empty file": (write(b""), ["mechanism.model"]),
+    "no kind": (write(b"[mechanism]\nmodel = 'optimus-knee'"), ["motion.kind is missing", "reach, periodic, track"]),
+    "a table that is a number": (write(b"motion = 3"), ["'motion' is a table", "got 3"]),
+    "a description that is a number": (write(b"description = 3"), ["description"]),
+    "an unknown table": (write(b"[motoin]\nkind = 'reach'"), ["'motoin'", "did you mean 'motion'"]),
+    "a name with a line's end": (write(b'"mo\\ntion" = 3'), ["unknown table or key"]),
+    "a folder": (lambda folder: folder, ["is a folder", "knee-reach"]),
+    "a missing file": (lambda folder: folder / "nowhere.toml", ["nowhere.toml", "neither a built-in name"]),
+    "a slip in a name": (lambda _: "knee-reech", ["'knee-reech'", "did you mean 'knee-reach'"]),
+    "no name": (lambda _: "", ["problem"]),
+    "a name too long for a file": (lambda _: "k" * 5000, ["unknown problem"]),
+}
+
+
+@pytest.mark.parametrize("case", FILES)
+def test_a_file_that_cannot_be_read_is_refused_in_one_line(case, tmp_path):
+    prepare, words = FILES[case]
+    with pytest.raises(LinkplanError) as raised:
+        load_problem(prepare(tmp_path))
+    assert_one_line(raised.value, words)
+
+
+def test_a_periodic_motion_lasts_whole_periods_of_its_reference():
+    with pytest.raises(ProblemError, match=r"whole number of the reference's periods of 0.25 s, got 0.3"):
+        load_problem("knee-sine-shank", ["motion.duration_s=0.3"])
+
+
+@pytest.mark.slow
+@settings(derandomize=True, deadline=None, max_examples=150)
+@given(st.sampled_from([f"{table}.{key}" for table, keys in KEYS.items() for key in keys]), st.text(max_size=12))
+def test_no_text_whatever_gets_past_the_reader_as_another_error(key, text):
+    try:
+        answer = load_problem(REACH, [f"{key}={text}"])
+    except LinkplanError as error:
+        answer = str(error)
+    assert isinstance(answer, PlanningProblem) or len(answer.splitlines()) == 1
+
+
+# What overrides do.
+
+
+def test_a_bare_word_is_a_string():
+    assert load_problem(REACH, ["mesh.scheme=radau-2"]).mesh.scheme == "radau-2"
+
+
+def test_a_quoted_word_is_the_same_string():
+    assert load_problem(REACH, ['mesh.scheme = "radau-2"']).mesh.scheme == "radau-2"
+
+
+def test_a_number_keeps_its_kind():
+    problem = load_problem(REACH, ["mesh.intervals=20", "tracking.kp=1e3"])
+    assert problem.mesh.intervals == 20
+    assert problem.tracking.kp == 1000.0
+
+
+def test_an_array_is_an_interval():
+    problem = load_problem(REACH, ["limits.effort.act_O=[-50, inf]"])
+    np.testing.assert_array_equal(problem.limits.effort, [[-50, np.inf]])
+
+
+def test_a_table_replaces_a_table():
+    assert np.degrees(load_problem(REACH, ["motion.goal_deg={O = 10}"]).motion.goal) == pytest.approx(10)
+
+
+def test_a_nested_key_changes_one_value_only():
+    problem = load_problem(REACH, ["motion.goal_deg.O=10"])
+    np.testing.assert_allclose(np.degrees([problem.motion.goal[0], problem.motion.start[0]]), [10, -49.07])
+
+
+def test_the_last_of_two_settings_holds():
+    assert load_problem(REACH, ["motion.duration_s=1", "motion.duration_s=2"]).motion.duration_s == 2.0
+
+
+def test_a_key_of_a_built_in_payload_keeps_its_other_values():
+    payload = load_problem(REACH, ["mechanism.payload.mass_kg=5.5"]).mechanism.payload
+    assert payload.mass_kg == 5.5
+    assert payload.body == SHANK.body
+    np.testing.assert_array_equal(payload.com_m, SHANK.com_m)
+    np.testing.assert_array_equal(payload.inertia_kgm2, SHANK.inertia_kgm2)
+
+
+def test_a_payload_can_be_taken_away():
+    assert load_problem(REACH).mechanism.payload is not None
+    assert load_problem(REACH, ["mechanism.payload=none"]).mechanism.payload is None
+
+
+def test_a_payload_can_be_a_table():
+    text = 'mechanism.payload={body="rocker", mass_kg=2, com_m=[0, 0, 0.1]}'
+    payload = load_problem(REACH, [text]).mechanism.payload
+    assert (payload.body, payload.mass_kg) == ("rocker", 2.0)
+
+
+def test_an_override_does_not_outlive_its_problem():
+    load_problem(REACH, ["motion.goal_deg.O=10", "mechanism.payload.mass_kg=9"])
+    problem = load_problem(REACH)
+    assert np.degrees(problem.motion.goal[0]) == pytest.approx(56.27)
+    assert problem.mechanism.payload.mass_kg == SHANK.mass_kg
+
+
+def test_free_is_a_duration():
+    assert load_problem(REACH, ["motion.duration_s=free"]).motion.duration_s is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", NAMES)
+def test_every_scheme_can_be_named(name):
+    assert load_problem(REACH, [f"mesh.scheme={name}"]).mesh.scheme == name
+
+
+# What files mean.
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_a_built_in_problem_is_a_file_like_any_other(name, tmp_path):
+    path = tmp_path / f"{name}.toml"
+    path.write_text(built_in_text(name), encoding="utf-8")
+    built_in, read = load_problem(name), load_problem(path)
+    assert read.name == built_in.name == name
+    assert read.source == built_in.source
+    assert read.objective.weights == built_in.objective.weights
+    np.testing.assert_array_equal(read.limits.effort, built_in.limits.effort)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_a_problem_s_source_means_the_problem(name):
+    motor = load_problem(name).mechanism.actuators[0].name
+    problem = load_problem(name, [f"limits.effort.{motor}=[-0.03, 0.02]"])
+    again = problem_from_tables(problem.name, problem.source)
+    np.testing.assert_array_equal(again.limits.effort[0], [-0.03, 0.02])
+    assert again.source == problem.source
+
+
+def test_degrees_become_radians_and_the_model_s_ranges_become_limits():
+    problem = load_problem(REACH, ["limits.speed_deg_s.A=180"])
+    np.testing.assert_allclose(problem.limits.position, np.radians([[-90, 90], [-150, 150], [-120, 120]]))
+    np.testing.assert_allclose(problem.limits.speed[1], [-np.pi, np.pi])
+    assert np.all(np.isinf(problem.limits.speed[[0, 2]]))
+
+
+def test_a_model_s_path_is_taken_from_its_problem_s_folder(tmp_path):
+    (tmp_path / "model.xml").write_text(FRICTION.replace(' frictionloss="0.5"', "").replace("<equality/>", ""))
+    (tmp_path / "problem.toml").write_text(PROBLEM + "duration_s = 1.0\n", encoding="utf-8")
+    problem = load_problem(tmp_path / "problem.toml")
+    assert problem.mechanism.name == "model"
+    assert Path(problem.source["mechanism"]["model"]).is_absolute()
+
+
+def test_a_periodic_motion_with_a_reference_is_for_tracking_by_default():
+    for name in ("knee-sine-shank", "knee-sine"):
+        assert load_problem(name).objective.name == "tracking"
+
+
+def test_a_start_that_names_a_dependent_joint_where_it_is_may_do_so():
+    problem = load_problem(REACH, ["motion.start_deg.A=106.817"])
+    assert problem.motion.start.shape == (1,)
+
+
+def test_a_problem_built_by_hand_is_checked_like_a_file():
+    whole = load_problem(REACH)
+    with pytest.raises(ProblemError, match=r"limits\.effort needs 1 rows, got 2"):
+        PlanningProblem(
+            name="by hand",
+            mechanism=whole.mechanism,
+            motion=whole.motion,
+            objective="effort",
+            limits=Limits(effort=np.ones((2, 2)), position=whole.limits.position, speed=whole.limits.speed),
+        )
+
+
+def test_a_motion_built_by_hand_has_one_value_for_each_independent_joint():
+    whole = load_problem(REACH)
+    with pytest.raises(ProblemError, match=r"motion.start has one finite value for each of 1 independent joints"):
+        PlanningProblem(
+            name="by hand",
+            mechanism=whole.mechanism,
+            motion=Motion(kind="reach", start=np.zeros(3), goal=np.ones(1), duration_s=1.0),
+            objective="effort",
+            limits=whole.limits,
+        )
+
+
+def test_the_independent_joint_can_be_named():
+    problem = load_problem(REACH, ['mechanism.independent=["A"]', "motion.start_deg={A=10}", "motion.goal_deg={A=40}"])
+    assert [joint.name for joint in problem.mechanism.independent_joints] == ["A"]
+    assert problem.motion.start is not None
+    assert abs(float(problem.motion.start[0]) - np.radians(10)) < ROUNDING
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [('["K"]', ["'K'", "O, A, C"]), ('"O"', ["list of joint names"]), ('["O", "A"]', ["2 joints", "1 degrees of freedom"])],
+)
+def test_a_name_that_is_no_independent_joint_is_refused(value, words):
+    with pytest.raises(LinkplanError) as raised:
+        load_problem(REACH, [f"mechanism.independent={value}"])
+    assert_one_line(raised.value, words)

@@ -1,0 +1,98 @@
+"""Results on disk are written whole or not at all, and never over what is somebody else's."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from linkplan.models.errors import PlanFileError
+from linkplan.planner.files.folders import RECORDS, check_target, write_json, write_whole
+from linkplan.planner.files.plan_folder import read_plan, write_plan
+from tests.support.plans import optimal, planned
+
+
+def fails(folder: Path) -> None:
+    (folder / "plan.json").write_text("half")
+    raise RuntimeError("in the middle")
+
+
+def out_of_disk(folder: Path) -> None:
+    (folder / "plan.json").write_text("half")
+    raise OSError(28, "No space left on device")
+
+
+@pytest.mark.parametrize(("write", "error"), [(fails, RuntimeError), (out_of_disk, PlanFileError)])
+def test_a_write_that_fails_leaves_nothing_behind(write, error, tmp_path):
+    with pytest.raises(error):
+        write_whole(tmp_path / "plan", write)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("write", "error"), [(fails, RuntimeError), (out_of_disk, PlanFileError)])
+def test_a_write_that_fails_keeps_the_earlier_result(write, error, saved):
+    before = {path.name: path.read_bytes() for path in saved.iterdir()}
+    with pytest.raises(error):
+        write_whole(saved, write)
+    assert {path.name: path.read_bytes() for path in saved.iterdir()} == before
+    assert [path.name for path in saved.parent.iterdir()] == [saved.name]
+
+
+def test_a_disk_that_refuses_is_named_with_its_reason(tmp_path):
+    with pytest.raises(PlanFileError, match="No space left on device"):
+        write_whole(tmp_path / "plan", out_of_disk)
+
+
+def test_a_newer_result_replaces_an_older_one_whole(saved):
+    (saved / "figure.png").write_bytes(b"old")
+    write_whole(saved, lambda new: write_plan(optimal("knee-reach"), new))
+    assert sorted(path.name for path in saved.iterdir()) == ["plan.json", "trajectory.csv", "trajectory.npz"]
+    assert [path.name for path in saved.parent.iterdir()] == [saved.name]
+
+
+def test_missing_parents_are_made(tmp_path):
+    write_whole(tmp_path / "a" / "b" / "plan", lambda new: write_plan(optimal("knee-reach"), new))
+    assert read_plan(tmp_path / "a" / "b" / "plan").status == "optimal"
+
+
+def test_an_empty_folder_may_be_filled(tmp_path):
+    (tmp_path / "plan").mkdir()
+    write_whole(tmp_path / "plan", lambda new: write_json(new / "plan.json", {}))
+    assert (tmp_path / "plan" / "plan.json").is_file()
+
+
+def test_a_folder_of_other_things_is_not_overwritten(tmp_path):
+    (tmp_path / "thesis.tex").write_text("all my work")
+    with pytest.raises(PlanFileError, match="not linkplan's"):
+        write_whole(tmp_path, lambda new: write_json(new / "plan.json", {}))
+    assert (tmp_path / "thesis.tex").read_text() == "all my work"
+
+
+@pytest.mark.parametrize("name", RECORDS)
+def test_a_result_is_replaced_by_its_own_kind_only(name, tmp_path):
+    (tmp_path / name).write_text("{}")
+    check_target(tmp_path, name)
+    other = next(record for record in RECORDS if record != name)
+    with pytest.raises(PlanFileError, match=rf"another result \({name}\)"):
+        check_target(tmp_path, other)
+
+
+def test_a_file_in_the_way_is_not_overwritten(tmp_path):
+    (tmp_path / "plan").write_text("mine")
+    with pytest.raises(PlanFileError, match="is a file"):
+        write_whole(tmp_path / "plan", lambda new: write_json(new / "plan.json", {}))
+    with pytest.raises(PlanFileError, match="is a file"):
+        check_target(tmp_path / "plan" / "below")
+    assert (tmp_path / "plan").read_text() == "mine"
+
+
+def test_a_copied_folder_is_as_good_as_the_first(saved, tmp_path):
+    shutil.copytree(saved, tmp_path / "copy")
+    assert read_plan(tmp_path / "copy").certificate.passed
+
+
+def test_a_plan_whose_certificate_fails_can_still_be_saved_and_says_so(tmp_path):
+    plan = planned("knee-reach")
+    broken = replace(plan, status="failed", message="failed: on purpose")
+    write_whole(tmp_path / "plan", lambda new: write_plan(broken, new))
+    assert read_plan(tmp_path / "plan").status == "failed"

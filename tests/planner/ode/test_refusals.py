@@ -1,0 +1,241 @@
+"""Malformed and impossible problems over a user's differential equation: one clear line each, or a plan that says why."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from linkplan.models.errors import InfeasibleError, ProblemError
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings
+from tests.support.ode import INF, NAN, double_integrator, duration, squared_effort
+from tests.support.tolerances_planner import ODE_CLOSED_FORM
+
+SOUND = {
+    "name": "double integrator",
+    "rate": double_integrator,
+    "start": [0, 0],
+    "goal": [1, 0],
+    "effort_limit": [[-1, 1]],
+    "duration_s": (0.1, 20.0),
+    "final_cost": duration,
+}
+
+
+def planned(**changes) -> OdePlan:
+    return plan_ode(OdeProblem(**{**SOUND, **changes}))
+
+
+def at_instant(*values):
+    """Return a function of (x, u, p, t) with so many values, of nothing in particular."""
+    return lambda x, u, p, t: [x[0] * 0 + value for value in values]  # noqa: ARG005
+
+
+def at_ends(*values):
+    return lambda x0, xT, T, p: [xT[0] * 0 + value for value in values]  # noqa: ARG005
+
+
+MALFORMED = {
+    "fewer values at the start": ({"start": [0]}, "one value a state, got 1 and 2"),
+    "no state": ({"start": [], "goal": []}, "one value a state, got 0 and 0"),
+    "a start upside down": ({"start": [[1, 0], [0, 0]]}, "low <= high"),
+    "a start of three columns": ({"start": [[0, 1, 2], [0, 1, 2]]}, r"shape \(2, 3\)"),
+    "no effort": ({"effort_limit": []}, "at least one"),
+    "an effort limit upside down": ({"effort_limit": [[1, -1]]}, "low <= high"),
+    "an effort limit that is no number": ({"effort_limit": [[NAN, 1]]}, "low <= high"),
+    "too few state limits": ({"state_limit": [[0, 1]]}, "each of 2 states, got 1"),
+    "a state limit upside down": ({"state_limit": [[1, 0], [0, 1]]}, "low <= high"),
+    "no duration": ({"duration_s": 0}, "duration_s is a positive number"),
+    "a negative duration": ({"duration_s": -1.0}, "duration_s is a positive number"),
+    "durations upside down": ({"duration_s": (2, 1)}, "low < high"),
+    "a duration that is no number": ({"duration_s": NAN}, "duration_s is a positive number"),
+    "an endless duration": ({"duration_s": INF}, "duration_s is a positive number"),
+    "too few rates": ({"rate": at_instant(1)}, "rate gives 2 values .* got 1"),
+    "a rate with a branch on a state": (
+        {"rate": lambda x, u, p, t: [x[1], u[0] if x[0] > 0 else 0]},  # noqa: ARG005
+        "rate of 'double integrator' cannot be written in CasADi's SX",
+    ),
+    "a rate with an effort that is not there": (
+        {"rate": lambda x, u, p, t: [x[1], u[3]]},  # noqa: ARG005
+        "cannot be written in CasADi's SX",
+    ),
+    "a rate of other arguments": ({"rate": lambda x, u: [x[1], u[0]]}, "2 positional arguments"),
+    "a rate that is no function": ({"rate": "x'' = u"}, "not callable"),
+    "a running cost of two values": ({"running_cost": at_instant(1, 2)}, "running_cost gives 1 values .* got 2"),
+    "a final cost of two values": ({"final_cost": at_ends(1, 2)}, "final_cost gives 1 values .* got 2"),
+    "nothing to be best in": ({"final_cost": None}, "running_cost, final_cost or both"),
+    "a path without limits": ({"path": at_instant(1)}, "path gives 0 values .* got 1"),
+    "limits without a path": ({"path_limit": [[0, 1]]}, "path gives 1 values .* got 0"),
+    "ends without limits": ({"ends": at_ends(1)}, "ends gives 0 values .* got 1"),
+    "a state that is not there returns": ({"returns": [2]}, "from 0 to 1, got"),
+    "parameters that are no numbers": ({"parameters": [NAN]}, "parameters are finite numbers"),
+    "too few names": ({"states": ["x"]}, "states has 2 names, got 1"),
+    "no tolerance": ({"tolerance": 0}, "tolerance is above 0"),
+    "a guess of one state": ({"guesses": [StateGuess(state=[[0], [1]])]}, "a guess has 2 states"),
+    "a guess of two efforts": (
+        {"guesses": [StateGuess(state=[[0, 0], [1, 0]], effort=[[0, 0], [0, 0]])]},
+        "a guess has 2 states and 1 efforts",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", MALFORMED)
+def test_a_malformed_problem_is_refused_in_one_line(case):
+    changes, said = MALFORMED[case]
+    with pytest.raises(ProblemError, match=said) as refusal:
+        planned(**changes)
+    assert "\n" not in str(refusal.value)
+
+
+# Values that numpy, CasADi or a function of the user's would choke on.
+RAW = {
+    "a start of text": {"start": "ab"},
+    "an infinite start": {"start": [INF, 0]},
+    "an infinite goal": {"goal": [INF, 0]},
+    "an odd effort limit": {"effort_limit": [-1, 1, 2]},
+    "an effort that is always infinite": {"effort_limit": [[INF, INF]]},
+    "a duration in words": {"duration_s": "free"},
+    "three durations": {"duration_s": (1, 2, 3)},
+    "a duration left out": {"duration_s": None},
+    "a rate that divides by nothing": {"rate": lambda x, u, p, t: 1 / 0},  # noqa: ARG005
+    "a rate with a name that is not there": {"rate": lambda x, u, p, t: [x[1], u.force]},  # noqa: ARG005
+    "a rate with a symbol of its own": {"rate": lambda x, u, p, t: [x[1], u[0] + ca.SX.sym("k")]},  # noqa: ARG005
+    "half a state returns": {"returns": [0.5]},
+    "parameters of text": {"parameters": "a"},
+}
+
+
+@pytest.mark.parametrize("case", RAW)
+def test_a_value_that_no_solver_could_use_is_refused_in_one_line(case):
+    with pytest.raises(ProblemError) as refusal:
+        planned(**RAW[case])
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_negative_tolerance_on_the_objective_is_refused():
+    with pytest.raises(ProblemError, match="objective_tolerance"):
+        OdeProblem(**SOUND, objective_tolerance=-1.0)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: MeshSettings(scheme="radau-12"),
+        lambda: MeshSettings(intervals=0),
+        lambda: MeshSettings(refine="all"),
+        lambda: MeshSettings(breaks=np.array([0, 0.5, 0.4, 1])),
+        lambda: StateGuess(state=[[0, 0], [1, 0]], duration_s=-1.0),
+    ],
+)
+def test_settings_and_guesses_that_make_no_sense_are_refused_where_they_are_made(make):
+    with pytest.raises(ProblemError, match=r"mesh\.|duration_s"):
+        make()
+
+
+@pytest.mark.parametrize("rows", [[1.0, 2.0], [[1.0, NAN], [0.0, 0.0]], [[1.0, 0.0]]])
+def test_a_guess_is_two_or_more_finite_rows(rows):
+    with pytest.raises(ProblemError, match="two or more finite rows"):
+        StateGuess(state=rows)
+
+
+# Problems without an answer.
+
+
+@pytest.mark.parametrize(
+    ("allowed", "status"),
+    [
+        ({"duration_s": 1.0, "running_cost": squared_effort, "final_cost": None}, "infeasible"),
+        ({"duration_s": (0.1, 1.0)}, "failed"),  # a free duration may hide ways that no start has tried: no proof
+    ],
+)
+def test_effort_that_is_too_small_is_said_with_the_factor_that_would_do(allowed, status):
+    """Rest to rest over 1 in 1 s takes 4."""
+    plan = planned(**allowed)
+    assert plan.status == status
+    assert "efforts of 4 times their limits" in plan.message
+    assert ("no proof" in plan.message) == (status == "failed")
+    assert plan.trajectory is None
+
+
+def test_effort_that_is_just_enough_is_not_called_too_small():
+    plan = planned(duration_s=1.0, running_cost=squared_effort, final_cost=None, effort_limit=[[-4.001, 4.001]])
+    assert plan.status == "optimal", plan.message
+
+
+@pytest.mark.parametrize("asked", ["start", "goal"])
+def test_a_boundary_state_beyond_its_limit_is_said_at_once(asked):
+    plan = planned(**{asked: [1, 0], "state_limit": [[-INF, 0.5], [-INF, INF]], "states": ["x", "v"]})
+    assert plan.status == "infeasible"
+    assert f"{asked} asks for x = 1, beyond its limits -inf to 0.5" in plan.message
+    assert plan.history == ()
+
+
+@pytest.mark.slow
+def test_a_goal_that_no_effort_reaches_is_not_called_solved():
+    plan = planned(rate=lambda x, u, p, t: [x[1] ** 2, u[0]], goal=[-1, 0])  # noqa: ARG005
+    assert plan.status in ("failed", "infeasible")
+    assert plan.objective is None
+    assert "\n" not in plan.message
+
+
+@pytest.mark.parametrize("expression", [lambda x: ca.log(-1 - x**2), lambda x: ca.sqrt(x - 5), lambda x: 1 / (x - x)])
+def test_dynamics_that_are_no_number_are_said(expression):
+    plan = planned(rate=lambda x, u, p, t: [x[1], u[0] + expression(x[0])])  # noqa: ARG005
+    assert plan.status == "failed"
+    assert "not finite (NaN)" in plan.message
+    assert "\n" not in plan.message
+
+
+def test_a_solver_that_exceeds_its_time_limit_is_said():
+    plan = planned(solver=SolverSettings(max_time_s=1e-4), rate=lambda x, u, p, t: [x[1], u[0] - ca.sin(x[0])])  # noqa: ARG005
+    assert plan.status == "failed"
+    assert "ran out of its 0.0001 s (solver.max_time_s)" in plan.message
+
+
+def test_a_plan_without_an_answer_raises_with_its_sentence():
+    plan = planned(duration_s=(0.1, 1.0))
+    with pytest.raises(InfeasibleError, match="4 times their limits") as raised:
+        plan.require()
+    assert raised.value.plan is plan
+
+
+@pytest.mark.slow
+def test_an_integrated_state_that_misses_its_tolerance_is_said():
+    plan = planned(
+        rate=lambda x, u, p, t: [x[1], u[0] - ca.sin(5 * x[0])],  # noqa: ARG005
+        effort_limit=[[-INF, INF]],
+        duration_s=2.0,
+        running_cost=squared_effort,
+        final_cost=None,
+        mesh=MeshSettings(scheme="radau-1", intervals=2, refine="intervals"),
+    )
+    assert plan.status == "failed"
+    assert "integrated state" in plan.message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("longest", [INF, 1e9])
+def test_an_effort_that_falls_for_ever_with_time_has_no_optimum_and_says_so(longest):
+    """Rest to rest over 1 in T costs 12 / T^3."""
+    plan = planned(duration_s=(0.1, longest), effort_limit=[[-INF, INF]], running_cost=squared_effort, final_cost=None)
+    assert plan.status == "failed"
+    assert "the longer the motion the better, without end" in plan.message
+    assert "bound duration_s from above" in plan.message
+    assert "\n" not in plan.message
+
+
+@pytest.mark.slow
+def test_a_best_duration_far_from_any_guess_is_found_all_the_same():
+    """Least time 2 sqrt(d / u) for a micrometre under 1000: 63 us, where a second is begun from."""
+    plan = planned(goal=[1e-6, 0], effort_limit=[[-1e3, 1e3]], duration_s=(1e-6, 10))
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(2 * np.sqrt(1e-6 / 1e3), rel=ODE_CLOSED_FORM)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shortest", [0.3, 0.7, 1.1, 1.3])
+def test_a_shortest_duration_that_binds_is_the_user_s_own(shortest):
+    """Nothing is asked of the end: the least time is the shortest allowed, whatever units it went through."""
+    plan = planned(duration_s=(shortest, 40.0), goal=[NAN, NAN])
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(shortest, rel=ODE_CLOSED_FORM)

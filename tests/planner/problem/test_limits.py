@@ -1,0 +1,297 @@
+"""Limits beyond effort, range and speed: each binds, is kept at every instant, costs, and is named where it forbids."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.certificate.margins import actuator_speeds, singularity_ratios
+from linkplan.planner.plan import Plan
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan, hinge
+from tests.support.mechanisms import CRANK_ROCKER
+from tests.support.motions import effort_rate, pin_forces, power
+from tests.support.plans import optimal, planned
+from tests.support.tolerances_planner import BINDS, EFFORT_JUMP, FURTHER_LIMIT, MINIMUM_TIME, SOFT_PIN, TIME_WITH_ARCS
+
+# The hinge's own effort limit [N.m].
+EFFORT = 4.0
+QUICK = "objective.minimize=time"
+
+
+def quick_hinge(*overrides: str) -> Plan:
+    return hinge(QUICK, *overrides, duration="free")
+
+
+def inner(plan: Plan, per_interval: int = 60) -> np.ndarray:
+    """Return instants strictly inside a plan's intervals, close to both their ends."""
+    tau = 0.5 - 0.5 * np.cos(np.pi * (np.arange(per_interval) + 0.5) / per_interval)
+    breaks = plan.trajectory.breaks_s
+    return (breaks[:-1, None] + np.diff(breaks)[:, None] * tau).ravel()
+
+
+def line(plan: Plan, stall: float, no_load: float) -> np.ndarray:
+    """Return u / stall + w / no_load (n, n_u) at inner instants."""
+    time, motion = inner(plan), plan.trajectory
+    poses = follow(plan.problem.mechanism, motion.position_at(time), motion.start_pose)
+    return motion.effort_at(time) / stall + actuator_speeds(plan.problem, poses, motion.velocity_at(time)) / no_load
+
+
+# A pure inertia in least time: closed forms.
+
+
+@pytest.mark.slow
+def test_a_slow_effort_ramps_all_the_way():
+    """Within the effort's limit u falls along one ramp: turn = r T^3 / (12 J)."""
+    rate = 6.0
+    assert (
+        np.abs(effort_rate(quick_hinge(), inner(quick_hinge()))).max() < EFFORT_JUMP
+    )  # without the limit it jumps in between
+    plan = quick_hinge(f"limits.effort_rate.motor={rate}")
+    T = (12 * HINGE_INERTIA * TURN / rate) ** (1 / 3)
+    assert rate * T / 2 < EFFORT
+    assert plan.objective == pytest.approx(T, rel=TIME_WITH_ARCS)
+
+
+def test_a_fast_effort_ramps_between_its_limits():
+    """Full effort for a while, a ramp of 2 u / r, full braking."""
+    rate = 40.0
+    a, half = EFFORT / HINGE_INERTIA, EFFORT / rate
+    jerk = rate / HINGE_INERTIA
+
+    def turned(full: float) -> float:
+        return a * full**2 + 2 * a * full * half + a * half**2 - jerk * half**3 / 3
+
+    full = brentq(lambda t: turned(t) - TURN, 0, 5, xtol=1e-14)
+    plan = quick_hinge(f"limits.effort_rate.motor={rate}")
+    assert plan.objective == pytest.approx(2 * (full + half), rel=TIME_WITH_ARCS)
+    assert np.abs(effort_rate(plan, inner(plan))).max() == pytest.approx(rate, rel=BINDS)
+
+
+def least_time_with_power(drive: float, brake: float) -> float:
+    """Return the hinge's least time where drive and brake are each at full effort or at a power [W]: J w^2 / 2 = P t."""
+
+    def arc(P: float, w: float) -> tuple[float, float]:
+        first = min(w, P / EFFORT)
+        time, angle = HINGE_INERTIA * first / EFFORT, HINGE_INERTIA * first**2 / (2 * EFFORT)
+        if w > first:
+            time += HINGE_INERTIA * (w**2 - first**2) / (2 * P)
+            angle += HINGE_INERTIA * (w**3 - first**3) / (3 * P)
+        return time, angle
+
+    top = brentq(lambda w: arc(drive, w)[1] + arc(brake, w)[1] - TURN, 1e-3, 100, xtol=1e-14)
+    return arc(drive, top)[0] + arc(brake, top)[0]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("given", "drive", "brake"), [("9.0", 9.0, 9.0), ("[-1000.0,7.0]", 7.0, 1000.0)])
+def test_power_makes_energy_grow_in_proportion_to_time(given, drive, brake):
+    bare = quick_hinge()
+    assert power(bare, inner(bare)).max() > 1.5 * drive
+    plan = quick_hinge(f"limits.power_w.motor={given}")
+    assert plan.objective == pytest.approx(least_time_with_power(drive, brake), rel=TIME_WITH_ARCS)
+    powers = power(plan, inner(plan))
+    assert powers.max() <= drive * (1 + FURTHER_LIMIT)
+    assert powers.min() >= -brake * (1 + FURTHER_LIMIT)
+
+
+@pytest.mark.slow
+def test_a_motor_s_line_makes_speed_approach_its_no_load_speed():
+    """w = w0 (1 - exp(-t / tau)), tau = J w0 / stall, then full braking, which the line does not limit."""
+    no_load = np.radians(270.0)
+    tau = HINGE_INERTIA * no_load / EFFORT
+
+    def turned(t: float) -> float:
+        w = no_load * (1 - np.exp(-t / tau))
+        return no_load * (t - tau * (1 - np.exp(-t / tau))) + HINGE_INERTIA * w**2 / (2 * EFFORT)
+
+    drive = brentq(lambda t: turned(t) - TURN, 1e-3, 10, xtol=1e-14)
+    exact = drive + HINGE_INERTIA * no_load * (1 - np.exp(-drive / tau)) / EFFORT
+    assert line(quick_hinge(), EFFORT, no_load).max() > 1.5
+    plan = quick_hinge(f"motors.motor={{stall_effort={EFFORT},no_load_speed_deg_s=270.0}}")
+    assert plan.objective == pytest.approx(exact, rel=TIME_WITH_ARCS)
+    assert np.abs(line(plan, EFFORT, no_load)).max() <= 1 + FURTHER_LIMIT
+
+
+# The knee: what is exceeded without a limit is kept with it, and costs.
+
+STALL, NO_LOAD_DEG = 150.0, 2500.0
+KNEE = {
+    "effort_rate": (("knee-reach",), "limits.effort_rate.act_O=1062", 1062.0),
+    "power": (("knee-reach",), "limits.power_w.act_O=500", 500.0),
+    "motor": (("knee-sprint",), f"motors.act_O={{stall_effort={STALL},no_load_speed_deg_s={NO_LOAD_DEG}}}", 1.0),
+    "closure_force": (("knee-reach",), "limits.closure_force.B=1.7", 1.7),
+    "singular_margin": (
+        (
+            "knee-reach",
+            "motion.start_deg={O=45}",
+            "motion.goal_deg={O=0}",
+            "motion.start_speed_deg_s={O=800}",
+            "motion.duration_s=0.2",
+        ),
+        "limits.singular_margin=0.42",
+        0.42,
+    ),
+}
+
+
+def amount(plan: Plan, what: str) -> float:
+    """Return the worst that a plan comes to, at instants of this test's own, in the limit's unit."""
+    time, motion = inner(plan), plan.trajectory
+    if what == "effort_rate":
+        return float(np.abs(effort_rate(plan, time)).max())
+    if what == "power":
+        return float(np.abs(power(plan, time)).max())
+    if what == "motor":
+        return float(np.abs(line(plan, STALL, np.radians(NO_LOAD_DEG))).max())
+    if what == "closure_force":
+        return float(pin_forces(plan, inner(plan, 4)).max())
+    poses = follow(plan.problem.mechanism, motion.position_at(time), motion.start_pose)
+    return float(singularity_ratios(plan.problem, poses).min())
+
+
+every_limit = pytest.mark.parametrize("what", KNEE)
+
+
+@pytest.mark.slow
+@every_limit
+def test_a_limit_that_a_motion_exceeds_is_kept_at_every_instant_once_it_is_asked_for(what):
+    given, override, limit = KNEE[what]
+    bare, kept = optimal(*given), optimal(*given, override)
+    slack = SOFT_PIN if what == "closure_force" else FURTHER_LIMIT
+    if what == "singular_margin":
+        assert amount(bare, what) < 0.9 * limit
+        assert amount(kept, what) >= limit * (1 - slack)
+    else:
+        assert amount(bare, what) > 1.01 * limit
+        assert amount(kept, what) <= limit * (1 + slack)
+
+
+@pytest.mark.slow
+@every_limit
+def test_a_limit_that_binds_costs_something_and_is_used_to_the_full(what):
+    given, override, limit = KNEE[what]
+    bare, kept = optimal(*given), optimal(*given, override)
+    assert kept.objective > bare.objective * (1 + MINIMUM_TIME)
+    assert amount(kept, what) == pytest.approx(limit, rel=SOFT_PIN if what == "closure_force" else BINDS)
+
+
+@pytest.mark.slow
+@every_limit
+def test_the_certificate_says_what_each_limit_comes_to(what):
+    given, override, limit = KNEE[what]
+    margin = optimal(*given, override).certificate.margins[0]
+    assert margin.what == what
+    assert margin.kept
+    assert abs(margin.limit) == pytest.approx(limit)
+    assert abs(margin.value) == pytest.approx(amount(optimal(*given, override), what), rel=BINDS)
+
+
+@pytest.mark.slow
+@every_limit
+def test_a_limit_that_is_far_away_changes_nothing(what):
+    given, _, limit = KNEE[what]
+    loose = {
+        "effort_rate": "limits.effort_rate.act_O=90000",
+        "power": "limits.power_w.act_O=90000",
+        "motor": "motors.act_O={stall_effort=15000,no_load_speed_deg_s=250000}",
+        "closure_force": "limits.closure_force.B=100",
+        "singular_margin": "limits.singular_margin=0.01",
+    }
+    assert limit < 1e4
+    assert optimal(*given, loose[what]).objective == pytest.approx(optimal(*given).objective, rel=BINDS**2 * 100)
+
+
+# A motor on a dependent joint: its speed is the loop's.
+
+# Both motors carry their joints' names.
+DRIVEN = re.sub(
+    r'<motor joint="(\w)"',
+    r'<motor name="\1" joint="\1"',
+    CRANK_ROCKER.mjcf(np.random.default_rng(7), motors=("O", "C"), bare=True),
+)
+SWING = 'kind = "reach"\nstart_deg = { O = 40.0 }\ngoal_deg = { O = 130.0 }\nduration_s = 0.4\n'
+TWO = ("limits.effort.O=[-60.0,60.0]", "limits.effort.C=[-60.0,60.0]")
+
+
+def two_motors(*overrides: str) -> Plan:
+    plan = body_plan(DRIVEN, SWING, *TWO, *overrides)
+    assert plan.status == "optimal", plan.message
+    return plan
+
+
+@pytest.mark.slow
+def test_the_line_of_a_motor_on_a_dependent_joint_is_kept():
+    bare = two_motors()
+    mechanism, time = bare.problem.mechanism, inner(bare)
+    assert mechanism.actuators[1].joint in mechanism.dependent
+    stall = 2.0 * np.abs(bare.trajectory.effort_at(time)[:, 1]).max()
+    poses = follow(mechanism, bare.trajectory.position_at(time), bare.trajectory.start_pose)
+    no_load = 0.6 * np.abs(actuator_speeds(bare.problem, poses, bare.trajectory.velocity_at(time))[:, 1]).max()
+    assert np.abs(line(bare, stall, no_load)[:, 1]).max() > 1.05
+    kept = two_motors(f"motors.C={{stall_effort={stall},no_load_speed_deg_s={np.degrees(no_load)}}}")
+    assert np.abs(line(kept, stall, no_load)[:, 1]).max() <= 1 + FURTHER_LIMIT
+    assert kept.objective > bare.objective
+
+
+# Limits that forbid a motion: one sentence, the amount, the instant.
+
+FORBIDDING = {
+    "effort rate": ("limits.effort_rate.motor=3.0", "effort rate of motor", 3, "N.m/s"),
+    "torque-speed line": ("motors.motor={stall_effort=4.0,no_load_speed_deg_s=90.0}", "torque-speed line of motor", 1, ""),
+    "power": ("limits.power_w.motor=1.0", "power of motor", 1, "W"),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", FORBIDDING)
+def test_a_limit_that_forbids_a_motion_is_named_with_amount_and_instant(case):
+    override, name, limit, unit = FORBIDDING[case]
+    plan = body_plan(HINGE, QUARTER_TURN + "duration_s = 0.8\n", override)
+    assert plan.status == "infeasible", plan.message
+    assert "\n" not in plan.message
+    said = re.search(rf"the {name} would have to come to ([\d.]+) ?{unit} at t = ([\d.e-]+) s", plan.message)
+    assert said, plan.message
+    assert float(said[1]) > limit
+    assert 0 <= float(said[2]) <= plan.problem.motion.duration_s
+    assert f"limit of {limit:.4g}" in plan.message
+
+
+def test_a_goal_nearer_to_a_singular_pose_than_allowed_is_said_without_solving():
+    plan = planned("knee-reach", "limits.singular_margin=0.6")
+    assert plan.status == "infeasible"
+    assert "goal is at 0.441" in plan.message
+    assert "0.159 short of limits.singular_margin = 0.6" in plan.message
+    assert plan.history == ()
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("limits.effort_rate.act_O=-5", "positive"),
+        ("limits.effort_rate.act_P=5", "act_O"),
+        ("limits.effort_rate.act_O=[5,9]", "admits rest"),
+        ("limits.power_w.act_O=0", "positive"),
+        ("limits.power_w=5", "table of actuator = value"),
+        ("limits.closure_force.B=0", "positive"),
+        ("limits.closure_force.Q=5", "B"),
+        ("limits.singular_margin=1.0", "from 0 to below 1"),
+        ("limits.singular_margin=-0.1", "singular_margin"),
+        ("motors.act_O={stall_effort=5}", "go together"),
+        ("motors.act_O={torque_constant=5}", "go together"),
+        ("motors.act_O={stall=5}", "unknown key"),
+        ("motors.act_O={stall_effort=5,no_load_speed_m_s=3}", "no_load_speed_deg_s"),
+        ("motors.act_O={stall_effort=0,no_load_speed_deg_s=3}", "positive"),
+    ],
+)
+def test_a_limit_that_cannot_be_is_refused_in_one_line(given, said):
+    with pytest.raises(ProblemError, match=said) as refusal:
+        planned("knee-reach", given)
+    assert "\n" not in str(refusal.value)
+
+
+def test_an_effort_rate_s_limit_does_not_go_with_constant_efforts():
+    with pytest.raises(ProblemError, match=r"need mesh\.effort linear or polynomial"):
+        planned("knee-reach", "limits.effort_rate.act_O=2000", "mesh.effort=constant")

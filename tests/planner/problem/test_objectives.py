@@ -1,0 +1,195 @@
+"""Objectives of mechanisms: closed forms of single bodies, and every term against its integral along the planned motion."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.plan import Plan
+from tests.support.bodies import HINGE_INERTIA, LIFT, TURN, body_plan, hinge
+from tests.support.mechanisms import simulated
+from tests.support.motions import effort_rate, pin_forces, power
+from tests.support.plans import optimal, planned
+from tests.support.tolerances_planner import (
+    EXACT_EFFORT,
+    LEAST_WORK,
+    MINIMUM_TIME,
+    SMOOTHED,
+    SOFT_PIN,
+    TERM_INTEGRAL,
+    WORK_INTEGRAL,
+)
+
+# The lift's rise [m], mass [kg] and gravity [m/s2].
+RISE, WEIGHT, GRAVITY = 0.8, 2.0, 9.81
+LIFTED = 'kind = "reach"\nstart_m = { J = 0.1 }\ngoal_m = { J = 0.9 }\n'
+MOTOR = "motors.{}={{torque_constant=0.5,resistance_ohm=0.1}}"
+LOSS = 0.1 / 0.5**2
+
+
+def instants(plan: Plan, per_interval: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes and weights of Gauss's rule on every interval of a plan."""
+    nodes, weights = np.polynomial.legendre.leggauss(per_interval)
+    breaks = plan.trajectory.breaks_s
+    widths = np.diff(breaks)[:, None]
+    return (breaks[:-1, None] + widths * (nodes + 1) / 2).ravel(), (widths * weights / 2).ravel()
+
+
+# A pure inertia and a lift: closed forms.
+
+
+def test_copper_loss_of_a_pure_inertia_is_its_effort_times_resistance_over_constant_squared():
+    plan = hinge("objective.minimize=copper_loss", MOTOR.format("motor"))
+    assert plan.objective == pytest.approx(LOSS * 12 * HINGE_INERTIA**2 * TURN**2 / 1.5**3, rel=EXACT_EFFORT)
+
+
+def test_the_effort_rate_of_a_pure_inertia_is_that_of_its_quintic():
+    """The sixth derivative is zero, with x''' = 0 at both ends: x = 5/2 t^2 - 5/2 t^4 + t^5, int x'''^2 = 120."""
+    plan = hinge("objective.minimize=effort_rate", "mesh.scheme=radau-5", "mesh.intervals=4")
+    assert plan.objective == pytest.approx(120 * HINGE_INERTIA**2 * TURN**2 / 1.5**5, rel=EXACT_EFFORT)
+
+
+def test_the_least_work_of_a_pure_inertia_is_its_energy_at_the_lowest_speed_that_arrives():
+    """At full effort up to a speed w, on at w, and full braking: w T = turn + w^2 J / u."""
+    plan = hinge("objective.minimize=work")
+    ramp = HINGE_INERTIA / 4
+    speed = (1.5 - np.sqrt(1.5**2 - 4 * ramp * TURN)) / (2 * ramp)
+    assert plan.objective == pytest.approx(HINGE_INERTIA * speed**2 / 2, rel=LEAST_WORK)
+    assert plan.objective >= HINGE_INERTIA * speed**2 / 2 * (1 - EXACT_EFFORT)
+
+
+def test_the_least_work_of_a_lift_is_the_energy_that_it_gains():
+    plan = body_plan(LIFT, LIFTED + "duration_s = 1.0\n", "objective.minimize=work")
+    assert plan.status == "optimal", plan.message
+    gained = WEIGHT * GRAVITY * RISE
+    assert plan.objective == pytest.approx(gained, rel=SMOOTHED)
+    assert plan.objective >= gained * (1 - SMOOTHED / 100)
+
+
+def test_letting_a_lift_down_takes_no_work():
+    down = 'kind = "reach"\nstart_m = { J = 0.9 }\ngoal_m = { J = 0.1 }\nduration_s = 0.7\n'
+    plan = body_plan(LIFT, down, "objective.minimize=work")
+    assert plan.status == "optimal", plan.message
+    time, weights = instants(plan, 40)
+    assert weights @ power(plan, time)[:, 0] == pytest.approx(-WEIGHT * GRAVITY * RISE, rel=SMOOTHED)
+    assert plan.objective == pytest.approx(0.0, abs=SMOOTHED * WEIGHT * GRAVITY * RISE)
+
+
+@pytest.mark.parametrize("weight", [0.1, 1.0])
+def test_time_and_effort_of_a_pure_inertia_are_balanced_where_their_sum_is_least(weight):
+    """T + w 12 J^2 d^2 / T^3 is least at T^4 = 36 w J^2 d^2, where it is 4 T / 3."""
+    plan = hinge(f"objective.minimize={{time=1.0,effort={weight}}}", duration="free")
+    T = (36 * weight * HINGE_INERTIA**2 * TURN**2) ** 0.25
+    assert 6 * HINGE_INERTIA * TURN / T**2 < 4  # the effort's limit does not bind
+    assert plan.objective == pytest.approx(4 * T / 3, rel=EXACT_EFFORT)
+    assert plan.trajectory.duration_s == pytest.approx(T, rel=MINIMUM_TIME)
+
+
+def test_a_weight_only_scales_an_objective_of_one_term():
+    once, thrice = hinge("objective.minimize=effort"), hinge("objective.minimize={effort=3.0}")
+    assert thrice.objective == pytest.approx(3 * once.objective, rel=EXACT_EFFORT)
+
+
+def test_effort_and_copper_loss_together_are_an_effort_of_both_weights():
+    plan = hinge("objective.minimize={effort=2.0,copper_loss=5.0}", MOTOR.format("motor"))
+    alone = 12 * HINGE_INERTIA**2 * TURN**2 / 1.5**3
+    assert plan.objective == pytest.approx((2 + 5 * LOSS) * alone, rel=EXACT_EFFORT)
+
+
+# The knee: every term is the integral that it is said to be.
+
+TERMS: dict[str, Callable[[Plan, np.ndarray], np.ndarray]] = {
+    "effort": lambda plan, t: (plan.trajectory.effort_at(t) ** 2).sum(axis=1),
+    "copper_loss": lambda plan, t: LOSS * (plan.trajectory.effort_at(t) ** 2).sum(axis=1),
+    "effort_rate": lambda plan, t: (effort_rate(plan, t) ** 2).sum(axis=1),
+    "time": lambda plan, t: np.ones(len(t)),  # noqa: ARG005
+}
+KNEE = ("knee-reach", MOTOR.format("act_O"))
+
+
+def value(plan: Plan, term: str) -> float:
+    time, weights = instants(plan, 12)
+    return float(weights @ TERMS[term](plan, time))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("term", ["effort", "copper_loss", "effort_rate"])
+def test_a_term_s_value_is_its_integral_along_the_motion(term):
+    plan = optimal(*KNEE, f"objective.minimize={term}")
+    assert plan.objective == pytest.approx(value(plan, term), rel=TERM_INTEGRAL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("term", "other"), [("effort", "effort_rate"), ("effort_rate", "effort"), ("closure_force", "work")]
+)
+def test_each_term_is_least_where_it_is_asked_for(term, other):
+    plan, rival = optimal(*KNEE, f"objective.minimize={term}"), optimal(*KNEE, f"objective.minimize={other}")
+    if term == "closure_force":
+        time, weights = instants(rival, 2)
+        assert weights @ pin_forces(rival, time) ** 2 > 1.01 * plan.objective
+    else:
+        assert value(rival, term) > 1.01 * plan.objective
+
+
+def test_a_sum_s_value_is_the_sum_of_its_terms_integrals():
+    weights = {"time": 30.0, "effort": 1e-3, "effort_rate": 1e-8}
+    asked = ",".join(f"{term}={weight}" for term, weight in weights.items())
+    plan = optimal(*KNEE, "motion.duration_s=free", f"objective.minimize={{{asked}}}")
+    parts = {term: weight * value(plan, term) for term, weight in weights.items()}
+    assert min(parts.values()) > 1e-3 * sum(parts.values())  # each has a say
+    assert plan.objective == pytest.approx(sum(parts.values()), rel=TERM_INTEGRAL)
+
+
+@pytest.mark.slow
+def test_the_work_of_the_knee_is_the_integral_of_its_positive_power():
+    plan = optimal("knee-reach", "objective.minimize=work")
+    time, weights = instants(plan, 60)
+    positive = float(weights @ np.maximum(0.0, power(plan, time)[:, 0]))
+    assert positive == pytest.approx(plan.objective, rel=WORK_INTEGRAL)
+
+
+def test_the_work_of_the_knee_is_no_less_than_the_energy_that_it_gains():
+    plan = optimal("knee-reach", "objective.minimize=work")
+    mechanism, motion = plan.problem.mechanism, plan.trajectory
+    ends = follow(mechanism, motion.position_at([0.0, motion.duration_s]), motion.start_pose)
+    low, high = (simulated(mechanism.model, q, np.zeros(mechanism.n_q)).energy[0] for q in ends)
+    assert plan.objective >= high - low
+    time, weights = instants(plan, 60)
+    assert weights @ power(plan, time)[:, 0] == pytest.approx(high - low, abs=WORK_INTEGRAL * plan.objective)
+    effort = optimal("knee-reach")
+    time, weights = instants(effort, 60)
+    assert weights @ np.maximum(0.0, power(effort, time)[:, 0]) > 1.05 * plan.objective
+
+
+@pytest.mark.slow
+def test_the_closure_force_of_the_knee_is_what_mujoco_s_pin_carries():
+    plan = optimal("knee-reach", "objective.minimize=closure_force")
+    time, weights = instants(plan, 3)
+    forces = pin_forces(plan, time)
+    assert weights @ forces**2 == pytest.approx(plan.objective, rel=SOFT_PIN)
+    assert forces.max() <= plan.certificate.peak_closure_force[0] * (1 + SOFT_PIN)
+
+
+# Objectives that are refused.
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ("objective.minimize=effrot", "did you mean 'effort'"),
+        ("objective.minimize={}", "at least one of"),
+        ("objective.minimize={effort=0.0}", "positive weight"),
+        ("objective.minimize={effort=-1.0}", "positive weight"),
+        ("objective.minimize={speed=1.0}", "is one of"),
+        ("objective.minimize=copper_loss", "missing for act_O"),
+        ("objective.minimize=tracking", r"needs a \[reference\]"),
+        ("objective.minimize={time=1.0,effort=1.0}", 'needs motion.duration_s = "free"'),
+    ],
+)
+def test_an_objective_that_does_not_go_is_refused_in_one_line(asked, said):
+    with pytest.raises(ProblemError, match=said) as refusal:
+        planned("knee-reach", asked)
+    assert "\n" not in str(refusal.value)

@@ -1,0 +1,158 @@
+"""Arcs along path limits: cut out, held at the limit, and exact; ends at which no node stands are looked at."""
+
+import numpy as np
+import pytest
+
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.constrained_arcs import Held, arc_ends, free_ends, held_paths, path_arcs, standing_off
+from linkplan.planner.refinement.history import silent
+from linkplan.planner.refinement.switch_search import settle_switches
+from linkplan.planner.refinement.switches import find_cuts
+from linkplan.planner.search.first_mesh import first_mesh
+from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.schemes import NAMES, scheme
+from tests.support.fourbar_problems import random_case
+from tests.support.plans import optimal
+from tests.support.tolerances_planner import LEAST_TIME_ON_ARCS, ON_THE_ARC, UNIT
+
+NAN = np.nan
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [62, 92, 136])
+def test_a_speed_limit_on_a_dependent_joint_is_followed_in_the_least_time(number):
+    """The phase plane's trapezia know the least time of a four-bar whose coupler or rocker may only turn so fast."""
+    case = random_case(1, number)
+    assert case.kind == "speed limit"
+    assert case.notes["limited"] != "O"
+    plan = plan_motion(problem_from_tables("limited", case.tables))
+    assert plan.status == "optimal", plan.message
+    assert plan.trajectory.duration_s == pytest.approx(case.duration, rel=LEAST_TIME_ON_ARCS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [94, 236, 365])
+def test_a_speed_limit_on_the_driven_joint_is_entered_and_left_in_the_least_time(number):
+    """Two of them touch the limit where effort and its own limit let them: in an instant, not at a corner."""
+    case = random_case(1, number)
+    assert case.notes["limited"] == "O"
+    plan = plan_motion(problem_from_tables("limited", case.tables))
+    assert plan.status == "optimal", plan.message
+    assert plan.trajectory.duration_s == pytest.approx(case.duration, rel=LEAST_TIME_ON_ARCS)
+
+
+@pytest.mark.slow
+def test_a_curve_that_its_coefficients_keep_off_its_limit_is_found():
+    problem = problem_from_tables("limited", random_case(1, 365).tables)
+    guess = first_guess(problem, start_pose_of(problem))
+    mesh, durations = first_mesh(problem, guess)
+    case, history = case_of(problem), []
+    first = attempt(case, guess, mesh, durations, "first solve", history, silent)
+    settled = settle_switches(case, first, history, silent)
+    motion, solution = settled.motion, settled.solution
+    off = standing_off(solution.transcribed, solution.x)
+    fastest = np.abs(motion.velocity[:, :, 0])
+    limit = problem.limits.speed[0, 1]
+    assert off.any()
+    assert np.all(fastest[:, off].max(axis=0) > limit * (1 - 1e-7))  # their coefficients are at the limit
+    inside = np.abs(motion.velocity_at(np.linspace(0.0, motion.duration_s, 4000))[:, 0])
+    k = np.searchsorted(motion.breaks_s, np.linspace(0.0, motion.duration_s, 4000), side="right") - 1
+    assert max(inside[k == interval].max() for interval in np.flatnonzero(off)) < limit * (1 - 1e-7)  # they are not
+
+
+@pytest.mark.slow
+def test_a_plan_along_a_power_limit_is_at_it_at_all_nodes_of_an_arc_and_nowhere_else():
+    plan = optimal("knee-sprint", "limits.power_w.act_O=[-1e6,900]")
+    arcs = path_arcs(plan.solved, plan.solved.start)
+    assert arcs.shape[1] == 1
+    assert set(np.unique(arcs)) == {0, 1}
+    held = np.flatnonzero(arcs[:, 0])
+    np.testing.assert_array_equal(np.diff(held), 1)  # one arc
+    motion = plan.trajectory
+    gear = plan.problem.mechanism.actuators[0].gear
+    at = np.flatnonzero(arcs[:, 0])[[0, -1]]
+    inside = np.linspace(motion.breaks_s[at[0]], motion.breaks_s[at[1] + 1], 500)[1:-1]
+    power = motion.effort_at(inside)[:, 0] * gear * motion.velocity_at(inside)[:, 0]
+    np.testing.assert_allclose(power, 900.0, rtol=ON_THE_ARC)
+    before = np.linspace(motion.breaks_s[0], motion.breaks_s[at[0]], 100)[:-1]
+    assert (motion.effort_at(before)[:, 0] * gear * motion.velocity_at(before)[:, 0]).max() < 900.0
+
+
+def test_ends_of_arcs_are_cuts_but_for_those_near_a_cut_or_a_knot():
+    arcs = np.zeros((20, 1), dtype=int)
+    arcs[8:14] = 1
+    breaks = np.linspace(0.0, 2.0, 21)
+    knots = breaks[[0, -1]]
+    np.testing.assert_allclose(arc_ends(arcs, breaks, np.array([]), knots), [0.8, 1.4])
+    np.testing.assert_allclose(arc_ends(arcs, breaks, np.array([0.85]), knots), [1.4])
+    np.testing.assert_allclose(arc_ends(arcs[8:], breaks[8:] - 0.8, np.array([]), np.array([0.0, 1.2])), [0.6])
+
+
+def test_segments_hold_what_all_their_inner_intervals_follow_and_no_more_than_efforts_are_free():
+    breaks = np.linspace(0.0, 1.0, 11)
+    arcs = np.zeros((10, 2), dtype=int)
+    arcs[2:6, 0], arcs[6:, 1] = 1, -1
+    arcs[6:, 0] = 1
+    pinned = np.array([[NAN], [NAN], [NAN]])
+    held = held_paths(arcs, breaks, np.array([0.0, 0.2, 0.6, 1.0]), pinned)
+    np.testing.assert_array_equal(held, [[0, 0], [1, 0], [1, 0]])  # one effort bears one path quantity
+    pinned[1] = 3.0
+    assert not held_paths(arcs, breaks, np.array([0.0, 0.2, 0.6, 1.0]), pinned)[1].any()
+
+
+def test_the_ends_of_a_held_arc_are_split_off_and_free():
+    held = Held(efforts=np.array([[2.0], [NAN]]), paths=np.array([[0], [1]]))
+    cuts, loose = free_ends(np.array([0.0, 1.0, 3.0]), held)
+    np.testing.assert_allclose(cuts, [1.3, 2.7])
+    np.testing.assert_array_equal(loose.paths, [[0], [0], [1], [0]])
+    np.testing.assert_array_equal(np.isnan(loose.efforts).ravel(), [False, True, True, True])
+
+
+def with_efforts(efforts: list[float]) -> Trajectory:
+    """Return a motion of one second at rest whose effort is constant over each interval."""
+    flat = np.zeros((3, len(efforts), 1))
+    return Trajectory(
+        breaks_s=np.linspace(0.0, 1.0, len(efforts) + 1),
+        position=flat,
+        velocity=flat[:2],
+        effort=np.array(efforts).reshape(1, -1, 1),
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+
+
+UNIT_LIMIT = np.array([[-1.0, 1.0]])
+
+
+def test_a_short_arc_along_a_path_limit_is_no_smeared_switch():
+    motion = with_efforts([1.0, 1.0, 1.0, 1.0, 0.4, 0.2, -1.0, -1.0, -1.0, -1.0])
+    on_path = np.isin(np.arange(10), [4, 5])
+    assert len(find_cuts(motion, UNIT_LIMIT)) == 1
+    np.testing.assert_allclose(find_cuts(motion, UNIT_LIMIT, on_path=on_path), [0.4, 0.6])
+
+
+def test_a_pulse_shorter_than_an_interval_is_cut_out_by_its_impulse():
+    motion = with_efforts([1.0, 1.0, 1.0, 0.4, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    np.testing.assert_allclose(find_cuts(motion, UNIT_LIMIT, short=True), [0.335, 0.365])
+    assert len(find_cuts(motion, UNIT_LIMIT)) == 0
+
+
+def test_a_bang_shorter_than_an_interval_next_to_a_waypoint_or_an_end_is_cut_off_by_its_impulse():
+    motion = with_efforts([-0.6, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0])
+    cuts = find_cuts(motion, UNIT_LIMIT, np.array([0.0, 0.5, 1.0]), short=True)
+    np.testing.assert_allclose(cuts, [0.08, 0.475])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_polynomials_are_taken_to_the_ends_at_which_no_node_stands(name):
+    constants = scheme(name)
+    ends = np.array(constants.open_ends, dtype=float)
+    expected = {"radau": [0.0], "gauss": [0.0, 1.0]}.get(name.split("-")[0], [])
+    np.testing.assert_array_equal(ends, expected)
+    for power in range(constants.n_nodes):
+        np.testing.assert_allclose(constants.at_open_ends @ constants.nodes**power, ends**power, atol=UNIT * 1e3)

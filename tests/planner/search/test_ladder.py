@@ -1,0 +1,150 @@
+"""The ladder of attempts: rungs in order, each where its condition holds and within its budget; and continuation."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
+from linkplan.planner.search import ladder
+from linkplan.planner.search.continuation import Steps, followed
+from linkplan.planner.search.ladder import Budget, Rung, Search, climb
+from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.search.starts import from_a_smooth_path
+from linkplan.planner.solvers.outcome import OUT_OF_TIME
+
+# Less torque than any reach of the knee with the shank in this time needs.
+TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
+
+
+def search_for(problem, seconds: float = 600.0) -> Search:
+    deadline = ladder.time.monotonic() + seconds
+    return Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None, deadline=deadline)
+
+
+def noting(name: str, called: list[str], plan=None, **conditions) -> Rung:
+    def note(search, budget):
+        called.append(name)
+        return plan(search, budget) if callable(plan) else plan
+
+    return Rung(name=name, climb=note, budget=Budget(), **conditions)
+
+
+def test_a_rung_is_one_function_and_one_row():
+    called = []
+    plan = plan_motion(load_problem("knee-reach"), rungs=(noting("mine", called, from_a_smooth_path), *RUNGS))
+    assert called == ["mine"]
+    assert plan.status == "optimal"
+    assert [step.what for step in plan.history] == ["first solve"]  # no other rung was climbed after it
+
+
+def test_rungs_are_tried_in_order_and_only_where_their_conditions_hold():
+    called = []
+    rungs = [noting("first", called), noting("never", called, tried=lambda search: search.solved), noting("last", called)]
+    assert climb(search_for(load_problem("knee-reach")), rungs) is None
+    assert called == ["first", "last"]
+
+
+def test_a_verdict_ends_the_search():
+    called = []
+    problem = load_problem("knee-reach")
+    verdict = replace(plan_motion(problem), status="failed", message="failed: that is that")
+
+    def judge(search, budget):
+        del budget
+        search.verdicts.append(verdict)
+
+    plan = climb(search_for(problem), [noting("judge", called, judge), noting("after it", called)])
+    assert called == ["judge"]
+    assert plan.message == verdict.message
+
+
+def test_the_time_is_that_of_the_whole_plan(monkeypatch):
+    called, now = [], [100.0]
+    monkeypatch.setattr(ladder.time, "monotonic", lambda: now[0])
+    search = search_for(load_problem("knee-reach"), seconds=10.0)
+
+    def slow(search, budget):
+        del search, budget
+        now[0] += 11.0
+
+    assert climb(search, [noting("slow", called, slow), noting("after it", called)]) is None
+    assert called == ["slow"]
+    assert search.stopped == OUT_OF_TIME
+
+
+def test_a_plan_without_time_says_so_and_looks_for_nothing_else():
+    plan = plan_motion(load_problem("knee-reach", [*TOO_WEAK, "solver.max_time_s=1e-3"]))
+    assert plan.status == "failed"
+    assert "ran out of its 0.001 s (solver.max_time_s)" in plan.message
+    assert len(plan.history) <= 1
+
+
+@pytest.mark.parametrize(("share", "left"), [(1.0, 8.0), (0.25, 2.0)])
+def test_a_budget_shortens_the_time_and_the_iterations_of_its_solves(monkeypatch, share, left):
+    monkeypatch.setattr(ladder.time, "monotonic", lambda: 50.0)
+    search = search_for(load_problem("knee-reach"), seconds=8.0)
+    within = search.within(Budget(iterations=7, share_of_time=share)).solver
+    assert within.deadline == pytest.approx(50.0 + left)
+    assert within.max_iterations == 7
+    fewer = replace(search.problem, solver=replace(search.problem.solver, max_iterations=3))
+    assert replace(search, problem=fewer).within(Budget(iterations=7)).solver.max_iterations == 3
+
+
+def test_diagnoses_never_return_a_motion():
+    search = search_for(load_problem("knee-reach", TOO_WEAK))
+    plans = [plan for diagnosis in DIAGNOSES if (plan := diagnosis(search)) is not None]
+    assert len(plans) >= 2  # the efforts, and the last word
+    assert all(plan.trajectory is None and plan.status != "optimal" for plan in plans)
+
+
+def test_names_of_rungs_are_their_own():
+    assert len({rung.name for rung in RUNGS}) == len(RUNGS)
+
+
+def test_continuation_goes_to_the_end_by_equal_factors():
+    path = followed(1.0, Steps(begin=1.0, end=10.0, factor=2.0, least=1.1, most=20), lambda _, value: value)
+    assert path.arrived
+    assert path.stages == (1.0, 2.0, 4.0, 8.0, 10.0)
+
+
+def test_continuation_goes_down_as_it_goes_up():
+    path = followed(1.0, Steps(begin=1.0, end=0.1, factor=0.5, least=0.9, most=20), lambda _, value: value)
+    assert path.arrived
+    assert path.stages == (1.0, 0.5, 0.25, 0.125, 0.1)
+
+
+def test_a_lost_step_is_tried_again_with_the_root_of_its_factor():
+    # A step succeeds where it changes the parameter by less than a half.
+    tried = []
+
+    def solve(stage, value):
+        tried.append(value / stage)
+        return value if value < 1.5 * stage else None
+
+    path = followed(1.0, Steps(begin=1.0, end=8.0, factor=4.0, least=1.1, most=30), solve)
+    assert path.arrived
+    assert tried[:3] == pytest.approx([4.0, 2.0, np.sqrt(2.0)])
+    assert path.stages[-1] == 8.0
+
+
+def test_a_continuation_that_is_lost_for_good_keeps_what_it_passed():
+    path = followed(
+        1.0, Steps(begin=1.0, end=8.0, factor=2.0, least=1.5, most=30), lambda _, value: value if value < 3 else None
+    )
+    assert not path.arrived
+    assert path.stages == (1.0, 2.0)
+
+
+def test_a_continuation_ends_where_it_has_gone_far_enough():
+    enough = []
+
+    def settled(before, after, whole):
+        enough.append((before, after, whole))
+        return after > 3
+
+    path = followed(1.0, Steps(begin=1.0, end=100.0, factor=2.0, least=1.5, most=30), lambda _, v: v, enough=settled)
+    assert path.arrived
+    assert path.stages == (1.0, 2.0, 4.0)
+    assert all(whole for *_, whole in enough)

@@ -1,0 +1,255 @@
+"""Where plans begin and how they are refined: several starts, the user's guess, meshes of one's own, and the history."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq, minimize_scalar
+
+from linkplan.models.errors import ProblemError
+from linkplan.planner.files.plan_folder import write_plan
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import plan_motion
+from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, QUARTER_TURN, TURN, body_plan
+from tests.support.plans import optimal, planned
+from tests.support.tolerances_planner import (
+    BEST_START,
+    COARSE_MESH,
+    EXACT_EFFORT,
+    LEAST_EFFORT,
+    MINIMUM_TIME,
+    REFINED_EFFORT,
+)
+
+# Several starts.
+
+STARTS = ("knee-reach", "solver.starts=4", "mesh.intervals=20")
+
+
+@pytest.mark.slow
+def test_every_start_is_reported_and_the_best_is_kept():
+    plan = optimal(*STARTS)
+    tried = [step for step in plan.history if step.what.startswith("start ")]
+    assert [step.what.split(",")[0] for step in tried] == [f"start {k} of 4" for k in (1, 2, 3, 4)]
+    solved = [step.objective for step in tried if step.converged]
+    assert plan.details["starts"] == 4
+    assert plan.details["starts_solved"] == len(solved) >= 2
+    assert tried[int(plan.details["best_start"]) - 1].objective == min(solved)
+    assert plan.objective == pytest.approx(min(solved), rel=BEST_START)
+
+
+@pytest.mark.slow
+def test_several_starts_are_the_same_in_every_run():
+    again = plan_motion(load_problem(STARTS[0], STARTS[1:]))
+    assert [step.objective for step in again.history] == [step.objective for step in optimal(*STARTS).history]
+
+
+def test_one_start_is_not_reported_as_several():
+    plan = optimal("knee-reach")
+    assert "starts" not in plan.details
+    assert plan.history[0].what == "first solve"
+
+
+# A weak pendulum has two ways up: straight, where the torque is short, or by a swing.
+
+PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="arm"><joint name="J" type="hinge" axis="0 1 0"/>
+<inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+<actuator><motor name="motor" joint="J" ctrlrange="-3 3"/></actuator></mujoco>"""
+UP = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 180.0 }\nduration_s = "free"\n'
+
+
+def time_of_one_swing(switch: float) -> float:
+    """Return the time [s] that the pendulum takes up with one swing back, pushed back until -`switch` [rad] by all torque.
+
+    From there on it is pushed forward: to a stop at -b, back through zero, and on to where braking brings it to rest
+    upright. With W = m g l, energies give b, u (2 a - b) = W (1 - cos b), and where to brake, u (2 s + b - pi) =
+    W (1 + cos b). On each arc angle = rest -+ x^2 takes away the root of the energy at rest.
+    """
+    u, W, inertia = 3.0, 9.81 * 0.5, 0.01 + 0.5**2
+    stop = brentq(lambda b: u * (2 * switch - b) - W * (1 - np.cos(b)), switch, 2 * switch)
+    brake = (W * (1 + np.cos(stop)) / u + np.pi - stop) / 2
+
+    def arc(rest: float, end: float, torque: float) -> float:
+        way = np.sign(end - rest)
+
+        def slowness(x: float) -> float:
+            angle = rest + way * x**2
+            return 2 * x * np.sqrt(inertia / 2 / (torque * (angle - rest) + W * (np.cos(angle) - np.cos(rest))))
+
+        return quad(slowness, 0, np.sqrt(abs(end - rest)))[0]
+
+    return arc(0, -switch, -u) + arc(-stop, -switch, u) + arc(-stop, brake, u) + arc(np.pi, brake, -u)
+
+
+def test_a_motor_short_of_gravity_swings_back_once_and_takes_the_least_time_of_that():
+    plan = body_plan(PENDULUM, UP, "objective.minimize=time")
+    assert 1 * 9.81 * 0.5 > 3  # the motor cannot hold the arm level
+    assert plan.status == "optimal", plan.message
+    motion = plan.trajectory
+    assert motion.position_at(motion.dense_times(10)).min() < -0.1  # it swings back first
+    least = minimize_scalar(time_of_one_swing, bounds=(0.2, 0.8), method="bounded", options={"xatol": 1e-8}).fun
+    assert plan.objective == pytest.approx(least, rel=MINIMUM_TIME)
+
+
+def test_the_history_ends_with_what_was_planned_and_no_step_of_it_is_faster():
+    plan = body_plan(PENDULUM, UP, "objective.minimize=time")
+    assert plan.history[-1].objective == plan.objective
+    assert plan.history[-1].integration_error_deg == plan.certificate.integration_error_deg
+    first = next(step for step in plan.history if step.converged)
+    assert first.objective > plan.objective  # its switches were smeared
+
+
+@pytest.mark.slow
+def test_more_starts_are_never_slower():
+    one, many = (body_plan(PENDULUM, UP, "objective.minimize=time", f"solver.starts={k}") for k in (1, 5))
+    assert many.status == "optimal", many.message
+    assert many.objective <= one.objective * (1 + MINIMUM_TIME)
+
+
+# The user's guess.
+
+
+def test_an_earlier_plan_is_a_guess_for_another_problem(tmp_path):
+    (tmp_path / "saved").mkdir()
+    write_plan(optimal("knee-reach"), tmp_path / "saved")
+    plan = planned("knee-reach", f"guess.plan='{tmp_path / 'saved'}'", "motion.duration_s=0.18")
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(optimal("knee-reach", "motion.duration_s=0.18").objective, rel=LEAST_EFFORT)
+
+
+@pytest.mark.slow
+def test_the_guess_given_is_tried_first_and_named(tmp_path):
+    (tmp_path / "saved").mkdir()
+    write_plan(optimal("knee-reach"), tmp_path / "saved")
+    plan = optimal("knee-reach", "solver.starts=2", f"guess.plan='{tmp_path / 'saved'}'")
+    assert plan.history[0].what == "start 1 of 2, the guess given"
+    assert plan.history[1].what == "start 2 of 2, a smooth path"
+
+
+@pytest.mark.slow
+def test_a_guessed_path_is_begun_from():
+    plan = optimal("knee-reach", "solver.starts=2", "guess.path_deg.O=[-49.07,-80,20,50,56.27]")
+    assert plan.history[0].what.endswith("the guess given")
+    assert plan.objective == pytest.approx(optimal("knee-reach").objective, rel=LEAST_EFFORT)
+
+
+@pytest.mark.slow
+def test_a_guess_decides_which_of_two_local_optima_is_found():
+    """In 4 s the weak pendulum goes up by swings that begin to one side or to the other; the first is the better."""
+    fixed = UP.replace('"free"', "4.0")
+    plans = [
+        body_plan(PENDULUM, fixed, f"guess.path_deg.J={path}") for path in ([0, -60, -20, 90, 180], [0, -30, 60, -90, 180])
+    ]
+    for plan in plans:
+        assert plan.status == "optimal", plan.message
+    early = [plan.trajectory.position_at([0.5])[0, 0] for plan in plans]
+    assert early[0] < 0 < early[1]
+    assert plans[0].objective < plans[1].objective * (1 - LEAST_EFFORT)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (("guess.plan=nowhere",), "is not a folder"),
+        (("guess.path_deg.O=[1]",), "two or more positions"),
+        (("guess.path_deg.O=5",), "two or more positions"),
+        (("guess.path_deg.K=[1,2]",), "K"),
+        (("guess.path=[1,2]",), "unknown key"),
+        (("guess.path_deg.O=[0,10]", "guess.plan=nowhere"), "two guesses"),
+        (("solver.starts=0",), "solver.starts"),
+        (("solver.starts=2.5",), "solver.starts"),
+        (("mesh.breaks=[0,0.5]",), "three or more increasing"),
+        (("mesh.breaks=[0,0.5,0.4,1]",), "three or more increasing"),
+        (("mesh.breaks=[0.1,0.5,1]",), "three or more increasing"),
+        (("mesh.breaks=[0,0.5,1]", "mesh.intervals=2"), "keep one"),
+        (("mesh.refine=degrees",), "did you mean 'degree'|both, intervals, degree"),
+        (("mesh.tolerance_deg=1e-12",), "mesh.tolerance_deg"),
+    ],
+)
+def test_a_start_or_mesh_that_cannot_be_is_refused_in_one_line(given, said):
+    with pytest.raises(ProblemError, match=said) as refusal:
+        planned("knee-reach", *given)
+    assert "\n" not in str(refusal.value)
+
+
+# Meshes of one's own, and refinement.
+
+
+def test_the_breaks_given_are_those_of_the_first_mesh():
+    breaks = [0, 0.1, 0.3, 0.6, 0.8, 1]
+    plan = body_plan(HINGE, QUARTER_TURN + "duration_s = 1.5\n", f"mesh.breaks={breaks}")
+    assert plan.history[0].intervals == 5
+    np.testing.assert_allclose(plan.trajectory.breaks_s / 1.5, breaks, atol=EXACT_EFFORT)
+    assert plan.objective == pytest.approx(12 * HINGE_INERTIA**2 * TURN**2 / 1.5**3, rel=EXACT_EFFORT)
+
+
+COARSE = ("knee-reach", "mesh.intervals=6")
+ASKED_DEG = 1e-7
+
+
+@cache
+def refined(mode: str) -> Plan:
+    return optimal(*COARSE, f"mesh.refine={mode}", f"mesh.tolerance_deg={ASKED_DEG}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["intervals", "degree", "both"])
+def test_each_way_of_refining_reaches_the_tolerance(mode):
+    plan = refined(mode)
+    assert plan.history[0].integration_error_deg > ASKED_DEG
+    assert plan.certificate.integration_error_deg <= ASKED_DEG
+    assert plan.objective == pytest.approx(optimal("knee-reach").objective, rel=REFINED_EFFORT)
+
+
+def test_refining_by_intervals_keeps_the_degree():
+    assert {step.scheme for step in refined("intervals").history} == {"radau-3"}
+    assert refined("intervals").intervals > 6
+
+
+def test_refining_by_degree_raises_it_before_it_cuts():
+    history = refined("degree").history
+    assert history[1].what.startswith("higher degree")
+    assert history[1].intervals == history[0].intervals == 6
+    assert history[1].scheme == "radau-5"
+
+
+def test_raising_the_degree_takes_fewer_intervals_than_halving():
+    assert refined("both").intervals < refined("intervals").intervals
+
+
+@pytest.mark.slow
+def test_a_transcription_that_is_named_is_kept():
+    plan = optimal(*COARSE, "mesh.scheme=radau-2", "mesh.tolerance_deg=1e-4")
+    assert {step.scheme for step in plan.history} == {"radau-2"}
+    raised = optimal(*COARSE, "mesh.scheme=radau-2", "mesh.tolerance_deg=1e-4", "mesh.refine=both")
+    assert {step.scheme for step in raised.history} != {"radau-2"}
+
+
+def test_the_history_holds_each_step_s_mesh_error_objective_and_time():
+    history = refined("both").history
+    assert len(history) >= 2
+    for step in history:
+        assert step.intervals >= 6
+        assert step.segments >= 1
+        assert step.converged
+        assert step.build_s > 0
+        assert step.solve_s > 0
+        assert step.objective == pytest.approx(optimal("knee-reach").objective, rel=COARSE_MESH)
+    errors = [step.integration_error_deg for step in history]
+    assert errors == sorted(errors, reverse=True)
+    assert errors[-1] == refined("both").certificate.integration_error_deg
+    assert history[-1].objective == refined("both").objective
+
+
+@pytest.mark.slow
+def test_least_time_finds_its_switch_from_a_mesh_that_has_none_there():
+    lift = 'kind = "reach"\nstart_m = { J = 0.1 }\ngoal_m = { J = 0.9 }\nduration_s = "free"\n'
+    plan = body_plan(LIFT, lift, "objective.minimize=time", "mesh.intervals=10")
+    rise, brake = 50 / 2 - 9.81, 30 / 2 + 9.81
+    exact = np.sqrt(2 * 0.8 * (rise + brake) / (rise * brake))
+    switch = exact * brake / (rise + brake)
+    assert any("cuts at the switches" in step.what for step in plan.history)
+    assert np.abs(plan.trajectory.breaks_s - switch).min() < MINIMUM_TIME * exact
+    assert plan.history[0].objective > plan.objective  # without the cut the switch is smeared

@@ -1,0 +1,235 @@
+"""The nonlinear program: its hand-assembled derivatives, its rows at a true motion, its units, its book-keeping."""
+
+from dataclasses import replace
+from functools import cache
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from linkplan.planner.closed_chain.guess import motion_of
+from linkplan.planner.closed_chain.transcribe import Transcribed, choose_scales, trajectory_of, transcribe
+from linkplan.planner.solvers.solve import solve
+from linkplan.planner.transcription.mesh import Mesh, halved, segmented, uniform
+from tests.support.plans import planned, problem_of
+from tests.support.tolerances_planner import DERIVATIVE, DIFFERENCE, ROWS, SAME_MOTION, STILL
+
+BASES = {"effort": "knee-reach", "tracking": "knee-sine-shank", "time": "knee-sprint"}
+SPEEDS = ("limits.speed_deg_s.O=2000", "limits.speed_deg_s.C=[-1500,1600]")
+CASES = [
+    (objective, segments, scheme, speeds, positions, False)
+    for objective, scheme in (("effort", "radau-3"), ("tracking", "radau-3"), ("time", "radau-3"))
+    for segments in (1, 2)
+    for speeds, positions in ((False, False), (True, True))
+]
+CASES += [
+    ("effort", 1, "hermite-simpson", True, False, False),
+    ("tracking", 1, "radau-1", False, True, False),
+    ("time", 2, "radau-2", True, False, False),
+    ("effort", 1, "radau-3", False, False, True),
+    ("effort", 2, "radau-3", True, True, True),
+    # Limits that jump with the effort are looked at where no node stands: Radau's left end, both of Gauss's.
+    ("effort", 2, "radau-3", "jumping", False, False),
+    ("time", 1, "gauss-2", "jumping", True, False),
+]
+JUMPING = ("limits.power_w.act_O=500", "limits.closure_force.B=20", "limits.speed_deg_s.C=[-1500,1600]")
+
+
+def name_of(case: tuple) -> str:
+    words = zip(("speed rows", "position rows", "least limit"), case[3:], strict=True)
+    return ", ".join([case[0], case[2], f"{case[1]} segments", *(word for word, on in words if on)])
+
+
+@cache
+def built(case: tuple) -> Transcribed:
+    """Return a small program of a case, from the built-in plan of its objective."""
+    objective, segments, scheme, speeds, positions, least = case
+    plan = planned(BASES[objective])
+    # Interpreted: compiled functions cannot be differentiated again, which is how the assembled derivatives are judged.
+    settings = (
+        "mesh.scheme=" + scheme,
+        "mesh.intervals=6",
+        "solver.compile=never",
+        *({True: SPEEDS, "jumping": JUMPING}.get(speeds, ())),
+    )
+    problem = problem_of(BASES[objective], *settings)
+    duration = plan.trajectory.duration_s
+    durations = duration * (np.array([1.0]) if segments == 1 else np.array([0.4, 0.6]))
+    mesh = uniform(3) if segments == 1 else segmented(durations, 6)
+    return transcribe(problem, motion_of(plan.trajectory), mesh, durations, position_rows=positions, least_limit=least)
+
+
+def point(transcribed: Transcribed, seed: int) -> np.ndarray:
+    """Return random unknowns about the guess, efforts and durations among them."""
+    noise = np.random.default_rng(seed).normal(size=transcribed.start.size)
+    return transcribed.start + 0.05 * noise
+
+
+def symbols(transcribed: Transcribed):
+    nlp = transcribed.program.functions["nlp"]
+    x, p = ca.MX.sym("x", nlp.size1_in(0)), ca.MX.sym("p", nlp.size1_in(1))
+    return x, p, *nlp(x, p)
+
+
+def assert_same(actual, expected) -> None:
+    actual, expected = np.array(actual), np.array(expected)
+    assert np.abs(expected).max() > 0
+    assert np.abs(actual - expected).max() <= DERIVATIVE * np.abs(expected).max()
+
+
+every_case = pytest.mark.parametrize("case", CASES, ids=name_of)
+
+
+@pytest.mark.slow
+@every_case
+def test_the_assembled_jacobian_is_the_derivative_of_the_rows(case):
+    transcribed = built(case)
+    x, p, _, g = symbols(transcribed)
+    jacobian = ca.Function("J", [x, p], [ca.jacobian(g, x)])
+    for seed in (1, 2):
+        at = point(transcribed, seed), transcribed.parameters
+        rows, assembled = transcribed.program.functions["jac_g"](*at)
+        assert_same(assembled, jacobian(*at))
+        assert_same(rows, transcribed.program.functions["nlp"](*at)[1])
+
+
+@every_case
+def test_the_assembled_gradient_is_the_derivative_of_the_objective(case):
+    transcribed = built(case)
+    x, p, f, _ = symbols(transcribed)
+    gradient = ca.Function("df", [x, p], [ca.gradient(f, x)])
+    for seed in (3, 4):
+        at = point(transcribed, seed), transcribed.parameters
+        value, assembled = transcribed.program.functions["grad_f"](*at)
+        assert_same(assembled, gradient(*at))
+        assert_same(value, transcribed.program.functions["nlp"](*at)[0])
+
+
+@every_case
+def test_the_assembled_hessian_is_the_upper_triangle_of_the_lagrangian_s(case):
+    transcribed = built(case)
+    x, p, f, g = symbols(transcribed)
+    sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lam", g.numel())
+    lagrangian = sigma * f + ca.dot(multipliers, g)
+    hessian = ca.Function("H", [x, p, sigma, multipliers], [ca.triu(ca.hessian(lagrangian, x)[0])])
+    for seed in (5, 6):
+        weights = np.random.default_rng(seed).normal(size=g.numel())
+        at = point(transcribed, seed), transcribed.parameters, 0.7, weights
+        assert_same(transcribed.program.functions["hess_lag"](*at), hessian(*at))
+
+
+@every_case
+def test_the_assembled_derivatives_agree_with_differences_along_a_random_direction(case):
+    transcribed = built(case)
+    functions, p = transcribed.program.functions, transcribed.parameters
+    x = point(transcribed, 7)
+    direction = np.random.default_rng(8).normal(size=x.size)
+    step = 1e-5
+
+    def difference(index: int) -> np.ndarray:
+        ahead, behind = (np.array(functions["nlp"](x + sign * step * direction, p)[index]).ravel() for sign in (1, -1))
+        return (ahead - behind) / (2 * step)
+
+    rows = np.array(functions["jac_g"](x, p)[1] @ direction).ravel()
+    slope = float(ca.dot(functions["grad_f"](x, p)[1], direction))
+    assert np.abs(rows - difference(1)).max() < DIFFERENCE * np.abs(rows).max()
+    assert abs(slope - difference(0)[0]) < DIFFERENCE * max(1.0, abs(slope))
+
+
+@every_case
+def test_the_last_rows_are_the_linear_ones(case):
+    transcribed = built(case)
+    program, x = transcribed.program, point(transcribed, 9)
+    rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()
+    n_linear = program.linear.shape[0]
+    assert len(rows) == program.n_rows == program.mesh.n_intervals * program.interval.n_rows + n_linear
+    np.testing.assert_allclose(rows[len(rows) - n_linear :], program.linear @ x, atol=DERIVATIVE)
+
+
+@every_case
+def test_every_unknown_has_one_place(case):
+    layout = built(case).program.layout
+    places = [layout.states()[:, :], layout.acceleration(), layout.dependent(), layout.effort()]
+    places += [layout.durations(), layout.extra(), layout.looked()]
+    np.testing.assert_array_equal(np.sort(np.concatenate([p.ravel() for p in places])), np.arange(layout.size))
+
+
+@pytest.mark.parametrize("name", ["knee-reach", "knee-sprint", "knee-sine-shank"])
+def test_a_planned_motion_written_back_keeps_every_row(name):
+    plan = planned(name)
+    mesh, durations = mesh_of(plan)
+    transcribed = transcribe(plan.problem, motion_of(plan.trajectory), mesh, durations)
+    x = np.array(transcribed.start)  # holds back from the limits, where a guess wants room and a plan does not
+    x[transcribed.program.layout.effort()] = plan.trajectory.effort.transpose(1, 0, 2) / transcribed.units.effort
+    rows = np.array(transcribed.program.functions["nlp"](x, transcribed.parameters)[1]).ravel()
+    assert np.all(rows >= transcribed.row_lower - ROWS)
+    assert np.all(rows <= transcribed.row_upper + ROWS)
+
+
+def mesh_of(plan) -> tuple[Mesh, np.ndarray]:
+    """Return a plan's final mesh as one segment of its own widths."""
+    widths = np.diff(plan.trajectory.breaks_s)
+    duration = widths.sum()
+    return Mesh(fraction=widths / duration, segment=np.zeros(len(widths), dtype=int)), np.array([duration])
+
+
+def test_a_closed_loop_is_a_row_at_every_node():
+    program = built(CASES[0]).program
+    n_nodes = program.layout.n_nodes
+    assert program.interval.row_kinds.count("closure") == 2 * n_nodes
+    assert program.interval.row_kinds.count("dynamics") == n_nodes
+
+
+def test_an_open_loop_breaks_the_closure_rows_by_its_gap():
+    transcribed = built(CASES[0])
+    layout, local = transcribed.program.layout, transcribed.program.interval
+    x = np.array(transcribed.start)
+    x[layout.dependent()[1, 2, 0]] += 0.01
+    before, after = (
+        np.array(transcribed.program.functions["nlp"](at, transcribed.parameters)[1]).ravel()
+        for at in (transcribed.start, x)
+    )
+    changed = np.flatnonzero(np.abs(after - before) > STILL)
+    kinds = {local.row_kinds[i % local.n_rows] for i in changed}
+    assert "closure" in kinds
+    assert {i // local.n_rows for i in changed} == {1}
+    assert kinds <= {"closure", "dynamics"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", ["time_s", "position", "effort", "residual", "length_m"])
+def test_a_plan_does_not_depend_on_the_units_of_its_program(what):
+    plan = planned("knee-reach")
+    problem, guess = plan.problem, motion_of(plan.trajectory)
+    scales = choose_scales(problem, guess)
+    other = replace(scales, **{what: 1.9 * getattr(scales, what)})
+    mesh, durations = uniform(10), np.array([guess.duration_s])
+    objectives, motions = [], []
+    for units in (scales, other):
+        transcribed = transcribe(problem, guess, mesh, durations, scales=units)
+        solution = solve(transcribed)
+        assert solution.converged
+        objectives.append(solution.objective)
+        motions.append(trajectory_of(transcribed, solution.x, problem.limits.effort))
+    assert objectives[1] == pytest.approx(objectives[0], rel=SAME_MOTION)
+    np.testing.assert_allclose(motions[1].position, motions[0].position, atol=SAME_MOTION)
+
+
+def test_halving_keeps_each_segment_s_share():
+    mesh = halved(segmented(np.array([1.0, 3.0]), 12), np.arange(12) % 2 == 0)
+    assert mesh.n_intervals == 18
+    np.testing.assert_allclose(np.bincount(mesh.segment, weights=mesh.fraction), 1.0)
+
+
+def test_the_breaks_of_a_mesh_end_at_its_durations():
+    mesh = segmented(np.array([1.0, 3.0]), 12)
+    breaks = mesh.breaks(np.array([0.5, 2.0]))
+    assert breaks[0] == 0
+    assert breaks[-1] == pytest.approx(2.5)
+    assert np.any(np.isclose(breaks, 0.5))
+
+
+@pytest.mark.parametrize("fraction", [[0.5, 0.6], [1.5, -0.5], [0.5, 0.4]])
+def test_a_mesh_whose_shares_do_not_add_up_is_refused(fraction):
+    with pytest.raises(ValueError, match="sum to 1"):
+        Mesh(fraction=np.array(fraction), segment=np.zeros(2, dtype=int))

@@ -1,0 +1,306 @@
+"""The loop report of `linkplan check` along reach and motion, against closed forms, virtual work and MuJoCo."""
+
+import json
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.assembly import follow, reach
+from linkplan.planner.files.folders import plain
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.studies.check.check_report import path_text
+from linkplan.studies.check.loop_report import LoopPath, measure, motion_path, path_record, reach_paths, swept
+from linkplan.studies.cli.main import main
+from tests.support.data import KNEE_TABLE
+from tests.support.drive import line, line_rates
+from tests.support.fourbar import G, knee
+from tests.support.gripper import INERTIA, PULLEY, REST, STIFFNESS, WEIGHT
+from tests.support.linkages import WELDED
+from tests.support.mechanism_checks import mechanism_of
+from tests.support.mechanisms import simulated
+from tests.support.slider_crank import CRANK, CRANK_CENTRE, CRANK_MASS, ROD, ROD_CENTRE, ROD_MASS, inertia, slider
+from tests.support.tolerances import BRACKET_RAD, KNEE, POLE_INERTIA, REDUCED, SWEPT_GAP_M, relative_error
+
+CONFIGURATIONS = KNEE_TABLE["configurations"]
+# Samples at which a sweep may stand at a singular pose's edge, where MuJoCo's own numbers lose digits with the condition.
+CLEAR = 0.2
+# Where a full turn's samples come back to their start [rad]: the sum of Newton's rounding over the turn.
+RETURNED_RAD = 1e-9
+
+
+@cache
+def knee_path() -> LoopPath:
+    """Return the knee's report at the reference's own angles."""
+    mechanism = mechanism_of("optimus-knee")
+    angles = np.radians([[row["q_O_deg"]] for row in CONFIGURATIONS])
+    return measure(mechanism, follow(mechanism, angles), "the reference's angles", coordinate=0)
+
+
+@cache
+def swept_paths(name: str) -> tuple[LoopPath, ...]:
+    mechanism = mechanism_of(name)
+    paths = reach_paths(mechanism, tuple(reach(mechanism, column) for column in range(mechanism.dof)))
+    assert len(paths) == mechanism.dof
+    return paths
+
+
+@cache
+def linear_by_knee_angle() -> LoopPath:
+    """Return the linear knee's report with O as its coordinate: the drive's force at the knee."""
+    mechanism = load_mechanism("optimus-knee-linear", independent=["O"])
+    angles = np.radians(np.linspace(-75.0, 56.27, 40))[:, None]
+    return measure(mechanism, follow(mechanism, angles), "knee angles", coordinate=0)
+
+
+def test_the_knee_s_motor_turns_o_one_to_one_and_its_limit_is_what_o_has():
+    (path,) = swept_paths("optimus-knee")
+    assert len(path.poses) > 150
+    assert np.all(path.ratio == 1.0)
+    assert np.all(path.available_effort == [-100.0, 100.0])
+    assert relative_error(path.reflected_inertia[:, 0], path.reduced_inertia[:, 0, 0]) < KNEE
+
+
+def test_the_knee_s_inertia_weight_and_rates_are_the_reference_s():
+    path = knee_path()
+    assert relative_error(path.reduced_inertia[:, 0, 0], [row["reduced_inertia_kgm2"] for row in CONFIGURATIONS]) < KNEE
+    assert relative_error(path.gravity_effort[:, 0], [row["gravity_torque_Nm"] for row in CONFIGURATIONS]) < KNEE
+    rates = [[1.0, row["dqA_dqO"], row["dqC_dqO"]] for row in CONFIGURATIONS]
+    assert relative_error(path.rates[:, :, 0], rates) < KNEE
+
+
+def test_the_knee_s_distance_from_singular_is_the_transmission_angle_s_sine():
+    angles = np.radians([row["q_O_deg"] for row in CONFIGURATIONS])
+    expected = knee().transmission(angles) / knee().transmission(np.zeros(1))
+    assert expected.min() < 0.5 < expected.max()
+    assert relative_error(knee_path().singularity, expected) < KNEE
+
+
+def test_the_knee_s_sweep_ends_next_to_the_singular_pose():
+    (path,) = swept_paths("optimus-knee")
+    assert path.singularity[-1] < 1e-3 < 0.9 < path.singularity.max()
+
+
+def test_the_linear_knee_s_ratio_inertia_and_torque_at_the_knee_are_virtual_work_s():
+    path = linear_by_knee_angle()
+    lever = np.array([line_rates(knee(), q)[0] for q in path.positions[:, 0]])
+    assert np.ptp(lever) > 0.02, "the lever changes along the swing"
+    assert relative_error(path.ratio[:, 0, 0], lever) < KNEE
+    assert relative_error(path.reflected_inertia[:, 0], path.reduced_inertia[:, 0, 0] / lever**2) < KNEE
+    assert relative_error(path.available_effort[:, 0], 2000.0 * np.abs(lever)[:, None] * [-1.0, 1.0]) < KNEE
+    assert relative_error(path.holding_effort[:, 0], path.gravity_effort[:, 0] / lever) < KNEE
+
+
+def test_the_linear_knee_s_reflected_inertia_is_the_slide_s_own_in_the_slide_s_coordinate():
+    by_angle, linear = linear_by_knee_angle(), mechanism_of("optimus-knee-linear")
+    lengths = np.array([[line(knee(), q)[0]] for q in by_angle.positions[:, 0]])
+    by_slide = measure(linear, follow(linear, lengths), "lengths", coordinate=0)
+    assert relative_error(by_slide.reduced_inertia[:, 0, 0], by_angle.reflected_inertia[:, 0]) < 100 * KNEE
+
+
+def test_the_slider_crank_s_slider_moves_as_the_closed_form_says_over_a_whole_turn():
+    (path,) = swept_paths("slider-crank")
+    th = path.positions[:, 0]
+    assert np.ptp(th) == pytest.approx(2 * np.pi, abs=BRACKET_RAD)
+    assert np.abs(path.poses[-1] - path.poses[0])[2] < RETURNED_RAD
+    assert relative_error(path.rates[:, 2, 0], [slider(x)[1] for x in th]) < KNEE
+    assert relative_error(path.reduced_inertia[:, 0], [inertia(np.array([x]))[0] for x in th]) < KNEE
+
+
+def test_the_slider_crank_s_weight_and_pin_force_at_rest_are_statics():
+    """The slider bears no load along its guide, so that pin B carries the rod's share of weight, and upright."""
+    (path,) = swept_paths("slider-crank")
+    share = ROD_MASS * G * ROD_CENTRE / ROD
+    arm = CRANK_MASS * CRANK_CENTRE + ROD_MASS * CRANK * (1 - ROD_CENTRE / ROD)
+    assert relative_error(path.closure_force[:, 0], np.full(len(path.poses), share)) < KNEE
+    assert relative_error(path.gravity_effort[:, 0], G * arm * np.cos(path.positions[:, 0])) < KNEE
+
+
+@pytest.mark.parametrize("name", ["optimus-knee", "optimus-knee-linear", "five-bar", "slider-crank", "parallel-gripper"])
+def test_weight_is_mujoco_s_bias_at_rest_on_the_coordinates(name):
+    """MuJoCo's qfrc_bias at rest, reduced by rates that come from the null space of MuJoCo's own constraint rows."""
+    for path in swept_paths(name):
+        mechanism = path.mechanism
+        inner = slice(2, -2)  # at the ends MuJoCo's rows are those of joint ranges too
+        clear = np.arange(len(path.poses))[inner][path.singularity[inner] > CLEAR][::20]
+        assert len(clear) > 3
+        for k in clear:
+            at = simulated(mechanism.model, path.poses[k], np.zeros(mechanism.n_q))
+            kernel = np.linalg.svd(at.rows)[2][mechanism.n_q - mechanism.dof :].T
+            rates = kernel @ np.linalg.inv(kernel[mechanism.independent])
+            size = np.abs(rates.T).max() * np.abs(at.bias).max()
+            assert np.abs(path.gravity_effort[k] - rates.T @ at.bias).max() < REDUCED * size
+
+
+def test_pin_forces_are_those_of_mujoco_s_rigid_statics():
+    """M q'' = 0 with the holding effort: MuJoCo's rows^T f = bias - moment^T u - passive; f of least norm is the pin's."""
+    (path,) = swept_paths("optimus-knee")
+    mechanism = path.mechanism
+    for k in range(0, 160, 20):
+        at = simulated(mechanism.model, path.poses[k], np.zeros(mechanism.n_q))
+        load = at.bias - at.passive - at.moment.T @ path.holding_effort[k]
+        force, *_ = np.linalg.lstsq(at.rows.T, load, rcond=1e-12)
+        assert relative_error(at.rows.T @ force, load) < REDUCED, "held still"
+        assert relative_error(path.closure_force[k, 0], np.linalg.norm(force)) < KNEE
+
+
+def test_the_gripper_s_cable_has_the_closed_form_s_arm_inertia_and_holding_pull():
+    mechanism = load_mechanism("parallel-gripper", independent=["right_crank"])
+    (path,) = reach_paths(mechanism, (reach(mechanism),))
+    assert mechanism.actuators[0].joint is None, "a tendon's, on no joint"
+    q = path.positions[:, 0]
+    assert relative_error(path.ratio[:, 0, 0], np.full(len(q), -2 * PULLEY)) < KNEE
+    assert relative_error(path.reflected_inertia[:, 0], np.full(len(q), INERTIA / (2 * PULLEY) ** 2)) < KNEE
+    assert relative_error(path.available_effort[:, 0], np.tile([-40.0 * PULLEY, 0.0], (len(q), 1))) < KNEE
+    pull = -(2 * STIFFNESS * (q - REST) + WEIGHT * np.sin(q)) / (2 * PULLEY)
+    assert relative_error(path.holding_effort[:, 0], pull) < KNEE
+    assert np.any(pull < 0), "where the springs hold the hand further shut than its weight does"
+    assert "holding weight and springs asks pull for" in path_text(path)
+    assert f"beyond its limit of 0 to 20; so in {np.sum(pull < 0)} of {len(q)} poses" in path_text(path)
+
+
+def test_the_cart_feels_the_pole_s_mass_only_as_far_as_the_pole_pulls_along_the_track():
+    """m_eff = M + m sin^2(pole); the pole itself is held by nothing."""
+    _, path = swept_paths("cart-pole")
+    pole = path.positions[:, 1]
+    assert (
+        relative_error(path.reflected_inertia[:, 0], 1.0 + 0.3 * np.sin(pole) ** 2) < POLE_INERTIA
+    )  # its moment of 1e-10 kg m2
+    assert relative_error(path.unheld_effort[:, 1], 0.3 * G * 0.5 * np.sin(pole)) < KNEE
+    assert np.all(path.available_effort[:, 1] == 0.0)
+    assert np.all(path.singularity == 1.0)
+    assert path.closure_force.shape == (len(pole), 0)
+    assert "no actuator holds pole still" in path_text(path)
+
+
+def test_each_of_two_freedoms_is_swept_with_the_other_at_home():
+    for column, path in enumerate(swept_paths("five-bar")):
+        assert path.coordinate == column
+        other = 1 - column
+        assert np.ptp(path.positions[:, column]) > 1.0
+        assert np.all(path.positions[:, other] == path.mechanism.home[path.mechanism.independent[other]])
+        assert path.mechanism.gaps_m(path.poses).max() < SWEPT_GAP_M
+
+
+def test_each_of_two_motors_feels_the_inertia_that_is_left_with_the_other_free():
+    for path in swept_paths("five-bar"):
+        M = path.reduced_inertia
+        left = M[:, 0, 0] - M[:, 0, 1] ** 2 / M[:, 1, 1]
+        assert relative_error(path.reflected_inertia[:, 0], left) < KNEE
+        assert np.any(left < 0.5 * M[:, 0, 0]), "the coupling counts"
+
+
+def test_a_coarse_reach_is_filled_with_closed_poses():
+    (path,) = swept_paths("optimus-knee-linear")
+    own = reach(mechanism_of("optimus-knee-linear"))
+    assert len(own.poses) < 40 < 120 <= len(path.poses)
+    assert path.mechanism.gaps_m(path.poses).max() < SWEPT_GAP_M
+    assert np.all(np.diff(path.positions[:, 0]) > 0)
+
+
+def test_a_mechanism_without_actuators_is_reported_on_too():
+    start, end = WELDED.index("<actuator>"), WELDED.index("</actuator>") + len("</actuator>")
+    mechanism = load_mechanism(WELDED[:start] + WELDED[end:])
+    assert mechanism.n_u == 0
+    (path,) = reach_paths(mechanism, (reach(mechanism),))
+    assert np.array_equal(path.unheld_effort, path.gravity_effort)
+    assert np.abs(path.gravity_effort).max() > 0.01
+    assert "no actuator holds" in path_text(path)
+
+
+def test_an_actuator_without_limits_gives_any_effort_where_it_acts_and_none_where_it_does_not():
+    text = """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/>
+      <body pos="0.4 0 0"><joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body></body></worldbody>
+      <actuator><motor name="m" joint="a"/></actuator></mujoco>"""
+    mechanism = load_mechanism(text)
+    path = measure(mechanism, mechanism.home[None], "home")
+    assert path.available_effort[0].tolist() == [[-np.inf, np.inf], [0.0, 0.0]]
+    json.dumps(plain(path_record(path)), allow_nan=False)
+
+
+def test_a_problem_is_reported_on_along_its_reference_with_its_own_limits():
+    problem = load_problem("knee-sine", ["limits.effort.act_O=[-80,70]"])
+    path = motion_path(problem)
+    expected = problem.reference.derivative(path.time_s, 0)
+    assert np.array_equal(path.positions, expected)
+    assert np.degrees([expected.min(), expected.max()]) == pytest.approx([-49.07, 56.27], abs=KNEE)
+    assert np.all(path.available_effort == [-80.0, 70.0])
+    assert path.title == "the reference of knee-sine"
+
+
+def test_a_reach_is_reported_on_from_its_start_to_its_goal():
+    path = motion_path(load_problem("five-bar-reach"))
+    motion = load_problem("five-bar-reach").motion
+    assert relative_error(path.positions[[0, -1]], [motion.start, motion.goal]) < KNEE
+
+
+@pytest.fixture
+def ask_json(capsys):
+    """Run `check --json`; return its exit code and what it prints."""
+
+    def run(*argv: str) -> tuple[int, dict]:
+        capsys.readouterr()
+        code = main(["check", *argv, "--json"])
+        return code, json.loads(capsys.readouterr().out)
+
+    return run
+
+
+def test_json_holds_every_sample_of_every_quantity_with_null_for_what_is_infinite(ask_json):
+    code, said = ask_json("slider-crank")
+    (along,) = said["along"]
+    assert code == 0
+    n = len(along["q_deg"]["O"])
+    assert n == 361
+    assert len(along["transmission_ratio"]["act_O"]["O"]) == len(along["closure_force_n"]["B"]) == n
+    assert len(along["available_effort"]["O"]) == len(along["reflected_inertia"]["act_O"]) == n
+    assert (along["coordinate"], along["time_s"]) == ("O", None)
+    assert len(said["branch"]) == 2
+
+
+@pytest.mark.slow
+def test_figures_of_each_sweep_are_written_beside_the_record(ask_json, tmp_path):
+    code, said = ask_json("five-bar", "-o", str(tmp_path / "checked"))
+    assert code == 0
+    files = {path.name for path in (tmp_path / "checked").iterdir()}
+    assert files == {"check.json", "mechanism.png", "loop-1.png", "loop-2.png"}
+    assert json.loads((tmp_path / "checked" / "check.json").read_text()) == said
+
+
+def test_a_problem_that_cannot_be_planned_is_named_and_its_mechanism_reported_on_all_the_same(ask_json):
+    code, said = ask_json("knee-reach", "--set", "motion.goal_deg={ O = 85.0 }")
+    assert code == 0
+    assert [path["coordinate"] for path in said["along"]] == ["O"]
+    assert any("motion.goal_deg" in note and "singular pose" in note for note in said["notes"])
+
+
+def test_a_motion_with_a_misspelt_key_is_named_too(ask_json):
+    code, said = ask_json("knee-reach", "--set", "motion.kind=raech")
+    assert code == 0
+    assert any(note.startswith("the problem cannot be planned:") and "raech" in note for note in said["notes"])
+
+
+def test_the_table_says_once_what_does_not_change():
+    (path,) = swept_paths("optimus-knee")
+    text = path_text(path)
+    assert "the same at every pose: act_O->O 1, available O -100 to 100 N.m" in text
+    assert len([row for row in text.splitlines() if row[:1].isdigit() or (row.startswith("-") and row[1].isdigit())]) == 9
+
+
+def test_a_sweep_that_nothing_stops_is_one_turn_from_home():
+    mechanism = mechanism_of("cart-pole")
+    poses = swept(mechanism, reach(mechanism, 1))
+    assert np.ptp(poses[:, 1]) == pytest.approx(2 * np.pi, abs=BRACKET_RAD)
+
+
+def test_the_other_branch_has_the_other_sign(ask_json):
+    crank, coupler, rocker = np.degrees(replace(knee(), branch=-knee().branch).angles(np.zeros(1))[:, 0])
+    own = ask_json("optimus-knee")[1]
+    other = ask_json("optimus-knee", "--set", f"mechanism.home_deg={{ O = 0.0, A = {coupler - crank}, C = {rocker} }}")[1]
+    assert own["problems"] == []
+    assert any("joint A stands at -158.1 deg at home, outside its range" in problem for problem in other["problems"])
+    assert own["home_deg"]["A"] - other["home_deg"]["A"] > 90.0
+    assert own["branch"][0] * other["branch"][0] < 0
+    assert other["along"][0]["singularity_ratio"][0] > 0, "a share of its own home's"

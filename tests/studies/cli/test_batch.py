@@ -1,0 +1,106 @@
+"""Batches: every case has the answer that it has alone, solved from the last; a bad case is named before any is planned."""
+
+import json
+
+import pytest
+
+from linkplan.models.errors import ProblemError
+from linkplan.planner.batch import plan_batch
+from linkplan.planner.files.batch_file import read_batch
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.planning import plan_motion
+from linkplan.studies.cli.main import main
+from tests.support.tolerances_planner import SAME_FIGURE
+
+SWEEP = """problem = "knee-reach"
+set = ["motion.duration_s=0.2"]
+[sweep]
+motion.goal_deg.O = [45, 50]
+"mechanism.payload.mass_kg" = [4.0, 5.0]
+"""
+CASES = """problem = "knee-reach"
+[[case]]
+name = "slow"
+set = ["motion.duration_s=0.25"]
+[[case]]
+name = "impossible"
+set = ["motion.duration_s=0.1"]
+[[case]]
+set = ["motion.duration_s=0.24"]
+"""
+
+
+@pytest.fixture
+def batch_file(tmp_path):
+    def write(text: str):
+        path = tmp_path / "batch.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_a_sweep_has_every_combination_in_order(batch_file):
+    batch = read_batch(batch_file(SWEEP))
+    assert [case.name for case in batch.cases] == ["1", "2", "3", "4"]
+    assert batch.cases[1].settings == ("motion.goal_deg.O=45", "mechanism.payload.mass_kg=5.0")
+    assert batch.common == ("motion.duration_s=0.2",)
+
+
+def test_every_case_has_the_answer_that_it_has_alone_and_only_the_first_is_built(batch_file):
+    results = list(plan_batch(read_batch(batch_file(SWEEP))))
+    for number, (case, plan) in enumerate(results):
+        alone = plan_motion(load_problem("knee-reach", ["motion.duration_s=0.2", *case.settings]))
+        assert plan.objective == pytest.approx(alone.objective, rel=SAME_FIGURE)
+        assert plan.history[-1].what == ("solved again" if number else "first solve")
+
+
+def test_a_case_without_a_plan_is_said_and_does_not_spoil_the_next(batch_file, tmp_path, capsys):
+    code = main(["batch", str(batch_file(CASES)), "-o", str(tmp_path / "out"), "--json"])
+    said = json.loads(capsys.readouterr().out)["cases"]
+    assert code == 1
+    assert {name: case["status"] for name, case in said.items()} == {
+        "slow": "optimal",
+        "impossible": "infeasible",
+        "case-3": "optimal",
+    }
+    assert said["case-3"]["history"][-1]["what"] == "solved again"
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["batch.json", "case-3", "slow"]
+
+
+def test_a_saved_case_is_a_plan_like_any_other(batch_file, tmp_path, capsys):
+    assert main(["batch", str(batch_file(SWEEP)), "-o", str(tmp_path / "out")]) == 0
+    assert main(["track", str(tmp_path / "out" / "2"), "--json"]) == 0
+    assert '"stable": true' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", ["problem of a batch", "None"]),
+        ('problem = "knee-reach"', ["[[case]]", "[sweep]", "one of the two"]),
+        (f"{CASES}[sweep]\nx = [1]", ["one of the two"]),
+        ('problem = "knee-reach"\ncases = []', ["'cases'", "did you mean 'case'"]),
+        ('problem = "knee-reach"\n[sweep]\nmotion.duration_s = 0.2', ["sweep.motion.duration_s", "list of values"]),
+        ('problem = "knee-reach"\n[sweep]\nmotion.duration_s = []', ["sweep.motion.duration_s", "list of values"]),
+        (f'problem = "knee-reach"\n[sweep]\na.b = {list(range(200))}\na.c = {list(range(200))}', ["10000", "40000"]),
+        ('problem = "knee-reach"\nset = "a.b=1"\n[sweep]\na.b = [1]', ["list of", "a.b=1"]),
+        ('problem = "knee-reach"\n[[case]]\nname = "a/b"', ["case.name", "a/b"]),
+        ('problem = "knee-reach"\n[[case]]\nname = "a"\n[[case]]\nname = "a"', ["twice: a"]),
+        ('problem = "knee-reach"\n[[case]]\nsets = []', ["'case.sets'", "did you mean 'set'"]),
+        ('problem = "knee-reach"\n[[case]]\nset = ["motion.kind=walk"]', ["case 'case-1'", "motion.kind", "walk"]),
+        ('problem = "knee-raech"\n[[case]]\nset = []', ["knee-raech", "did you mean 'knee-reach'"]),
+        ("problem = ", ["not TOML"]),
+    ],
+)
+def test_a_bad_batch_is_refused_in_one_line(batch_file, text, words):
+    with pytest.raises(ProblemError) as refused:
+        list(plan_batch(read_batch(batch_file(text))))
+    for word in words:
+        assert word in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_batch_that_is_no_file_is_refused():
+    with pytest.raises(ProblemError, match="not a file"):
+        read_batch("nowhere.toml")

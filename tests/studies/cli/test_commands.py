@@ -1,0 +1,267 @@
+"""The command line as its users meet it: what it prints, its JSON keys, its exit codes, what it leaves on disk."""
+
+import errno
+import json
+import os
+
+import numpy as np
+import pytest
+
+from tests.support.data import ROOT
+from tests.support.figures import curves, saved_figures
+from tests.support.tolerances import KNEE, SOURCE_GAP_M
+from tests.support.tolerances_loops import LAST_SAMPLE_S, POSE_DEG
+from tests.support.tolerances_planner import CLOSURE_M, ROUNDING, SINE_RMS_DEG
+
+KNEE_KEYS = {
+    "status",
+    "message",
+    "objective",
+    "duration_s",
+    "peak_effort",
+    "effort_limit",
+    "effort_unit",
+    "certificate",
+    "mesh",
+    "time_s",
+    "versions",
+}
+CERTIFICATE_KEYS = {
+    "passed",
+    "effort_excess",
+    "dynamics_residual",
+    "closure_gap_m",
+    "integration_error_deg",
+    "joint_margin_deg",
+}
+TRACKER_KEYS = {
+    "rms_error_deg",
+    "max_error_deg",
+    "final_error_deg",
+    "peak_effort",
+    "rms_effort",
+    "saturated_fraction",
+    "loop_gap_max_m",
+    "stable",
+}
+LOOP_KEYS = {
+    "stable",
+    "gain_margin_db",
+    "phase_margin_deg",
+    "delay_margin_s",
+    "crossover_hz",
+    "bandwidth_hz",
+    "sensitivity_peak",
+}
+
+
+def test_list_names_every_built_in(ask_json):
+    code, said = ask_json("list")
+    assert code == 0
+    assert set(said["models"]) == {path.stem for path in (ROOT / "models" / "mjcf").glob("*.xml")}
+    assert set(said["problems"]) == {path.stem for path in (ROOT / "planner" / "problems").glob("*.toml")}
+
+
+def test_check_of_the_mended_knee_finds_one_freedom_rank_two_and_no_problem(ask_json):
+    code, said = ask_json("check", "optimus-knee", "--at-deg", "O=0", "--at-deg", "O=30")
+    assert code == 0
+    assert (said["dof"], said["closure_rows"], said["closure_rank"]) == (1, 3, 2)
+    assert said["closure_gap_m"] < CLOSURE_M
+    assert said["reach_deg"]["O"][1] == pytest.approx(78.52165904546642, abs=KNEE)
+    assert said["singular_deg"] == pytest.approx([78.52165904546642], abs=KNEE)
+    assert said["toggle_deg"] == pytest.approx([61.43327954622908], abs=KNEE)
+    assert said["contacts"] == []
+    assert said["problems"] == []
+    at_30 = said["points"][1]
+    assert at_30["q_deg"]["A"] == pytest.approx(39.74309737680779, abs=KNEE)
+    assert at_30["reduced_inertia_kgm2"][0][0] == pytest.approx(0.00021304923174702268, rel=KNEE)
+    assert at_30["gravity_effort"]["O"] == pytest.approx(-0.019943993693058087, abs=KNEE)
+    assert at_30["effort_map"] == {"act_O": {"O": 1.0}}
+
+
+def test_check_of_the_source_names_the_open_loop_the_contacts_and_the_range_of_a(ask_json):
+    code, said = ask_json("check", "optimus-knee-source")
+    problems = "\n".join(said["problems"])
+    assert code == 1
+    assert said["closure_gap_m"] == pytest.approx(0.073, abs=SOURCE_GAP_M)
+    assert "73 mm" in problems
+    assert "joint A's range [-90, 90] deg stops the mechanism at O = -26.39 deg" in problems
+    assert "geoms L2 and B collide" in problems
+    assert {"L2", "B"} in [set(pair["geoms"]) for pair in said["contacts"]]
+
+
+def test_check_speaks_to_people_too(ask):
+    code, out, _ = ask("check", "optimus-knee")
+    assert code == 0
+    assert "1 degree of freedom" in out
+    assert "rank 2" in out
+    assert "singular pose at O = 78.522 deg" in out
+    assert "toggle poses: joint C turns back at O = 61.433 deg" in out
+
+
+def test_a_payload_set_on_the_command_line_reaches_the_inertia(ask_json):
+    bare = ask_json("check", "optimus-knee", "--at-deg", "O=0")[1]["points"][0]
+    payload = '{ body = "crank", mass_kg = 2.0, com_m = [0.0, 0.0, -0.1], inertia_kgm2 = [0.01, 0.02, 0.01] }'
+    loaded = ask_json("check", "optimus-knee", "--at-deg", "O=0", "--set", f"mechanism.payload={payload}")[1]["points"][0]
+    added = loaded["reduced_inertia_kgm2"][0][0] - bare["reduced_inertia_kgm2"][0][0]
+    assert added == pytest.approx(0.02 + 2.0 * 0.1**2, rel=ROUNDING)
+
+
+@pytest.mark.slow
+def test_plan_gives_the_promised_keys_and_saves_a_whole_folder(ask_json, tmp_path):
+    code, said = ask_json("plan", "knee-reach", "-o", str(tmp_path / "reach"))
+    assert code == 0
+    assert set(said) >= KNEE_KEYS
+    assert said["status"] == "optimal"
+    assert set(said["certificate"]) >= CERTIFICATE_KEYS
+    assert said["certificate"]["passed"] is True
+    assert said["certificate"]["effort_excess"] == 0
+    assert said["effort_unit"] == {"act_O": "N.m"}
+    assert said["mesh"] == {"scheme": "radau-3", "intervals": 40}
+    assert set(said["time_s"]) == {"build", "solve"}
+    files = {path.name for path in (tmp_path / "reach").iterdir()}
+    assert files == {"plan.json", "trajectory.npz", "trajectory.csv", "plan.png"}
+    assert json.loads((tmp_path / "reach" / "plan.json").read_text())["status"] == "optimal"
+
+
+@pytest.mark.slow
+def test_an_infeasible_problem_is_answered_in_a_sentence_and_writes_nothing(ask_json, tmp_path):
+    code, said = ask_json("plan", "knee-sine", "--set", "mechanism.payload=shank", "-o", str(tmp_path / "none"))
+    assert code == 1
+    assert said["status"] == "infeasible"
+    assert "act_O to give 120.0 N.m at t = 0.1875 s" in said["message"]
+    assert "limit of 100" in said["message"]
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.slow
+def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
+    folder = str(tmp_path / "reach")
+    assert ask_json("plan", "knee-reach", "-o", folder)[0] == 0
+    code, tracked = ask_json("track", folder, "--tracker", "lqr", "-o", str(tmp_path / "tracked"))
+    assert code == 0
+    assert set(tracked["trackers"]) == {"lqr"}
+    assert {path.name for path in (tmp_path / "tracked").iterdir()} == {"track.json", "track.png"}
+    code, compared = ask_json("compare", folder, "-o", str(tmp_path / "compared"))
+    assert code == 0
+    assert {"timestep_s", "control_period_s", "mujoco", "integrator", "solref"} <= set(compared["loop"])
+    for side in (compared, compared["mismatch"]):
+        assert set(side["trackers"]) == {"pd", "pd+ff", "lqr"}
+        assert all(set(figures) >= TRACKER_KEYS for figures in side["trackers"].values())
+    assert compared["mismatch"]["name"] == "payload +20 %, 1 control period of delay"
+    assert compared["trackers"]["lqr"] == tracked["trackers"]["lqr"]
+    assert {path.name for path in (tmp_path / "compared").iterdir()} == {"compare.json", "compare.png"}
+
+
+@pytest.mark.slow
+def test_compare_of_the_sine_draws_the_documents_figure_for_both_gain_sets(ask_json, tmp_path, monkeypatch):
+    saved = saved_figures(monkeypatch)
+    code, said = ask_json("compare", "knee-sine", "-o", str(tmp_path / "sine"))
+    assert code == 0
+    assert said["trackers"]["pd"]["rms_error_deg"] < SINE_RMS_DEG
+    assert [row["kd"] for row in said["document"]] == [1.0, 10.0]
+    assert [row["stable"] for row in said["document"]] == [True, False]
+    figure = saved["desired_and_actual.png"]
+    assert {path.name for path in (tmp_path / "sine").iterdir()} >= {"desired_and_actual.png", "compare.png"}
+    assert [axes.get_ylabel() for axes in figure.axes] == ["joint O [deg]"] * 2
+    assert figure.axes[-1].get_xlabel() == "time [s]"
+    cells = [axes.get_title().split("\n")[0] for axes in figure.axes]
+    assert cells == [f"mended: KP = 200, KD = {kd}" for kd in ("1", "10")]
+    for cell, axes in zip(cells, figure.axes, strict=True):
+        drawn = curves(axes)
+        assert set(drawn) == {"actual", "desired"}
+        time, desired = drawn["desired"]
+        assert (time.min(), time.max()) == pytest.approx((0.0, 2.0), abs=LAST_SAMPLE_S)
+        assert desired == pytest.approx(3.6 + 52.67 * np.sin(2 * np.pi * 4 * time), abs=POSE_DEG)
+        off = np.sqrt(np.mean((drawn["actual"][1] - desired) ** 2))
+        assert (off < SINE_RMS_DEG) == cell.endswith("KD = 1")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kd", "period", "stable"),
+    [("10", "1e-4", False), ("10", "1e-5", True), ("1", "1e-4", True)],
+)
+def test_bode_says_which_loop_is_stable_and_mujoco_agrees(ask_json, kd, period, stable):
+    code, said = ask_json(
+        *("bode", "optimus-knee", "--kp", "200", "--kd", kd, "--period-s", period, "--measure", "none"),
+        *("--at-deg", "O=0", "--at-deg", "O=56.27"),
+    )
+    assert code == (0 if stable else 1)
+    assert said["stable"] is stable
+    for point in said["points"]:
+        loop = point["loops"]["pd"]
+        assert set(loop) >= LOOP_KEYS
+        assert loop["stable"] is stable
+        assert loop["settles_in_mujoco"] is stable
+        assert point["reduced_inertia_kgm2"] > 0
+
+
+@pytest.mark.slow
+def test_a_full_disk_is_one_line_and_leaves_the_earlier_result_alone(tmp_path, ask, monkeypatch):
+    target = tmp_path / "reach"
+    assert ask("plan", "knee-reach", "-o", str(target))[0] == 0
+    before = {path.name: path.read_bytes() for path in target.iterdir()}
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(np, "savez", full)
+    code, out, err = ask("plan", "knee-reach", "-o", str(target))
+    assert code == 2
+    assert out == ""
+    assert err.splitlines()[-1] == f"linkplan plan: cannot write '{target}': No space left on device"
+    assert {path.name: path.read_bytes() for path in target.iterdir()} == before
+    assert [path.name for path in tmp_path.iterdir()] == ["reach"]
+
+
+@pytest.mark.slow
+def test_set_takes_toml_and_bare_words(ask_json):
+    code, said = ask_json("plan", "knee-reach", "--set", "mesh.scheme=radau-2", "--set", "limits.effort.act_O=[-95, 95.0]")
+    assert code == 0
+    assert said["mesh"]["scheme"] == "radau-2"
+    assert said["effort_limit"] == {"act_O": [-95.0, 95.0]}
+    assert said["peak_effort"]["act_O"] <= 95.0
+
+
+@pytest.mark.slow
+def test_progress_goes_to_stderr_and_results_to_stdout(ask):
+    code, out, err = ask("plan", "knee-sprint")
+    assert code == 0
+    assert "certificate: passed" in out
+    assert "  plan: cuts at the switches" in err
+    assert "  plan: " not in out
+
+
+def test_version_and_help_are_not_refused(ask):
+    assert ask("--version")[0] == 0
+    assert ask("--help")[0] == 0
+    assert ask("compare", "--help")[0] == 0
+
+
+def test_a_folder_of_somebody_elses_is_not_overwritten(ask, tmp_path):
+    (tmp_path / "thesis.txt").write_text("three years of work")
+    code, out, err = ask("plan", "knee-reach", "-o", str(tmp_path))
+    assert (code, out) == (2, "")
+    assert "holds files that are not linkplan's" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+@pytest.mark.slow
+def test_a_newer_result_replaces_an_older_one_whole(ask, tmp_path):
+    folder = tmp_path / "plan"
+    assert ask("plan", "knee-reach", "-o", str(folder))[0] == 0
+    first = (folder / "plan.json").read_text()
+    assert ask("plan", "knee-reach", "--set", "motion.duration_s=0.2", "-o", str(folder))[0] == 0
+    assert (folder / "plan.json").read_text() != first
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["plan"]
+
+
+def test_view_says_in_one_line_that_there_is_no_screen(ask, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    code, out, err = ask("view", "knee-reach")
+    assert code == 2
+    assert out == ""
+    assert err.strip().splitlines()[-1].startswith("linkplan view: view needs a screen")

@@ -1,0 +1,144 @@
+"""Bad input on the command line: exit code 2, one line on stderr, nothing on stdout, nothing on disk."""
+
+import pytest
+
+from linkplan.studies.cli.main import main
+
+OPEN_TREE = """<mujoco><worldbody><body><joint name="h" axis="0 1 0"/><geom size="0.1"/></body></worldbody></mujoco>"""
+
+# command line, words that its one line must hold
+REFUSALS = [
+    (["frobnicate"], ["frobnicate", "plan"]),
+    (["plan"], ["PROBLEM"]),
+    (["plan", "knee-reech"], ["knee-reech", "did you mean 'knee-reach'"]),
+    (["plan", "no/such/problem.toml"], ["no/such/problem.toml", "built-in"]),
+    (["plan", "."], ["folder"]),
+    (["plan", "{broken_toml}"], ["not TOML"]),
+    (["plan", "{binary}"], ["UTF-8"]),
+    (["plan", "knee-reach", "--set", "motion.duration=0.2"], ["motion.duration", "did you mean 'duration_s'"]),
+    (["plan", "knee-reach", "--set", "motions.kind=reach"], ["motions", "did you mean 'motion'"]),
+    (["plan", "knee-reach", "--set", "duration_s"], ["section.key=value"]),
+    (["plan", "knee-reach", "--set", "motion.duration_s=[0.1"], ["TOML"]),
+    (["plan", "knee-reach", "--set", "motion.duration_s=nan"], ["motion.duration_s", "nan"]),
+    (["plan", "knee-reach", "--set", "motion.duration_s=-0.2"], ["motion.duration_s", "positive"]),
+    (["plan", "knee-reach", "--set", "motion.duration_s=soon"], ["motion.duration_s", "free"]),
+    (["plan", "knee-reach", "--set", "motion.goal_deg.O=79"], ["beyond reach", "-90 to 78.5217"]),
+    (["plan", "knee-reach", "--set", "motion.goal_deg.O=95"], ["beyond reach", "-90"]),
+    (["plan", "knee-reach", "--set", "motion.goal_deg.K=10"], ["'K'", "joints are O, A, C"]),
+    (["plan", "knee-reach", "--set", "motion.start_deg={ O = -49.07, A = 0.0 }"], ["does not close", "106.817"]),
+    (["plan", "knee-reach", "--set", "motion.kind=jump"], ["reach, periodic, track"]),
+    (["plan", "knee-reach", "--set", "objective.minimize=beauty"], ["effort, time, tracking"]),
+    (["plan", "knee-reach", "--set", "objective.minimize=time"], ["free"]),
+    (["plan", "knee-reach", "--set", "mesh.scheme=radau-12"], ["radau-1 to radau-9"]),
+    (["plan", "knee-reach", "--set", "mesh.intervals=0"], ["mesh.intervals", "0"]),
+    (["plan", "knee-reach", "--set", "mesh.intervals=2.5"], ["mesh.intervals", "2.5"]),
+    (["plan", "knee-reach", "--set", "limits.effort.act_X=[-1, 1]"], ["act_X", "act_O"]),
+    (["plan", "knee-reach", "--set", "limits.effort.act_O=[1, -1]"], ["low < high"]),
+    (["plan", "knee-reach", "--set", "limits.range_deg.A=[-170, 170]"], ["wider"]),
+    (["plan", "knee-reach", "--set", "mechanism.model=optimus-kne"], ["optimus-kne", "did you mean 'optimus-knee'"]),
+    (["plan", "knee-reach", "--set", "mechanism.payload=shin"], ["shin", "shank"]),
+    (["plan", "knee-reach", "--set", "mechanism.payload.mass_kg=-4"], ["mass_kg", "-4"]),
+    (["plan", "knee-reach", "--set", "mechanism.payload.body=foot"], ["foot", "crank, coupler, rocker"]),
+    (["plan", "knee-reach", "--set", "mechanism.home_deg.O=85"], ["does not close", "O = 85"]),
+    (["plan", "knee-sine", "--set", "reference.frequency_hz=0"], ["frequency_hz", "positive"]),
+    (["plan", "knee-sine", "--set", "reference.amplitude_deg.O=90"], ["beyond reach"]),
+    (["plan", "knee-sine-shank", "--set", "motion.duration_s=0.3"], ["whole number", "0.25"]),
+    (["check", "optimus-nee"], ["optimus-nee", "did you mean 'optimus-knee'"]),
+    (["check", "{broken_mjcf}"], ["does not parse"]),
+    (["check", "{empty}"], ["empty"]),
+    (["check", "optimus-knee", "--at-deg", "O"], ["JOINT=ANGLE"]),
+    (["check", "optimus-knee", "--at-deg", "O=ninety"], ["JOINT=ANGLE"]),
+    (["check", "optimus-knee", "--at-deg", "Q=3"], ["'Q'", "O, A, C"]),
+    (["check", "optimus-knee", "--at-deg", "O=120"], ["beyond reach"]),
+    (["check", "optimus-knee", "--at-deg", "A=10"], ["independent"]),
+    (["bode", "optimus-knee", "--kd", "-1"], ["--kd", "-1"]),
+    (["bode", "optimus-knee", "--period-s", "0"], ["--period-s", "positive"]),
+    (["bode", "optimus-knee", "--period-s", "nan"], ["--period-s"]),
+    (["bode", "optimus-knee", "--kp", "0", "--kd", "0"], ["no feedback"]),
+    (["bode", "optimus-knee", "--kp", "many"], ["--kp", "many"]),
+    (["bode", "optimus-knee", "--delay-periods", "-1"], ["--delay-periods"]),
+    (["bode", "{open_tree}"], ["actuator"]),
+    (["bode", "optimus-knee-source"], ["cannot be held", "act_B_to_D would need 0 N", "0 to 0.2", "effort to both sides"]),
+    (["bode", "cart-pole"], ["one actuator for every degree of freedom"]),
+    (["bode", "optimus-knee", "--tracker", "mpc"], ["mpc", "pd, pd+ff, lqr"]),
+    (["bode", "optimus-knee", "--measure", "hammer"], ["hammer", "sinestream, multisine, chirp, none"]),
+    (["bode", "optimus-knee", "--to-hz", "6000"], ["--to-hz 6000", "Nyquist", "5000"]),
+    (["bode", "optimus-knee", "--from-hz", "-1"], ["--from-hz"]),
+    (["bode", "optimus-knee", "--frequencies", "1"], ["--frequencies", "1"]),
+    (["bode", "optimus-knee", "--amplitude-deg", "0"], ["--amplitude-deg"]),
+    (["bode", "optimus-knee", "--period-s", "-0.001"], ["--period-s", "-0.001"]),
+    (["bode", "optimus-knee", "--along"], ["--along", "problem"]),
+    (["bode", "optimus-knee", "--at-deg", "A=10"], ["independent", "O"]),
+    (["bode", "knee-reach", "--set", "limits.effort.act_O=[-2, 2]", "--at-deg", "O=50"], ["cannot be held", "act_O", "N.m"]),
+    (["tune", "optimus-knee"], ["--bandwidth-hz"]),
+    (["tune", "optimus-knee", "--bandwidth-hz", "-5"], ["positive number of hertz"]),
+    (["tune", "optimus-knee", "--bandwidth-hz", "6000"], ["Nyquist"]),
+    (["tune", "optimus-knee", "--bandwidth-hz", "10", "--phase-margin-deg", "200"], ["0 to 180"]),
+    (["tune", "knee-reach", "--bandwidth-hz", "9", "--set", "tracking.lqr_position_deg=1,0"], ["'1,0'", "write 1.5"]),
+    (["tune", "knee-reach", "--bandwidth-hz", "9", "--set", "tracking.lqr_position_deg=1e-300"], ["from 1e-09", "1e-300"]),
+    (["track", "knee-reach", "--tracker", "mpc"], ["mpc", "pd, pd+ff, lqr"]),
+    (["track", "no-such-plan"], ["no-such-plan"]),
+    (["track", "{not_a_plan}"], ["plan.json"]),
+    (["track", "{truncated_plan}"], ["truncated"]),
+    (["compare", "knee-reach", "--mass-factor", "0"], ["--mass-factor"]),
+    (["compare", "knee-reach", "--delay-periods", "-2"], ["--delay-periods"]),
+    (["compare", "knee-reach", "--set", "tracking.period_s=0.1"], ["period_s", "control instants"]),
+    (["compare", "knee-reach", "--set", "tracking.kp=-3"], ["tracking.kp"]),
+    (["view", "knee-reach", "--slow", "0"], ["--slow"]),
+    (["plan", "knee-reach", "-o", "{a_file}"], ["is a file"]),
+]
+
+
+@pytest.fixture(scope="module")
+def places(tmp_path_factory):
+    """Files that are wrong in their own ways."""
+    folder = tmp_path_factory.mktemp("bad")
+    contents = {
+        "broken_toml": ("broken.toml", b"[motion\nkind = "),
+        "binary": ("binary.toml", bytes(range(128, 256))),
+        "broken_mjcf": ("broken.xml", b"<mujoco><worldbody>"),
+        "empty": ("empty.xml", b""),
+        "open_tree": ("open.xml", OPEN_TREE.encode()),
+        "a_file": ("file.txt", b"hello"),
+    }
+    places = {}
+    for name, (file, content) in contents.items():
+        (folder / file).write_bytes(content)
+        places[name] = str(folder / file)
+    (folder / "empty_folder").mkdir()
+    places["not_a_plan"] = str(folder / "empty_folder")
+    truncated = folder / "truncated"
+    assert main(["plan", "knee-reach", "-o", str(truncated)]) == 0
+    content = (truncated / "trajectory.npz").read_bytes()
+    (truncated / "trajectory.npz").write_bytes(content[: len(content) // 2])
+    places["truncated_plan"] = str(truncated)
+    return places
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("argv", "words"), REFUSALS, ids=[" ".join(argv) for argv, _ in REFUSALS])
+def test_bad_input_gets_one_line_and_exit_code_two(argv, words, places, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = [part.format(**places) if part.startswith("{") and part.endswith("}") else part for part in argv]
+    if (
+        "-o" not in arguments
+        and arguments[0] in ("plan", "track", "compare", "check", "bode", "tune")
+        and len(arguments) > 1
+    ):
+        arguments += ["-o", str(tmp_path / "result")]
+    capsys.readouterr()
+    code = main(arguments)
+    out, err = capsys.readouterr()
+    # Progress lines are indented; what is left is the refusal.
+    refusal = [line for line in err.splitlines() if not line.startswith("  ")]
+    assert code == 2, err
+    assert out == ""
+    assert len(refusal) == 1
+    assert refusal[0].startswith("linkplan")
+    for word in words:
+        assert word in refusal[0]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_there_are_at_least_forty_refusals():
+    assert len(REFUSALS) >= 40

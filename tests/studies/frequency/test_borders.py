@@ -1,0 +1,127 @@
+"""Borders of stability: critical damping gains, delay margins, periods and maps, against MuJoCo's own runs beside them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.controllers.sampling import sampling
+from linkplan.models.mechanism import load_mechanism
+from linkplan.studies.frequency.loops import EXACT, SIMULATED, feedback_loop, operating_point, pd_gain
+from linkplan.studies.frequency.margins import delay_margin, margins
+from linkplan.studies.frequency.quick import quick_margins
+from linkplan.studies.frequency.stability_map import (
+    critical_kd,
+    effort_map,
+    longest_period,
+    pd_gains,
+    pd_loop,
+    radii,
+    stability_map,
+)
+from linkplan.studies.frequency.trial import settle_trials
+from tests.support.oscillators import inertia_alone
+from tests.support.tolerances_loops import CRITICAL_KD, DELAY_MARGIN, LONGEST_PERIOD, QUICK, QUICK_DEG, RADIUS
+
+NINE_DEG = np.linspace(-49.07, 56.27, 9)
+# The critical gain predicted brackets MuJoCo's own border within this. Measured 5e-4.
+BORDER = 0.02
+# A delay this much below its margin is stable in MuJoCo, this much above it is not.
+DELAY = 0.05
+
+
+@pytest.fixture(scope="module")
+def knee():
+    return load_mechanism("optimus-knee")
+
+
+def at(mechanism, degrees):
+    return operating_point(mechanism, np.radians([degrees]))
+
+
+def test_critical_kd_of_an_inertia_is_two_j_over_t():
+    mechanism = load_mechanism(inertia_alone(0.05))
+    point = operating_point(mechanism, np.zeros(1))
+    timing = sampling(mechanism, 1e-3)
+    # z = -1 is a root where 4 - 2 kd T / J - kp T^2 / J = 0 in MuJoCo's steps, where 4 - 2 kd T / J = 0 under an exact hold.
+    for kp in (5.0, 500.0, 5000.0):
+        assert critical_kd(point, kp, timing)[1] == pytest.approx(2 * 0.05 / 1e-3 - kp * 1e-3 / 2, rel=CRITICAL_KD)
+    gain = 2 * 0.05 / 1e-3
+    assert pd_loop(point, 500.0, gain * (1 - 1e-6), timing, EXACT).stable
+    assert not pd_loop(point, 500.0, gain * (1 + 1e-6), timing, EXACT).stable
+
+
+def test_critical_kd_brackets_mujocos_own_border_at_nine_angles(knee):
+    timing = sampling(knee, 1e-4)
+    points = [at(knee, angle) for angle in NINE_DEG]
+    critical = [critical_kd(point, 200.0, timing)[1] for point in points]
+    below = [pd_loop(point, 200.0, kd * (1 - BORDER), timing) for point, kd in zip(points, critical, strict=True)]
+    above = [pd_loop(point, 200.0, kd * (1 + BORDER), timing) for point, kd in zip(points, critical, strict=True)]
+    assert settle_trials(below, knee.effort_limit).settles.all()
+    assert not settle_trials(above, knee.effort_limit).settles.any()
+
+
+def test_the_documents_gains_are_beyond_the_border_at_every_angle_and_within_it_at_a_tenth_of_the_period(knee):
+    points = [at(knee, angle) for angle in NINE_DEG]
+    for period, stable in ((1e-4, False), (1e-5, True)):
+        loops = [pd_loop(point, 200.0, 10.0, sampling(knee, period)) for point in points]
+        assert [loop.stable for loop in loops] == [stable] * 9
+        assert settle_trials(loops, knee.effort_limit).settles.tolist() == [stable] * 9
+
+
+@pytest.mark.parametrize("angle", [-49.07, 3.6, 56.27])
+def test_a_delay_a_little_below_its_margin_is_stable_in_mujoco_and_a_little_above_is_not(knee, angle):
+    point = at(knee, angle)
+    loop = pd_loop(point, 200.0, 1.0, sampling(knee, 1e-4))
+    margin = margins(loop).delay_margin_s
+    exact, substeps = delay_margin(loop, margin)
+    assert exact == pytest.approx(margin, rel=DELAY_MARGIN)
+    timing = replace(loop.timing, substeps=substeps)
+    settled = []
+    for delay, toward in ((margin * (1 - DELAY), np.floor), (margin * (1 + DELAY), np.ceil)):
+        late = timing.delayed(int(toward(delay / timing.timestep_s)))
+        trial = feedback_loop(point, loop.gain, late, SIMULATED)
+        settled.append(bool(settle_trials([trial], knee.effort_limit).settles[0]))
+    assert settled == [True, False]
+
+
+def test_the_longest_period_of_the_documents_gains_is_the_critical_ones(knee):
+    points = [at(knee, angle) for angle in NINE_DEG]
+    longest, where = longest_period(points, lambda p, _: pd_gain(effort_map(p), 200.0, 10.0), 0.0, 1e-4)
+    least = min(float(point.inertia[0, 0]) for point in points)
+    assert longest == pytest.approx(2 * least / 10.0, rel=LONGEST_PERIOD)
+    assert where.name == points[-1].name
+    loops = {f: [pd_loop(points[-1], 200.0, 10.0, sampling(knee, f * longest))] for f in (0.97, 1.03)}
+    assert settle_trials(loops[0.97], knee.effort_limit).settles.all()
+    assert not settle_trials(loops[1.03], knee.effort_limit).settles.any()
+
+
+@pytest.mark.parametrize("payload", [None, "shank"])
+def test_a_map_agrees_with_mujoco_on_both_sides_of_its_border(payload):
+    mechanism = load_mechanism("optimus-knee", payload=payload)
+    points = [at(mechanism, angle) for angle in (-49.07, 3.6, 56.27)]
+    timing = sampling(mechanism, 1e-4, 1)
+    inertia = float(points[0].inertia[0, 0])
+    kp = np.geomspace(1e-6, 0.1, 8) * inertia / 1e-8
+    kd = np.geomspace(1e-3, 4.0, 9) * inertia / 1e-4
+    found = stability_map(points, timing, kp, kd, mechanism.effort_limit)
+    predicted = [pd_loop(points[i], p, d, timing).stable for p, d, i in found.tried]
+    assert {True, False} == set(predicted)
+    assert found.trials.settles.tolist() == predicted
+    for i, j in ((0, 0), (3, 4), (7, 8), (5, 2)):
+        loops = [pd_loop(point, kp[i], kd[j], timing) for point in points]
+        assert found.radius[i, j] == pytest.approx(max(loop.radius for loop in loops), rel=RADIUS)
+        assert np.isnan(found.phase_margin_deg[i, j]) == (found.radius[i, j] >= 1)
+
+
+def test_quick_margins_are_the_margins(knee):
+    point = at(knee, 56.27)
+    timing = sampling(knee, 1e-4, 1)
+    kp, kd = np.array([200.0, 20.0, 5.0]), np.array([0.5, 0.1, 0.02])
+    quick = quick_margins(point, pd_gains(point, kp, kd), timing)
+    assert quick.radius == pytest.approx(radii(point, kp, kd, timing))
+    for k in range(3):
+        full = margins(pd_loop(point, kp[k], kd[k], timing), refine=False)
+        assert quick.phase_margin_deg[k] == pytest.approx(full.phase_margin_deg, abs=QUICK_DEG)
+        assert quick.sensitivity_peak[k] == pytest.approx(full.sensitivity_peak, rel=QUICK)
+        assert quick.bandwidth_hz[k] == pytest.approx(full.bandwidth_hz or np.inf, rel=QUICK)

@@ -1,0 +1,180 @@
+"""A response as a value, frequencies of whole samples, several freedoms, and what is refused."""
+
+import control
+import numpy as np
+import pytest
+
+from linkplan.controllers.sampling import Sampling, sampling
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.bode.bode import bode_study
+from linkplan.studies.frequency.excitation import Setup, whole_samples
+from linkplan.studies.frequency.loops import feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.measure import measure
+from linkplan.studies.frequency.response import Response, from_frd
+from tests.support.mechanisms import FIVE_BAR
+from tests.support.tolerances_loops import COUPLED_DB, COUPLED_DEG, NEAREST_WHOLE, PRINTED_DB
+
+F = np.array([1.0, 2.0, 4.0])
+
+
+def test_a_response_goes_to_python_control_and_back():
+    response = Response(frequency_hz=F, gain=1 / (1 + 1j * F), unit="1", origin="typed in")
+    data = response.frd()
+    assert isinstance(data, control.FrequencyResponseData)
+    assert np.asarray(data(2j * np.pi * 2.0)) == pytest.approx(1 / (1 + 2j))
+    back = from_frd(data)
+    assert back.frequency_hz == pytest.approx(F)
+    assert back.gain == pytest.approx(response.gain)
+    lag = control.tf([1.0], [0.1, 1.0])
+    assert from_frd(control.frd(lag, 2 * np.pi * F)).gain == pytest.approx(1 / (1 + 0.2j * np.pi * F))
+
+
+def test_a_response_knows_its_size_its_phase_and_its_distance_from_another():
+    gain = np.array([1.0, 0.5j, -0.1])
+    response = Response(frequency_hz=F, gain=gain, unit="1", origin="a")
+    assert response.db == pytest.approx([0.0, -6.0206, -20.0], abs=PRINTED_DB)
+    assert response.phase_deg == pytest.approx([0.0, 90.0, 180.0])
+    db, deg = response.against(Response(frequency_hz=F, gain=2j * gain, unit="1", origin="b"))
+    assert db == pytest.approx(-6.0206, abs=PRINTED_DB)
+    assert deg == pytest.approx(-90.0)
+    assert response.coherence == pytest.approx(1.0)
+    assert response.uncertainty == pytest.approx(0.0)
+    with pytest.raises(ValueError, match="read-only"):
+        response.gain[0] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"frequency_hz": F, "gain": np.ones(2)}, "one gain for each"),
+        ({"frequency_hz": F[::-1], "gain": np.ones(3)}, "increase"),
+        ({"frequency_hz": F - 1, "gain": np.ones(3)}, "positive"),
+        ({"frequency_hz": F, "gain": np.ones(3), "coherence": np.ones(4)}, "coherence"),
+    ],
+)
+def test_a_malformed_response_is_refused(values, words):
+    with pytest.raises(LinkplanError, match=words):
+        Response(unit="1", origin="typed in", **values)
+
+
+def test_responses_of_other_units_or_frequencies_do_not_compare():
+    one = Response(frequency_hz=F, gain=np.ones(3), unit="1", origin="a")
+    with pytest.raises(LinkplanError, match="one unit"):
+        one.against(Response(frequency_hz=F, gain=np.ones(3), unit="rad", origin="b"))
+    with pytest.raises(LinkplanError, match="same frequencies"):
+        one.against(Response(frequency_hz=2 * F, gain=np.ones(3), unit="1", origin="b"))
+
+
+def test_measured_frequencies_repeat_after_whole_samples_next_to_those_asked_for():
+    asked = np.geomspace(0.7, 499.0, 60)
+    p, N = whole_samples(asked, 1e-3)
+    assert np.all(np.gcd(p, N) == 1)
+    assert np.all(2 * p < N)
+    found = p / (N * 1e-3)
+    assert np.all(np.diff(found) > 0)
+    low = asked < 450
+    nearest = np.abs(found[:, None] / asked[None, low] - 1).min(axis=0)
+    assert nearest.max() < NEAREST_WHOLE
+
+
+def five_bar_loops():
+    mechanism = load_mechanism(FIVE_BAR)
+    assert mechanism.dof == mechanism.n_u == 2
+    settings = Tracking(kp=20.0, kd=1.0, period_s=1e-3)
+    point = operating_point(mechanism, mechanism.home[mechanism.independent])
+    gain = law_gain(point, "pd", settings, mechanism.effort_limit)
+    return mechanism, feedback_loop(point, gain, sampling(mechanism, 1e-3)), settings
+
+
+@pytest.mark.slow
+def test_each_joints_loop_is_predicted_and_measured_with_the_others_closed():
+    mechanism, loop, _ = five_bar_loops()
+    for channel in range(2):
+        taken = measure([loop], np.array([2.0, 8.0, 30.0]), mechanism.effort_limit, channel=channel)
+        for name, response in taken.responses[0].items():
+            db, deg = response.against(loop.response(name, response.frequency_hz, channel))
+            assert np.abs(db).max() < COUPLED_DB, name
+            assert np.abs(deg).max() < COUPLED_DEG, name
+    # The other loop matters: without it the first one's plant is another.
+    alone = loop.plant(np.array([2.0]))[0, 0, 0]
+    assert abs(loop.gains("plant", np.array([2.0]), 0)[0] / alone - 1) > 0.01
+
+
+def test_the_study_has_a_loop_for_every_joint():
+    from linkplan.studies.bode.bode_report import bode_record, bode_text
+
+    mechanism, _, settings = five_bar_loops()
+    home = mechanism.home[mechanism.independent][None]
+    study = bode_study(mechanism, home, settings, mechanism.effort_limit, scanned=0)
+    loops = bode_record(study)["points"][0]["loops"]
+    assert list(loops) == [f"pd {joint.name}" for joint in mechanism.independent_joints]
+    text = bode_text(study)
+    assert "stable" in text
+    for joint in mechanism.independent_joints:
+        assert f"{joint.name} at " in text
+
+
+@pytest.fixture(scope="module")
+def knee():
+    return load_mechanism("optimus-knee")
+
+
+def knee_loop(knee, kd, period=1e-4):
+    point = operating_point(knee, np.radians([3.6]))
+    gain = law_gain(point, "pd", Tracking(kp=200.0, kd=kd, period_s=period), knee.effort_limit)
+    return feedback_loop(point, gain, sampling(knee, period))
+
+
+def test_an_unstable_loop_is_not_measured(knee):
+    with pytest.raises(LinkplanError, match=r"O = 3\.6 deg is unstable and cannot be measured"):
+        measure([knee_loop(knee, 10.0)], F, knee.effort_limit)
+
+
+@pytest.mark.parametrize("method", ["sinestream", "multisine"])
+def test_frequencies_above_nyquist_are_refused(knee, method):
+    loop = knee_loop(knee, 1.0)
+    with pytest.raises(LinkplanError, match="5001 Hz is above the Nyquist frequency"):
+        loop.gains("loop", np.array([10.0, 5001.0]))
+    with pytest.raises(LinkplanError, match="Nyquist"):
+        measure([loop], np.array([10.0, 100.0, 1000.0, 3000.0, 5001.0]), knee.effort_limit, Setup(method=method))
+
+
+def test_a_pose_that_the_limits_cannot_hold_is_refused():
+    heavy = load_mechanism("optimus-knee", payload="shank")
+    with pytest.raises(LinkplanError, match=r"cannot be held at O = 56 deg: act_O would need 7\.8\d* N\.m"):
+        operating_point(heavy, np.radians([56.0]), np.array([[-2.0, 2.0]]))
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"period_s": -1e-3}, "positive number of seconds, got -0.001"),
+        ({"period_s": np.nan}, "positive number of seconds"),
+        ({"period_s": 1e-3, "delay_steps": -1}, "from 0 to 1000"),
+        ({"period_s": 1e-3, "substeps": 0}, "at least one simulator step"),
+    ],
+)
+def test_a_sampling_that_is_no_time_is_refused(values, words):
+    with pytest.raises(LinkplanError, match=words):
+        Sampling(**values)
+
+
+def test_a_delay_between_simulator_steps_takes_finer_steps_or_is_refused(knee):
+    assert sampling(knee, 1e-4, 0.25).substeps == 4
+    with pytest.raises(LinkplanError, match="is not a whole number of simulator steps"):
+        sampling(knee, 1e-4, 0.25, substeps=2)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"method": "hammer"}, "sinestream, multisine, chirp"),
+        ({"amplitude": -1.0}, "positive number"),
+        ({"windows": 1}, "2 windows"),
+    ],
+)
+def test_a_setup_that_measures_nothing_is_refused(values, words):
+    with pytest.raises(LinkplanError, match=words):
+        Setup(**values)

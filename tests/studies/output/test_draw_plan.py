@@ -1,0 +1,83 @@
+"""The figure of a plan with many coordinates, of hinges and slides: every one is drawn, units apart."""
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.limits import Limits, free
+from linkplan.planner.problem.planning_problem import Motion, PlanningProblem
+from linkplan.planner.trajectory import Trajectory
+from linkplan.studies.output.draw_plan import draw_effort, draw_position, plan_figure
+from tests.support.figures import saved_figures
+
+# A line's points against the cubics that it shows, relative to the largest: rounding of Bernstein polynomials.
+DRAWN = 1e-12
+KINDS = ["hinge"] * 5 + ["slide"] * 4
+
+
+def many() -> Plan:
+    """Return a motion of nine joints, more than there are colours: from rest to one along cubics."""
+    bodies = "".join(
+        f'<body pos="{k} 0 0"><joint name="j{k}" type="{kind}" axis="0 1 0"/><geom size="0.1"/></body>'
+        for k, kind in enumerate(KINDS)
+    )
+    motors = "".join(f'<motor name="m{k}" joint="j{k}" ctrlrange="-9 9"/>' for k in range(len(KINDS)))
+    mechanism = load_mechanism(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>")
+    n, unlimited = len(KINDS), free(len(KINDS))
+    problem = PlanningProblem(
+        name="many",
+        mechanism=mechanism,
+        motion=Motion(kind="reach", start=np.zeros(n), goal=np.ones(n), duration_s=1.0),
+        objective="effort",
+        limits=Limits(effort=mechanism.effort_limit, position=unlimited, speed=unlimited),
+    )
+    ones = np.ones((1, n))
+    trajectory = Trajectory(
+        breaks_s=np.array([0.0, 1.0]),
+        position=np.array([0 * ones, 0 * ones, ones, ones]),
+        velocity=np.array([0 * ones, 3 * ones, 0 * ones]),
+        effort=np.array([6 * ones, -6 * ones]),
+        start_pose=np.zeros(n),
+        periodic=False,
+    )
+    return Plan(problem=problem, status="optimal", message="cubics", trajectory=trajectory)
+
+
+def test_a_plan_s_page_has_every_coordinate_s_position_speed_and_effort_in_its_unit(tmp_path, monkeypatch):
+    saved = saved_figures(monkeypatch)
+    plan_figure(many(), tmp_path / "plan.png")
+    assert (tmp_path / "plan.png").exists()
+    time, n_hinges = many().trajectory.dense_times(10), KINDS.count("hinge")
+    cubic, speed, effort = 3 * time**2 - 2 * time**3, 6 * time * (1 - time), 6 - 12 * time
+    shown = {
+        "position [deg]": (n_hinges, np.degrees(cubic)),
+        "position [m]": (len(KINDS) - n_hinges, cubic),
+        "speed [deg/s]": (n_hinges, np.degrees(speed)),
+        "speed [m/s]": (len(KINDS) - n_hinges, speed),
+        "effort [N.m]": (n_hinges, effort),
+        "effort [N]": (len(KINDS) - n_hinges, effort),
+    }
+    sides = {axes.get_ylabel(): axes for axes in saved["plan.png"].axes}
+    assert set(sides) == set(shown)
+    assert sides["effort [N.m]"].get_xlabel() == "time [s]"
+    for label, (n, expected) in shown.items():
+        drawn = [np.array(line.get_data()) for line in sides[label].lines if len(line.get_xdata()) == len(time)]
+        assert len(drawn) == n
+        for line in drawn:
+            np.testing.assert_allclose(line, [time, expected], atol=DRAWN * np.abs(expected).max())
+
+
+def test_more_coordinates_than_colours_are_told_apart_by_their_styles():
+    axes = Figure().subplots()
+    draw_position(axes, many())
+    looks = [(line.get_color(), line.get_linestyle()) for line in axes.get_legend_handles_labels()[0]]
+    assert len(set(looks)) == len(looks) == len(KINDS)
+
+
+def test_torques_and_forces_have_an_axis_each():
+    figure = Figure()
+    axes = figure.subplots()
+    draw_effort(axes, many())
+    assert [side.get_ylabel() for side in figure.axes] == ["effort [N.m]", "effort [N]"]
+    assert axes.get_legend_handles_labels()[1][-1] == "m8 [N]"

@@ -1,0 +1,50 @@
+"""Single bodies whose best motions have closed forms, a hinge, a lift and a pendulum, and their problems and plans."""
+
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.planning_problem import PlanningProblem
+
+# Without gravity: an inertia [kg m2], and the angle [rad] that it is turned by.
+HINGE = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint name="J" type="hinge" axis="0 1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="0.3 0.3 0.3"/></body></worldbody>
+<actuator><motor name="motor" joint="J" ctrlrange="-4 4"/></actuator></mujoco>"""
+HINGE_INERTIA, TURN = 0.3, np.radians(90)
+# A weight on a slide, raised by a stronger motor than it is let down with.
+LIFT = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="cage"><joint name="J" type="slide" axis="0 0 1"/>
+<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
+<actuator><motor name="motor" joint="J" ctrlrange="-30 50"/></actuator></mujoco>"""
+# A rod on a pivot; `limit` [N.m] is to be filled in.
+PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0"/>
+<inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+<actuator><motor name="m" joint="J" ctrlrange="-{limit} {limit}"/></actuator></mujoco>"""
+# The lines of the [motion] table of the hinge's quarter turn, without a duration.
+QUARTER_TURN = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\n'
+
+
+def body_problem(mjcf: str, motion: str, *overrides: str) -> PlanningProblem:
+    """Return the problem of a motion (the lines of a [motion] table) of an inline model."""
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "model.xml").write_text(mjcf, encoding="utf-8")
+        path = Path(folder) / "problem.toml"
+        path.write_text(f'[mechanism]\nmodel = "model.xml"\n[motion]\n{motion}', encoding="utf-8")
+        return load_problem(path, overrides)
+
+
+@cache
+def body_plan(mjcf: str, motion: str, *overrides: str) -> Plan:
+    """Return the plan of such a problem, made once."""
+    return plan_motion(body_problem(mjcf, motion, *overrides))
+
+
+def hinge(*overrides: str, duration: float | str = 1.5) -> Plan:
+    """Return the plan of a pure inertia's quarter turn."""
+    plan = body_plan(HINGE, QUARTER_TURN + f"duration_s = {duration!r}\n".replace("'", '"'), *overrides)
+    assert plan.status == "optimal", plan.message
+    return plan

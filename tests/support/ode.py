@@ -1,0 +1,42 @@
+"""What the optimal-control problems of the tests are made of: right-hand sides, costs, open limits, and a plan."""
+
+import numpy as np
+
+from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
+
+INF, NAN = np.inf, np.nan
+# Limits of one effort and of one state that are none.
+FREE_EFFORT = [[-INF, INF]]
+FREE_STATE = [-INF, INF]
+
+
+def duration(x0, xT, T, p):  # noqa: ARG001
+    """Return the final cost of least time."""
+    return T
+
+
+def squared_effort(x, u, p, t):  # noqa: ARG001
+    """Return the running cost of least effort."""
+    return u[0] ** 2
+
+
+def double_integrator(x, u, p, t):  # noqa: ARG001
+    """Return x'' = u as a system of first order."""
+    return [x[1], u[0]]
+
+
+def solved(problem: OdeProblem) -> OdePlan:
+    """Return a problem's plan after making sure that it is one."""
+    plan = plan_ode(problem)
+    assert plan.status == "optimal", f"{problem.name}: {plan.message}"
+    return plan
+
+
+# x'' = -x + u as x' = A x + B u.
+OSCILLATOR = np.array([[0.0, 1.0], [-1.0, 0.0]])
+
+
+def oscillator(x, u, p, t):  # noqa: ARG001
+    """Return the rates of the oscillator."""
+    return [x[1], -x[0] + u[0]]
