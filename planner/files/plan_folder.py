@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from linkplan.models.catalogue import is_file
 from linkplan.models.digest import part_hashes
 from linkplan.models.errors import AssemblyError, LinkplanError, PlanFileError
-from linkplan.models.library import is_file
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Meeting

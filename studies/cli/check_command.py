@@ -7,8 +7,9 @@ from pathlib import Path
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
-from linkplan.studies.cli.common import output_folder, poses_asked, show, tables_of
+from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
+from linkplan.studies.cli.printing import show
 
 
 def run_check(arguments: argparse.Namespace) -> int:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
@@ -12,8 +13,9 @@ from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables, tracking_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem, Tracking
-from linkplan.studies.cli.common import Say, output_folder, poses_asked, progress, show, tables_of
+from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
+from linkplan.studies.cli.printing import Say, progress, show
 
 
 def run_bode(arguments: argparse.Namespace) -> int:
@@ -21,9 +23,8 @@ def run_bode(arguments: argparse.Namespace) -> int:
     from linkplan.studies.bode.bode import bode_study
     from linkplan.studies.bode.bode_report import bode_record, bode_text
     from linkplan.studies.frequency.excitation import METHODS, Setup
-    from linkplan.studies.frequency.loops import LAWS
 
-    choose("tracker", arguments.tracker, LAWS, ProblemError)
+    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     choose("way to measure", arguments.measure, (*METHODS, "none"), ProblemError)
     target, say = output_folder(arguments), progress(arguments)
     problem, mechanism, settings, limit = _loop_of(arguments)
@@ -74,10 +75,10 @@ def run_bode(arguments: argparse.Namespace) -> int:
 def run_tune(arguments: argparse.Namespace) -> int:
     """Find gains for what is wanted; 1 where there are none."""
     from linkplan.controllers.sampling import sampling
-    from linkplan.studies.frequency.loops import LAWS, operating_point
+    from linkplan.studies.frequency.loops import operating_point
     from linkplan.studies.tune.tune import Wanted, tune, tune_record, tune_text
 
-    choose("tracker", arguments.tracker, LAWS, ProblemError)
+    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     target, say = output_folder(arguments), progress(arguments)
     problem, mechanism, settings, limit = _loop_of(arguments)
     wanted = Wanted(

@@ -9,6 +9,7 @@ from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import Loop, Rollout, run
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import lqr
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.tracker import Tracker
 from linkplan.models.errors import ProblemError
@@ -16,7 +17,6 @@ from linkplan.models.names import choose
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 
-TRACKERS = ("pd", "pd+ff", "lqr")
 # Below this many control periods in a motion a table of tracking errors says more about sampling than about trackers.
 FEWEST_SAMPLES = 10
 

@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.controllers.sampling import Sampling
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.planning_problem import Tracking
-from linkplan.studies.frequency.loops import LAW_NAMES, LAWS, OperatingPoint, feedback_loop, law_gain
+from linkplan.studies.frequency.loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.stability_map import effort_map
@@ -101,8 +102,8 @@ def tune(
         LinkplanError: for a bandwidth beyond Nyquist, an unknown law, or a mechanism of more freedoms.
     """
     mechanism = points[0].mechanism
-    if law not in LAWS:
-        raise LinkplanError(f"unknown tracker '{law}'; trackers are {', '.join(LAWS)}")
+    if law not in TRACKERS:
+        raise LinkplanError(f"unknown tracker '{law}'; trackers are {', '.join(TRACKERS)}")
     if mechanism.dof != 1:
         raise LinkplanError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
     if wanted.bandwidth_hz >= timing.nyquist_hz:
