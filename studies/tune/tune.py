@@ -281,8 +281,8 @@ def tune_record(tuning: Tuning) -> dict:
     }
 
 
-def tracking_table(tuning: Tuning) -> str:
-    """Return the gains as the [tracking] table of a problem file."""
+def tracking_values(tuning: Tuning) -> dict[str, float]:
+    """Return the gains by the keys of the [tracking] table of a problem file."""
     settings, joint = tuning.best.settings, tuning.mechanism.independent_joints[0]
     values = {"kp": settings.kp, "kd": settings.kd}
     if tuning.law == "lqr":
@@ -291,6 +291,12 @@ def tracking_table(tuning: Tuning) -> str:
     values |= {"period_s": settings.period_s}
     if settings.delay_periods and float(settings.delay_periods).is_integer():
         values |= {"delay_periods": int(settings.delay_periods)}
+    return values
+
+
+def tracking_table(tuning: Tuning) -> str:
+    """Return the gains as the text of the [tracking] table of a problem file."""
+    values = tracking_values(tuning)
     lines = [f"# {tuning.message}", "[tracking]", *(f"{key} = {value:.6g}" for key, value in values.items())]
     return "\n".join(lines) + "\n"
 
