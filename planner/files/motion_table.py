@@ -1,6 +1,6 @@
 """A plan's motion at any times, in the units that people read: dependent joints and their speeds too."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,21 @@ class MotionTable:
     effort: dict[str, np.ndarray]
     unit: dict[str, str]
     effort_unit: dict[str, str]
+
+    def single(self) -> "MotionTable":
+        """Return the first time's row, numbers in place of arrays."""
+
+        def first(values: dict[str, np.ndarray]) -> dict:
+            return {name: float(x[0]) for name, x in values.items()}
+
+        return replace(
+            self,
+            time_s=self.time_s[0],
+            position=first(self.position),
+            speed=first(self.speed),
+            acceleration=first(self.acceleration),
+            effort=first(self.effort),
+        )
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return all columns (n,) under heads that carry their units: time_s, O_deg, O_deg_s, ..., act_O_Nm."""
