@@ -35,7 +35,7 @@ class MotionTable:
 
         return replace(
             self,
-            time_s=self.time_s[0],
+            time_s=float(self.time_s[0]),
             position=first(self.position),
             speed=first(self.speed),
             acceleration=first(self.acceleration),

@@ -9,8 +9,8 @@
     print(linkplan.compare(plan))
 
 Every name is loaded when it is first used: `import linkplan` itself loads no solver, no simulator and no plots. Angles are
-in degrees where a name says `_deg`, slides in metres (`_m`), all else is SI. Whatever is refused raises a `LinkplanError` with
-one sentence: what was asked, what is legal, what was got. Progress is logged under the name "linkplan" and told to
+in degrees where a name says `_deg`, slides in metres (`_m`), all else is SI. Whatever is refused raises a `LinkplanError`
+with one sentence: what was asked, what is legal, what was got. Progress is logged under the name "linkplan" and told to
 `progress` where it is given.
 """
 
