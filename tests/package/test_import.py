@@ -1,4 +1,4 @@
-"""`import linkplan`: a dozen names that load nothing before they are used, and sentences without the command line's words."""
+"""`import linkplan`: a dozen names that load nothing before they are used; sentences without the command line's words."""
 
 import ast
 import importlib

@@ -185,6 +185,8 @@ def test_single_settings_stand_in_for_those_of_a_file():
 
 
 # builder, arguments in place of those of a sound problem, and the same as a file's tables
+LATE = [{"at_deg": {"O": 0}, "time_s": 0.5}]
+WIDE = SINE | {"amplitude_deg": {"O": 200}}
 BAD = [
     ("reach", {"start_deg": {"K": 1.0}}, ("motion", "start_deg", {"K": 1.0})),
     ("reach", {"start_deg": {"O": math.nan}}, ("motion", "start_deg", {"O": math.nan})),
@@ -201,7 +203,7 @@ BAD = [
     ("reach", {"min_duration_s": 0.1}, ("motion", "min_duration_s", 0.1)),
     ("reach", {"waypoints": {"at_deg": {"O": 0}}}, ("motion", "waypoints", {"at_deg": {"O": 0}})),
     ("reach", {"waypoints": [{"at": {"O": 0}}]}, ("motion", "waypoints", [{"at": {"O": 0}}])),
-    ("reach", {"waypoints": [{"at_deg": {"O": 0}, "time_s": 0.5}]}, ("motion", "waypoints", [{"at_deg": {"O": 0}, "time_s": 0.5}])),
+    ("reach", {"waypoints": LATE}, ("motion", "waypoints", LATE)),
     ("reach", {"minimize": "beauty"}, ("objective", "minimize", "beauty")),
     ("reach", {"minimize": {"effort": -1}}, ("objective", "minimize", {"effort": -1})),
     ("reach", {"minimize": 3}, ("objective", "minimize", 3)),
@@ -226,7 +228,7 @@ BAD = [
     ("periodic", {"reference": SINE | {"amplitude_deg": {"A": 3}}}, ("reference", None, SINE | {"amplitude_deg": {"A": 3}})),
     ("periodic", {"reference": SINE, "duration_s": 0.3}, ("motion", "duration_s", 0.3)),
     ("track", {"reference": None}, ("reference", None, {})),
-    ("track", {"reference": SINE | {"amplitude_deg": {"O": 200}}}, ("reference", None, SINE | {"amplitude_deg": {"O": 200}})),
+    ("track", {"reference": WIDE}, ("reference", None, WIDE)),
 ]  # fmt: skip
 
 
