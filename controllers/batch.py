@@ -52,7 +52,8 @@ class BatchLoop:
         if servos or not mechanism.coordinates.trivial:
             what = f"actuator {servos[0]} is a servo" if servos else "it has ball or free joints"
             raise ModelError(
-                f"mechanism '{mechanism.name}': many loops at once run on hinges and slides driven by motors; {what}"
+                f"mechanism '{mechanism.name}': batches of simulations run on hinges and slides driven by motors only;"
+                f" {what}"
             )
         model = copy.deepcopy(mechanism.model)
         model.opt.timestep = timing.timestep_s

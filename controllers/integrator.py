@@ -55,7 +55,9 @@ def simulator_step(
         F = _implicit_factor(mechanism, pose, velocity, h, kind)
         by_s, by_v, by_u = F @ by_s, F @ by_v, F @ by_u
     else:
-        raise LinkplanError(f"MuJoCo's integrator {kind} of mechanism '{mechanism.name}' has no sampled model here")
+        raise LinkplanError(
+            f"MuJoCo's integrator {kind} of mechanism '{mechanism.name}' is not supported by the sampled model"
+        )
     A_h, B_h = np.empty_like(A), np.empty_like(B)
     A_h[:, n_s:, :n_s], A_h[:, n_s:, n_s:], B_h[:, n_s:] = h * by_s, identity + h * by_v, h * by_u
     A_h[:, :n_s, :n_s] = identity + h * A_h[:, n_s:, :n_s]

@@ -30,7 +30,7 @@ _FEWEST_SWINGS = 6
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Loop:
-    """What stands between a tracker and the mechanism.
+    """The feedback loop's properties between a tracker and the mechanism.
 
     `effort_limit` (n_u, 2) [N.m or N] saturates; `delay_periods` whole control periods pass before a command acts;
     `mass_factor` multiplies the payload's mass and inertia (all moving bodies' where there is no payload).
@@ -45,7 +45,7 @@ class Loop:
 class Rollout:
     """The log of a run at its control instants (n,), and the conditions of the simulation.
 
-    Angles [rad or m]; `commanded` is the tracker's wish, `applied` what acted, both (n, n_u) [N.m or N]; `gap_m` (n,) is
+    Angles [rad or m]; `commanded` is the tracker's output, `applied` what acted, both (n, n_u) [N.m or N]; `gap_m` (n,) is
     the largest distance between two points that a closure ties; `finite` is False when the simulation blew up, and the log
     ends there.
     """
@@ -128,7 +128,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
             poses[k] = mechanism.q_of(data.qpos)
             velocities[k] = mechanism.rates_of(poses[k], data.qvel)[independent]
             commanded[k] = tracker.effort(k, poses[k][independent], velocities[k])
-            # Before the first command arrives, the first one acts: the loop is taken to have been at work already.
+            # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.
             applied[k] = np.clip(commanded[max(0, k - loop.delay_periods)], limit[:, 0], limit[:, 1])
             if not np.all(np.isfinite(applied[k])):  # MuJoCo would take it for zero and go on
                 done, finite = k + 1, False

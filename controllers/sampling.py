@@ -1,4 +1,4 @@
-"""How a law meets the mechanism in time: control period, simulator steps within it, and computing delay.
+"""Sampling of a control law: control period, simulator steps within it, and computing delay.
 
 A command computed at t_k = k T from the state read there acts from t_k + delay on and is held for a period:
 
@@ -16,7 +16,7 @@ from linkplan.controllers.trackers.lqr import discretise, linearise
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 
-# Longer delays than this many periods belong to no loop that anybody would close.
+# Delays longer than this many periods are refused: no practical feedback loop has them.
 MOST_DELAY_PERIODS = 1000
 # A delay or period that is off a whole number of simulator steps by less than this share of one is on it.
 _ON_STEP = 1e-6
@@ -98,7 +98,8 @@ def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0, 
     steps = round(delay_periods * substeps)
     if abs(delay_periods * substeps - steps) > _ON_STEP:
         raise LinkplanError(
-            f"a delay of {delay_periods:g} control periods lies between simulator steps: a period has {substeps} of them"
+            f"a delay of {delay_periods:g} control periods is not a whole number of simulator steps: a period has"
+            f" {substeps} of them"
         )
     return Sampling(period_s=period_s, substeps=substeps, delay_steps=steps)
 

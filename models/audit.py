@@ -119,7 +119,7 @@ def _actuators(model: mujoco.MjModel):
         limits = "" if np.isfinite([actuator.lower, actuator.upper]).all() else ", which no forcerange limits"
         within = ""
         if np.isfinite([actuator.control_lower, actuator.control_upper]).any():
-            within = f", cut at its ctrlrange {actuator.control_lower:g} to {actuator.control_upper:g}"
+            within = f", clamped to its ctrlrange {actuator.control_lower:g} to {actuator.control_upper:g}"
         yield Unhonoured(
             text=f"actuator {actuator.name} is a servo: a plan commands its effort{limits}, and its ctrl is set to what"
             f" gives that effort against its gain and bias{within}",

@@ -1,4 +1,4 @@
-"""What a plan hangs on in a model, as a hash of each part: enough to say later which of them has changed.
+"""What a plan depends on in a model, as a hash of each part: enough to say later which of them has changed.
 
 Colours, cameras, contacts and the simulator's own settings are left out: no plan follows from them.
 """

@@ -35,7 +35,9 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
     finally:
         mujoco.set_mju_user_warning(None)
     if any("nan" in text.lower() for text in said) or not np.all(np.isfinite(model.opt.gravity)):
-        raise ModelError(f"model '{name}' holds a number that is none (nan or inf): {one_line(' '.join(said)) or 'gravity'}")
+        raise ModelError(
+            f"model '{name}' holds a number that is not finite (nan or inf): {one_line(' '.join(said)) or 'gravity'}"
+        )
     for text in said:
         warnings.warn(f"model '{name}': {one_line(text)}", RuntimeWarning, stacklevel=2)
     return name, model

@@ -41,9 +41,9 @@ class Mechanism:
 
     Its coordinates q (n_q,) are internal ones, see `models.tree.coordinates`; `independent` and `dependent` are indices into
     them. `home` (n_q,) closes the loops; `home_gap_m` is how far they stood open at the model's own reference pose, before
-    assembly. `idle` are coordinates that can move alone while all other bodies rest and that no actuator drives, as a rod
-    between two ball joints spins; `notes` are sentences on what is worth knowing of the assembly. `source` is what it was
-    loaded from, as the [mechanism] table of a problem file.
+    assembly. `idle` are passive degrees of freedom: coordinates that can move alone while all other bodies rest and that no
+    actuator drives, as a rod between two ball joints spins; `notes` are sentences on what is worth knowing of the assembly.
+    `source` is what it was loaded from, as the [mechanism] table of a problem file.
     """
 
     name: str
@@ -286,7 +286,8 @@ def _hint(weak: int) -> str:
     if not weak:
         return ""
     return (
-        f"; {weak} of the rows counts by a ten-thousandth only: joint axes or points that were to be in line are not quite"
+        f"; {weak} of these rows is nearly dependent on the others (1e-4 of the largest singular value): joint axes or"
+        " points meant to be aligned are slightly off"
     )
 
 

@@ -46,7 +46,7 @@ class Payload:
         if not number or not 0 < self.mass_kg < _LARGEST:
             raise ModelError(f"payload.mass_kg is a positive number, got {self.mass_kg!r}")
         if np.abs([*self.com_m, *self.inertia_kgm2]).max() > _LARGEST:
-            raise ModelError("payload.com_m and payload.inertia_kgm2 are beyond all mechanisms")
+            raise ModelError("payload.com_m and payload.inertia_kgm2 are too large for a mechanism")
         moments = np.sort(self.inertia_kgm2)
         if moments[0] < 0:
             raise ModelError(f"payload.inertia_kgm2 has no negative moments, got {self.inertia_kgm2.tolist()}")

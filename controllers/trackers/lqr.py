@@ -84,7 +84,7 @@ def lqr(
     """
     n_s = mechanism.dof
     A, B = linearise(mechanism, reference.pose, reference.velocity, reference.effort)
-    # A rod's idle spin between two balls can be neither steered nor needs to be: it stays out of the state.
+    # A passive degree of freedom, as a rod's spin between two balls, cannot be controlled: it stays out of the state.
     steered = np.array([int(i) not in mechanism.idle for i in mechanism.independent])
     kept = np.flatnonzero(np.tile(steered, 2))
     A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)

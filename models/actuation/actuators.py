@@ -223,7 +223,7 @@ def _scaled(interval: np.ndarray, factor: float) -> tuple[float, float]:
 def shared_clamps(model: mujoco.MjModel) -> list[str]:
     """Return the clamps of joints and tendons that no limit of a single actuator stands for, in words.
 
-    MuJoCo cuts the sum of all that act on a joint or tendon; a plan's limits are each actuator's own.
+    MuJoCo clamps the sum of all that act on a joint or tendon; a plan's limits are each actuator's own.
     """
     usable = [index for index in range(model.nactuator) if why_not(model, index) is None]
     found = []
@@ -234,11 +234,11 @@ def shared_clamps(model: mujoco.MjModel) -> list[str]:
         acting = [index for index in usable if dof in (constant_arms(model, index) or range(model.nv))]
         if len(acting) > 1 or any(not constant_arms(model, index) for index in acting):
             names = ", ".join(label(model, index) for index in acting)
-            found.append(f"actuatorfrcrange of joint {joint_label(model, joint)}, which cuts the sum of {names}")
+            found.append(f"actuatorfrcrange of joint {joint_label(model, joint)}, which limits the sum of {names}")
     for tendon in range(model.ntendon):
         on_it = int(TRN_TENDON)
         acting = [i for i in usable if int(model.actuator_trntype[i]) == on_it and int(model.actuator_trnid[i, 0]) == tendon]
         if model.tendon_actfrclimited[tendon] and len(acting) > 1:
             names = ", ".join(label(model, index) for index in acting)
-            found.append(f"actuatorfrcrange of tendon {tendon_label(model, tendon)}, which cuts the sum of {names}")
+            found.append(f"actuatorfrcrange of tendon {tendon_label(model, tendon)}, which limits the sum of {names}")
     return found

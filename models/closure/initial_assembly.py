@@ -1,4 +1,4 @@
-"""The home pose: assembling the loops near a reference, looking about from there, and refusing a singular one."""
+"""Initial assembly: the home pose near a reference, the poses about it, and the refusal of a singular one."""
 
 import numbers
 from collections.abc import Mapping
@@ -15,10 +15,10 @@ from linkplan.models.tree.joints import Joint, index_of, where
 HOME_TOLERANCE = np.radians(5.0)
 # No joint is asked to stand further out than this [rad or m].
 _FARTHEST = 1e3
-# Steps from the home pose to look whether it is an ordinary one [rad; on a slide, of the model's extent]: the shorter where
+# Steps from the home pose that test whether it is a regular one [rad; on a slide, of the model's extent]: the shorter where
 # the longer opens the loop, next to an end of the reach.
 _HOME_STEPS = (0.02, 0.002)
-# Poses to look at about home, and how far away they are [rad; on a slide, of the model's extent].
+# Poses sampled about home, and how far away they are [rad; on a slide, of the model's extent].
 _LOOKS = 4
 _LOOK_STEP = 0.15
 

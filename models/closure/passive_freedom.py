@@ -1,4 +1,4 @@
-"""Idle freedoms: a rod between two ball joints spins about its line, whatever the rest does, and nothing asks it to."""
+"""Passive degrees of freedom: a rod between two ball joints spins about its line independently of everything else."""
 
 import mujoco
 import numpy as np
@@ -13,10 +13,10 @@ _NOTHING = 1e-9
 def idle_freedoms(
     model: mujoco.MjModel, jacobians: list[np.ndarray], moments: list[np.ndarray], weights: list[np.ndarray]
 ) -> tuple[tuple[int, ...], list[str]]:
-    """Return the coordinates of bodies that spin idly in a closed loop, and a sentence on each body.
+    """Return the passive degrees of freedom, coordinates of bodies that spin in a closed loop, and a sentence on each body.
 
-    A freedom is idle where a body's own joints move while all others rest, the loops stay closed, and neither an actuator
-    nor gravity acts on the motion.
+    A degree of freedom is passive where a body's own joints move while all others rest, the loops stay closed, and neither
+    an actuator nor gravity acts on the motion.
 
     Args:
         model: whose bodies they are.
@@ -34,7 +34,9 @@ def idle_freedoms(
             joint = int(model.body_jntadr[body])
             ball = int(model.jnt_type[joint]) == BALL
             name = f"ball joint {joint_label(model, joint)}" if ball else f"body {model.body(body).name or body}"
-            notes.append(f"{name} can spin while all other joints rest: an idle freedom, which no actuator drives")
+            notes.append(
+                f"{name} can spin while all other joints rest: a passive degree of freedom, which no actuator drives"
+            )
     return tuple(idle), notes
 
 

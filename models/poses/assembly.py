@@ -19,7 +19,7 @@ from linkplan.models.tree.joints import Joint, where
 _STEP = 0.035  # two degrees [rad]; on a slide, this share of the model's extent
 _MIN_SHARE = 1e-5  # of a step: shorter than this, the path has met a singular pose
 _NEWTON_STEPS = 12
-# A pose further away than this many steps (some 500 turns) is a slip of the pen and not a place to go.
+# A pose further away than this many steps (some 500 turns) is taken for a typing error.
 _MOST_STEPS = 1e5
 # A rate of a dependent joint below this share of the independent one's is rounding.
 _STILL = 1e-9
@@ -60,7 +60,7 @@ def _followed(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None) 
         q, arrived = _advance(mechanism, q, s)
         if not arrived:
             raise AssemblyError(
-                f"mechanism '{mechanism.name}' does not close at {_where(mechanism, s)}: the loop comes apart at"
+                f"mechanism '{mechanism.name}' does not close at {_where(mechanism, s)}: the kinematic loop opens at"
                 f" {_where(mechanism, q[mechanism.independent])}"
             )
         poses[k] = q

@@ -21,7 +21,7 @@ from linkplan.models.tree.passive import disabled
 _COMPARABLE = 2.0
 # Depths and distances below this share of the model's extent are rounding: resting geoms touch by as much.
 _TOUCH = 1e-6
-# Between two instants with this share of the extent or less to travel, nothing is looked for: 30 um on a leg.
+# Between two instants with this share of the extent or less to travel, no contact is searched for: 30 um on a leg.
 _TRAVEL = 1e-4
 # The instant at which geoms meet is found to this share of the motion.
 _INSTANT = 1e-10
@@ -31,7 +31,7 @@ Pair = tuple[int, int]
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ContactPair:
-    """Two geoms that touch at one or more of the poses looked at: at which (indices), and how deep at the worst [m]."""
+    """Two geoms that collide at one or more of the poses checked: at which (indices), and how deep at the worst [m]."""
 
     first: str
     second: str
@@ -103,7 +103,7 @@ def meetings(
 ) -> tuple[Meeting, ...]:
     """Return the contacts along a motion, those that are not there by construction first, in the order of their instants.
 
-    Where two geoms may touch between two instants, by their distances and how far they travel, it is looked between them.
+    Where two geoms may touch between two instants, by their distances and how far they travel, more instants are checked.
 
     Args:
         mechanism: whose geoms they are.
@@ -164,7 +164,7 @@ def _onset(mechanism: Mechanism, pair: Pair, allowed: float, k: int, seen, look,
 
 
 def _looked_between(mechanism: Mechanism, seen, look, position_at, size: np.ndarray) -> list:
-    """Return what is seen of a motion with looks put in where a contact could hide between two of them."""
+    """Return the samples of a motion, more of them where a contact could be missed between two."""
     least = _TRAVEL * mechanism.extent_m
     result, ahead = [seen[0]], list(reversed(seen[1:]))
     while ahead:

@@ -23,7 +23,7 @@ _SPRING = 1e-12
 
 
 def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
-    """Return the columns of the coordinates that no actuator is on, that are not idle, and that springs act on at home."""
+    """Return the columns of coordinates that no actuator is on, that are not passive, and that springs act on at home."""
     stiffness = _stiffness(mechanism).diagonal()
     driven = {actuator.joint for actuator in mechanism.actuators}
     return tuple(

@@ -1,4 +1,4 @@
-"""What holds between the nodes, where the solver did not look.
+"""What holds between the nodes, where the solver imposes nothing.
 
 In: a `PlanningProblem` and a `Trajectory`. Out: a `Certificate`: limits on a dense grid, closure gap, dynamics residual,
 the state reached by integrating the reduced model, and contacts on the way.

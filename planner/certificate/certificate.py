@@ -1,4 +1,4 @@
-"""The certificate of a plan: what holds between the nodes, where the solver did not look.
+"""The certificate of a plan: what holds between the nodes, where the solver imposes nothing.
 
 On a dense grid of the continuous motion: the carried effort and the effort by inverse dynamics against the limits, the
 loops' gap, every joint's range and speed, the distance to a singular pose; and the state reached when the reduced model
@@ -64,7 +64,7 @@ class Certificate:
     closure_gap_m: float
     integration_error_deg: float
     integration_error_m: float
-    integration_restarts: int  # how often integration was begun anew, the motion being unstable; 0 as a rule
+    integration_restarts: int  # how often the integration was restarted, the motion being unstable; 0 as a rule
     position_margin: np.ndarray  # (n_q,) [rad or m]
     speed_margin: np.ndarray  # (n_q,)
     singularity_ratio: float  # least det J_z along the motion, of that at home
@@ -140,7 +140,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     allowed = max(DYNAMICS_SHARE * _generalised_peak(mechanism, q, u), _NO_EFFORT)
     if dynamics_residual > allowed:
         failures.append(
-            f"between nodes the motion needs {dynamics_residual:.3g} more effort than the plan carries"
+            f"between nodes the motion needs {dynamics_residual:.3g} more effort than planned"
             f" at t = {worst['dynamics_residual']:.4g} s (allowed: {allowed:.3g})"
         )
     if velocity_residual > VELOCITY_SHARE or not velocity_error <= VELOCITY_SHARE:
@@ -149,13 +149,13 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
             " of the largest speed apart"
         )
     if boundary_error > BOUNDARY_SHARE:
-        failures.append(f"the motion misses the states asked at its ends by {boundary_error:.3g} of its span or speed")
+        failures.append(f"the motion misses its boundary conditions by {boundary_error:.3g} of its range or largest speed")
     if closure_gap > CLOSURE_M:
-        failures.append(f"a loop opens by {closure_gap:.3g} m at t = {worst['closure_gap_m']:.4g} s")
+        failures.append(f"a kinematic loop opens by {closure_gap:.3g} m at t = {worst['closure_gap_m']:.4g} s")
     if not in_deg <= INTEGRATION_DEG or not in_m <= INTEGRATION_M:
         apart = f"{in_m:.3g} m (allowed: {INTEGRATION_M:g} m)" if in_m > INTEGRATION_M else ""
         apart = f"{in_deg:.3g} deg (allowed: {INTEGRATION_DEG:g} deg)" if not in_deg <= INTEGRATION_DEG else apart
-        failures.append(f"the integrated model ends {apart} from the plan")
+        failures.append(f"the state integrated under the planned effort ends {apart} from the planned state")
     for what, margin in (("range", position_margin), ("speed limit", speed_margin)):
         for joint, value in zip(mechanism.joints, margin, strict=True):
             if value < -RANGE_SLACK:
@@ -240,7 +240,9 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
         asked = np.stack([motion.start, motion.goal])
         wanted = np.stack([rest if x is None else x for x in (motion.start_speed, motion.goal_speed)])
         free = np.zeros_like(ends, dtype=bool)
-        free[1] = np.isin(problem.mechanism.independent, problem.mechanism.idle)  # what spins idly may end anywhere
+        free[1] = np.isin(
+            problem.mechanism.independent, problem.mechanism.idle
+        )  # a passive degree of freedom may end anywhere
     elif trajectory.periodic:
         asked, wanted, free = ends[::-1], speeds[::-1], np.zeros_like(ends, dtype=bool)
     else:

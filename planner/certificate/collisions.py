@@ -1,6 +1,6 @@
-"""Contacts along a planned motion: what a certificate says of them.
+"""The collision check of a planned motion: what a certificate says of contacts.
 
-A plan knows nothing of contact forces: geoms that meet on the way, and do not overlap by construction, make it false.
+A plan knows no contact forces: geoms that collide on the way, and do not overlap by construction, make it false.
 """
 
 from dataclasses import replace
@@ -13,14 +13,14 @@ from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 
-# Poses looked at on an interval, and on a fine mesh in all; between them it is looked where geoms come near.
+# Poses checked on an interval, and on a fine mesh in all; between them more are checked where geoms come near.
 _PER_INTERVAL, _LOOKS = 12, 5000
 
 
 def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
     """Return a motion's certificate with the contacts along it; it fails where geoms meet, unless they are only noted.
 
-    Refinement certifies a motion many times, on which contacts do not depend; they are looked at once, at the end.
+    Refinement certifies a motion many times, on which contacts do not depend; they are checked once, at the end.
     """
     if not may_collide(problem.mechanism.model):
         return certificate
@@ -36,7 +36,7 @@ def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate:
 
 
 def unavoidable(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> bool:
-    """Return whether geoms meet where every motion passes: between start and goal of a single freedom."""
+    """Return whether geoms collide where every motion passes: between start and goal of a single freedom."""
     start, goal = problem.motion.start, problem.motion.goal
     if problem.contacts != "refuse" or problem.mechanism.dof != 1 or start is None or goal is None:
         return False
@@ -52,7 +52,7 @@ def _failure(found: tuple[Meeting, ...]) -> str:
     already = f", {1e3 * first.home_depth_m:.2g} mm at home" if first.home_depth_m > 0 else ""
     more = f", and {others} more pair{'s' if others > 1 else ''} of geoms after them" if others else ""
     return (
-        f"{who(first)} meet at t = {first.since:.5g} s and are up to {1e3 * first.depth_m:.2g} mm deep in one another at"
+        f"{who(first)} collide at t = {first.since:.5g} s and penetrate by up to {1e3 * first.depth_m:.2g} mm, at"
         f' t = {first.deepest_at:.5g} s{already}{more}; contact forces are not planned for (limits.contacts = "note"'
         " plans without them)"
     )
@@ -74,6 +74,6 @@ def noted(meeting: Meeting) -> str:
         return f"contact of {who(meeting)} from t = {meeting.since:.5g} s on, {depth}"
     one, other = meeting.bodies
     return (
-        f"contact of {who(meeting)}, as at home, all along, or on a pin that they share, {depth}; the simulator's act,"
-        f' but for <exclude body1="{one}" body2="{other}"/>'
+        f"contact of {who(meeting)}, at home, along the whole motion, or on a pin that they share, {depth}; the simulator"
+        f' applies them unless told <exclude body1="{one}" body2="{other}"/>'
     )

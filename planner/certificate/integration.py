@@ -2,9 +2,9 @@
 
 From the start to the end in one go, as a rule. Where a motion is unstable (it passes upright, or waits there) an error grows
 along it by many orders of magnitude, and after some seconds rounding alone decides where the model ends: then every interval
-is integrated from the planned state, its defect is carried on by the motion's own transition matrices, and begun anew
-wherever an error would have grown by `GROWTH`. What is judged is then whether the plan is a motion of the model, not whether
-somebody could follow it blindly; how often it was begun anew is told.
+is integrated from the planned state, its defect is propagated by the motion's own transition matrices, and the integration
+is restarted wherever an error would have grown by `GROWTH`. What is judged is then whether the plan is a motion of the
+model, not whether somebody could follow it blindly; how often it was restarted is reported.
 """
 
 from collections.abc import Callable
@@ -20,7 +20,8 @@ from linkplan.planner.certificate.flow import Rate, flow, flows
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.schemes import bernstein_value
 
-# An error that has grown so much is begun anew: rounding, grown so, is far below a certificate's hundredth of a degree.
+# An error that has grown so much restarts the integration: rounding, grown so, is far below a certificate's hundredth of a
+# degree.
 GROWTH = 1e4
 # Size of the steps by which transition matrices are found, of the motion's spans and speeds.
 _STEP = 1e-6
@@ -31,7 +32,7 @@ class Integrated:
     """How far the integrated model is from a plan.
 
     `position` (n_s,) [rad or m] and `velocity` [share of the largest speed] are the largest errors, `growth` (n_intervals,)
-    is what each interval adds to them in shares of `allowed`, `restarts` counts how often it was begun anew.
+    is what each interval adds to them in shares of `allowed`, `restarts` counts the restarts.
     """
 
     position: np.ndarray
@@ -49,19 +50,19 @@ def integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowe
         mechanism: the model.
         trajectory: the plan.
         speed: its largest speed [rad/s or m/s].
-        allowed: errors (n_s,) [rad or m] above which it is looked at whether the motion is unstable.
+        allowed: errors (n_s,) [rad or m] above which the motion is checked for instability.
     """
     whole = _in_one_go(mechanism, trajectory, speed, allowed)
     if np.all(whole.position <= allowed):
         return whole
     try:
         return _anew(mechanism, trajectory, speed, allowed) or whole
-    except AssemblyError:  # a motion that is none
+    except AssemblyError:  # an infeasible motion
         return whole
 
 
 def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray) -> Integrated:
-    """Return the errors of one integration, looked at in the middle of every interval and on both sides of every break."""
+    """Return the errors of one integration, sampled in the middle of every interval and on both sides of every break."""
     n_q, independent = mechanism.n_q, mechanism.independent
     start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
     state = np.concatenate([start, trajectory.velocity[0, 0]])
@@ -83,7 +84,7 @@ def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allow
 
 
 def _anew(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray) -> Integrated | None:
-    """Return the errors carried on from interval to interval and begun anew; None where the motion is not so unstable."""
+    """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
     n, n_s, n_q = len(trajectory.breaks_s) - 1, mechanism.dof, mechanism.n_q
     rate_on, widths = _rate(mechanism, trajectory), np.diff(trajectory.breaks_s)
     span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), np.finfo(float).tiny)

@@ -11,7 +11,7 @@ from linkplan.planner.transcription.schemes import bernstein_matrix
 
 # A limit is kept where it is overrun by no more than this share of itself: rounding.
 SLACK = 1e-9
-# At how many instants of an interval limits are looked at: at least, and for each node.
+# At how many instants of an interval limits are checked: at least, and for each node.
 _LOOKS, _LOOKS_A_NODE = 12, 3
 
 
@@ -59,7 +59,7 @@ class Margin:
 
 
 def look_points(n_nodes: int) -> np.ndarray:
-    """Return the shares (n,) of an interval at which motions of so many nodes are looked at: close together at its ends.
+    """Return the shares (n,) of an interval at which motions of so many nodes are sampled: close together at its ends.
 
     There the nodes of high degrees stand close, and what a polynomial does between them.
     """
@@ -103,7 +103,7 @@ def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
 def margins(
     problem: PlanningProblem, trajectory: Trajectory, points: np.ndarray, time: np.ndarray, q, v, a, u
 ) -> tuple[Margin, ...]:
-    """Return what is left of every such limit of a problem along a motion, looked at `points` of each interval."""
+    """Return what is left of every such limit of a problem along a motion, sampled at `points` of each interval."""
     mechanism, limits, found = problem.mechanism, problem.limits, []
     names = [actuator.name for actuator in mechanism.actuators]
 

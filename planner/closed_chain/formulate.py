@@ -210,7 +210,7 @@ def knots_of(problem: PlanningProblem, scales: Scales) -> tuple[Knot, ...]:
     motion, mechanism, n_s = problem.motion, problem.mechanism, problem.mechanism.dof
     unit = np.concatenate([scales.position, scales.position / scales.time_s])
 
-    # What spins idly, as a rod between two balls, is asked for nothing: where it comes to is of no effect.
+    # A passive degree of freedom, as of a rod between two balls, is left free: where it ends has no effect.
     idle = np.isin(mechanism.independent, mechanism.idle)
 
     def knot(s, v, time: tuple[float, float], share: float | None = None) -> Knot:

@@ -1,4 +1,4 @@
-"""Starting points: motions that already close the loop, keep the boundary states and ask for a possible effort."""
+"""Initial guesses: motions that close the kinematic loops, keep the boundary states and need a feasible effort."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -15,7 +15,7 @@ from linkplan.planner.problem.planning_problem import PlanningProblem, Sketch
 from linkplan.planner.refinement.bends import bend
 from linkplan.planner.trajectory import Trajectory
 
-# Samples along a guess at which its effort is looked at: enough for a path of a few radians.
+# Samples along a guess at which its effort is evaluated: enough for a path of a few radians.
 _SAMPLES = 121
 # The longest and shortest durations considered for a free one [s].
 _DURATIONS = (1e-5, 1e4)

@@ -20,7 +20,7 @@ from linkplan.planner.transcription.schemes import scheme
 
 __all__ = ["Transcribed", "choose_scales", "renumbered", "trajectory_of", "transcribe"]
 
-# Samples of a guess at which its needs are looked at for units.
+# Samples of a guess from which units are chosen.
 _SAMPLES = 61
 # The least effort that is a unit, of what gives the reduced inertia the span in the duration.
 _LEAST_NEED = 1e-6

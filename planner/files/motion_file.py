@@ -72,10 +72,11 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
             others = len(values) == mechanism.dof and not {int(i) for i in values} <= {int(i) for i in mechanism.independent}
             hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if others else ""
             raise ProblemError(
-                f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which moves on its own{hint}"
+                f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which is independent{hint}"
             )
         value = values.get(int(index), default)
-        if value is None and int(index) in mechanism.idle:  # what spins idly stands where it is, unless it is named
+        # a passive degree of freedom stays where it is, unless it is named
+        if value is None and int(index) in mechanism.idle:
             value = joint.shown(mechanism.home[index])
         result.append(joint.read(number(value, f"{where}.{key} of joint {joint.name}")))
     if key.endswith("_s"):
@@ -102,7 +103,9 @@ def _with_rests(values: dict[int, object], where: str, mechanism: Mechanism) -> 
     s = resting(mechanism, named, unnamed)
     if s is None:
         names = ", ".join(joints[int(mechanism.independent[c])].name for c in unnamed)
-        raise ProblemError(f"{where} names no value for {names}, and springs and weight balance nowhere near home")
+        raise ProblemError(
+            f"{where} names no value for {names}, and no equilibrium of springs and weight was found near home"
+        )
     return values | {int(mechanism.independent[c]): joints[int(mechanism.independent[c])].shown(s[c]) for c in unnamed}
 
 

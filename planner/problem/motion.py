@@ -89,7 +89,7 @@ class Motion:
         for k, waypoint in enumerate(self.waypoints):
             time = waypoint.time_s
             if np.all(np.isnan(waypoint.position)) and np.all(np.isnan(waypoint.speed)):
-                raise ProblemError(f"motion.waypoints[{k}] names no position and no speed: there is nothing to pass")
+                raise ProblemError(f"motion.waypoints[{k}] names no position and no speed; it needs one of them")
             if time is None:
                 continue
             if not (np.isfinite(time) and time > last):

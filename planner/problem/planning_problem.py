@@ -65,7 +65,8 @@ class PlanningProblem:
         falsifying = [item.text for item in audit(self.mechanism.model) if item.falsifies]
         if falsifying:
             raise ProblemError(
-                f"mechanism '{self.mechanism.name}' cannot be planned truly, its model has what the planner does not honour:"
+                f"mechanism '{self.mechanism.name}' cannot be planned, its model has forces that the planner does not"
+                " honour:"
                 f" {'; '.join(falsifying)}"
             )
         if self.mechanism.n_u == 0:
@@ -91,7 +92,7 @@ class PlanningProblem:
         if motion.kind == "periodic" and not objective.has("tracking") and not moves:
             raise ProblemError(
                 f"motion.kind 'periodic' with minimize '{objective.name}' needs motion.start_deg and motion.goal_deg to move"
-                " between, or motion.waypoints: without them, standing still is best"
+                " between, or motion.waypoints: without them the optimum is to stand still"
             )
         self._check_shapes()
 

@@ -1,4 +1,4 @@
-"""Solving a program with FATROP: the same program, unknown for unknown, put in stages; its answer looked at again."""
+"""Solving a program with FATROP: the same program, unknown for unknown, ordered in stages; its answer is checked again."""
 
 import contextlib
 import io
@@ -43,7 +43,7 @@ class FatropSolver:
         options = {
             "tolerance": TOLERANCE,
             "constr_viol_tol": TOLERANCE,
-            # An answer that is nearly one is none.
+            # An "acceptable" stop is not accepted as an answer.
             "tol_acceptable": TOLERANCE,
             "max_iter": max_iterations,
             "print_level": 0,
@@ -80,7 +80,7 @@ class FatropSolver:
         low, high = _narrowed(lower, upper)
         g_low, g_high = _narrowed(g_lower, g_upper)
         x, f, g = self._looked_at(x0, p, lower, upper)
-        if not (np.isfinite(f) and np.all(np.isfinite(g))):  # FATROP does not come back from there
+        if not (np.isfinite(f) and np.all(np.isfinite(g))):  # FATROP does not recover from there
             return self._answer(x, f, INVALID, {"iter_count": 0})
         self._clock.start()
         try:
@@ -148,7 +148,7 @@ class _Clock(ca.Callback):
         del arg
         if self.stopped or self.interrupted or time.monotonic() > self._end:
             self.stopped = True
-            raise KeyboardInterrupt  # CasADi gives this evaluation up; the solver, out of its depth, soon after
+            raise KeyboardInterrupt  # CasADi gives this evaluation up, and the solver stops soon after
         return [0.0]
 
 
@@ -233,7 +233,7 @@ def _staged(
     def function(name: str, inputs: list, outputs: list, names: list[str]) -> ca.Function:
         return ca.Function(name, inputs, outputs, ["x", "p", "lam_f", "lam_g"][: len(inputs)], names)
 
-    # FATROP goes round in circles on what is not finite: far away it turns back.
+    # FATROP cycles on values that are not finite: large ones make it backtrack.
     f, rows = _finite(f, _FAR), _finite(rows, _FAR)
     gradient, jacobian, hessian = _finite(gradient), _finite(jacobian), _finite(hessian)
     multiplied = [y, p, lam_f, lam_g]

@@ -36,7 +36,7 @@ _LEAST_TIME_S = 1e-3
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Solution:
-    """What a solver answered to which program: unknowns, whether a local optimum, its words, the time it took [s].
+    """A solver's result for a program: unknowns, whether a local optimum, its status in words, the time it took [s].
 
     `multipliers` (n_rows,) are the rows', of f + multipliers g; None from a solver that does not tell.
     """

@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode --along`: the loop frozen along a plan, and Floquet multipliers where it repeats."""
+"""The study behind `linkplan bode --along`: the feedback loop frozen along a plan, Floquet multipliers where it repeats."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -97,8 +97,12 @@ def along_text(found: AlongMotion) -> str:
         f"disk margin {bounds.disk_margin:.3g}" if bounds.stable else f"unstable, largest pole {bounds.spectral_radius:.4g}"
     )
     lines = [
-        f"{LAW_NAMES[found.law]} frozen along {found.plan.problem.name}: the worst instant is"
+        f"{LAW_NAMES[found.law]} at frozen instants along {found.plan.problem.name}: worst at"
         f" {1e3 * found.reference.time_s[k]:.4g} ms ({said}); the largest frozen pole is {found.radius.max():.5g}"
     ]
-    lines.append("the motion does not repeat: no multipliers" if found.floquet is None else floquet_text(found.floquet))
+    lines.append(
+        "the motion is not periodic: there are no Floquet multipliers"
+        if found.floquet is None
+        else floquet_text(found.floquet)
+    )
     return "\n".join(lines)

@@ -318,8 +318,8 @@ def _refuse_frequencies(frequency_hz: np.ndarray, timing: Sampling) -> None:
         raise LinkplanError("frequencies are positive numbers of hertz")
     if frequency.max() > timing.nyquist_hz * (1 + 1e-9):
         raise LinkplanError(
-            f"{frequency.max():.6g} Hz is above the Nyquist frequency: a loop sampled every {timing.period_s:g} s has none"
-            f" above {timing.nyquist_hz:.6g} Hz"
+            f"{frequency.max():.6g} Hz is above the Nyquist frequency, {timing.nyquist_hz:.6g} Hz at a control period of"
+            f" {timing.period_s:g} s"
         )
 
 

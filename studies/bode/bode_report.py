@@ -124,11 +124,12 @@ def bode_text(study: BodeStudy) -> str:
         c = study.conditions
         lines += [
             "",
-            f"measured closed loops ({study.method}, {study.simulated_steps} steps) differ from the prediction by at most"
+            f"measured closed-loop responses ({study.method}, {study.simulated_steps} steps) differ from the prediction"
+            " by at most"
             f" {deviation[0]:.2g} dB and {deviation[1]:.2g} deg",
-            f"MuJoCo {c['mujoco']}, {c['integrator']}, step {c['timestep_s']:g} s, loop constraints' solref"
+            f"MuJoCo {c['mujoco']}, {c['integrator']}, step {c['timestep_s']:g} s, closure constraints' solref"
             f" {', '.join(f'{x[0]:g} {x[1]:g}' for x in c['solref']) or 'none'}",
         ]
     elif study.method is not None:
-        lines += ["", "not measured: an unstable loop holds no operating point"]
+        lines += ["", "not measured: an unstable feedback loop holds no operating point"]
     return "\n".join(lines)

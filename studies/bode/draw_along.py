@@ -47,6 +47,6 @@ def draw_decay(axes, found: AlongMotion) -> None:
     axes.semilogy(time[shown], cycle.measured_size[shown], color=ORANGE, linestyle="--", linewidth=1.6, label="MuJoCo")
     axes.axhline(1.0, color=GREY, linestyle=":", linewidth=1.0)
     axes.set_xlabel("time [ms]")
-    axes.set_ylabel("left of the worst disturbance")
+    axes.set_ylabel("remaining share of the worst disturbance")
     axes.set_title(f"largest multiplier {np.abs(cycle.multipliers[0]):.3g} a cycle")
     axes.legend(loc="best")

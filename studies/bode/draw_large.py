@@ -35,7 +35,7 @@ def draw_large_gain(axes, study: LargeStudy) -> None:
         )
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel("reference to angle [dB]")
-    axes.set_title("wanted effort over the limit; dots MuJoCo, lines harmonic balance", fontsize=9, pad=24)
+    axes.set_title("commanded effort over its limit; dots MuJoCo, lines harmonic balance", fontsize=9, pad=24)
     outside_legend(axes, fontsize=8, handletextpad=0.1, columnspacing=0.9)
 
 
@@ -49,8 +49,8 @@ def draw_describing(axes, study: LargeStudy) -> None:
         ratio[known][order], signals.describing_predicted[known][order], color=BLACK, linewidth=1.2, label="saturation's"
     )
     axes.loglog(ratio[known], np.abs(signals.describing[known]), "o", color=ORANGE, markersize=4, label="MuJoCo")
-    axes.set_xlabel("command over the limit")
-    axes.set_ylabel("applied over commanded")
+    axes.set_xlabel("commanded effort over its limit")
+    axes.set_ylabel("applied over commanded effort")
     axes.set_title("describing function")
     axes.legend(loc="lower left")
 
@@ -61,15 +61,21 @@ def draw_feasible(axes, study: LargeStudy) -> None:
     joint = curve.point.mechanism.independent_joints[curve.channel]
     shown = joint.shown(1.0)
     live = (curve.frequency_hz > 0) & np.isfinite(curve.frequency_hz)
-    axes.loglog(curve.frequency_hz[live], shown * curve.amplitude[live], color=RED, linewidth=1.8, label="feasible at all")
+    axes.loglog(
+        curve.frequency_hz[live],
+        shown * curve.amplitude[live],
+        color=RED,
+        linewidth=1.8,
+        label="feasible for any controller",
+    )
     tried = np.isfinite(signals.saturated)
     frequency = np.broadcast_to(signals.frequency_hz[:, None], signals.amplitude.shape)
-    for past, fill, label in ((False, "none", "not saturated"), (True, "full", "saturated")):
+    for past, fill, label in ((False, "none", "this loop, not saturated"), (True, "full", "saturated")):
         which = tried & ((signals.saturated > 0) == past)
         axes.loglog(
             frequency[which], shown * signals.amplitude[which], "o", color=GREY, fillstyle=fill, markersize=4, label=label
         )
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel(f"amplitude of {joint.name} [{joint.unit}]")
-    axes.set_title("what can be followed")
+    axes.set_title("feasible amplitude")
     axes.legend(loc="lower left", fontsize=8)

@@ -46,7 +46,7 @@ def draw_map(axes, study: MapStudy, marked) -> None:
         if enough.size:
             place = found.kd[enough[0]], found.kp[row]
             axes.text(*place, f"{level:g} deg", rotation=45, fontsize=8, color=BLUE, ha="center", va="bottom")
-    axes.plot([], [], color=RED, linewidth=1.8, label="predicted border, worst angle")
+    axes.plot([], [], color=RED, linewidth=1.8, label="predicted stability boundary, worst angle")
     axes.plot([], [], color=BLUE, linewidth=0.9, label="least phase margin")
     if found.trials is not None:
         tried = np.array([(kp, kd) for kp, kd, _ in found.tried])
@@ -90,4 +90,4 @@ def draw_critical(axes, study: MapStudy, marked) -> None:
     force = "N.m.s/rad" if joint.kind == "hinge" else "N.s/m"
     axes.set_ylabel(f"kd [{force}]")
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
-    axes.set_title("over the angle")
+    axes.set_title("stable kd over the angle")

@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode --large`: a loop past its effort limit, and what can be followed at all."""
+"""The study behind `linkplan bode --large`: a feedback loop past its effort limit, and the feasible amplitudes."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -34,7 +34,9 @@ def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], No
     """
     stable = [entry for entry in study.points if entry.margins.stable and entry.channel == 0]
     if not stable:
-        raise LinkplanError("a response past the effort limit needs a stable loop, and none of the poses has one")
+        raise LinkplanError(
+            "a response past the effort limit needs a stable feedback loop, and there is none at any of the poses"
+        )
     entry = stable[len(stable) // 2]
     curve = feasible_curve(
         entry.point,
@@ -84,6 +86,6 @@ def large_text(study: LargeStudy) -> str:
     for a, f, reason in list(zip(curve.amplitude, curve.frequency_hz, curve.reason, strict=True))[
         :: max(1, len(curve.amplitude) // 6)
     ]:
-        said = f"can be followed up to {f:.4g} Hz" if f > 0 else "cannot be followed however slowly"
+        said = f"can be followed up to {f:.4g} Hz" if f > 0 else "cannot be followed at any frequency"
         lines.append(f"amplitude {joint.shown(a):.3g} {joint.unit} {said} ({reason})")
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode --map`: stable gains over all angles, borders tried in MuJoCo, the longest period."""
+"""The study behind `linkplan bode --map`: stable gains at all angles, their boundary tried in MuJoCo, longest period."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,10 +21,10 @@ from linkplan.studies.frequency.trial import settle_trials
 from linkplan.studies.output.tables import table
 
 ANGLES = 9
-# Gains tried in MuJoCo lie this share to either side of the border.
+# Gains tried in MuJoCo lie this share to either side of the stability boundary.
 BESIDE = 0.02
 _GRID = 48
-# The map reaches from a thousandth of the largest stable gain to a few times it, so that the border runs through it.
+# The map reaches from a thousandth of the largest stable gain to a few times it, so that the boundary runs through it.
 _BELOW, _BEYOND = 1e-3, 4.0
 
 
@@ -75,7 +75,7 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
         )
     except LinkplanError:
         longest, where = None, None
-    say("both sides of the border at every angle in MuJoCo")
+    say("gains on both sides of the stability boundary at every angle, in MuJoCo")
     return MapStudy(
         found=found,
         beside=_beside(points, settings.kp, critical[:, 1], study.timing, study.effort_limit),
@@ -153,11 +153,11 @@ def map_text(study: MapStudy) -> str:
     right, tried = agreement(found)
     lines = [f"stable kd at kp = {study.kp:g}, sampled every {found.timing.period_s:g} s", table(head, rows), ""]
     if study.longest_s is None:
-        lines.append(f"kp = {study.kp:g}, kd = {study.kd:g} is unstable however short the control period")
+        lines.append(f"kp = {study.kp:g}, kd = {study.kd:g} is unstable at any control period")
     elif np.isfinite(study.longest_s):
         lines.append(
             f"kp = {study.kp:g}, kd = {study.kd:g} needs a control period below {1e3 * study.longest_s:.4g} ms"
             f" ({1e-3 / study.longest_s:.4g} kHz), for {study.longest_at.name}"
         )
-    lines.append(f"{right} of {tried} gains beside the border do in MuJoCo as predicted")
+    lines.append(f"at {right} of {tried} gains next to the stability boundary MuJoCo settles or not as predicted")
     return "\n".join(lines)

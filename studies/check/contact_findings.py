@@ -9,9 +9,9 @@ from linkplan.studies.check.loop_report import LoopPath
 
 
 def reach_sentence(pair: ContactPair, n_poses: int) -> str:
-    """Return the sentence on geoms that touch somewhere within reach."""
+    """Return the sentence on geoms that collide somewhere within reach."""
     return (
-        f"geoms {pair.first} and {pair.second} touch in {len(pair.poses)} of {n_poses} poses within reach, up to"
+        f"geoms {pair.first} and {pair.second} collide in {len(pair.poses)} of {n_poses} poses within reach, up to"
         f" {1e3 * pair.depth_m:.2g} mm deep"
     )
 
@@ -23,8 +23,8 @@ def contact_findings(
 
     Args:
         mechanism: whose geoms they are.
-        pairs: that touch at some of the poses within reach.
-        n_poses: how many poses within reach were looked at.
+        pairs: that collide at some of the poses within reach.
+        n_poses: how many poses within reach were checked.
         path: a problem's motion; None where a mechanism alone is checked, every contact of which is a problem.
         treatment: the problem's `contacts`, "refuse" or "note".
     """
@@ -41,17 +41,18 @@ def contact_findings(
         if meeting.since is None:
             depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
             notes.append(
-                f"{who(meeting)} touch as at home, all along, or on a pin that they share, {depth}: contact forces are not"
+                f"{who(meeting)} overlap at home, along the whole motion, or on a pin that they share, {depth}: contact"
+                " forces are not"
                 " planned for"
             )
         elif treatment == "note":
             notes.append(f"{_on_the_way(mechanism, meeting, path, position_at)}: contact forces are not planned for")
         else:
             said = _on_the_way(mechanism, meeting, path, position_at)
-            problems.append(f'{said}: a plan through it is refused, but for limits.contacts = "note"')
+            problems.append(f'{said}: a plan through it is refused unless limits.contacts = "note"')
     for pair in pairs:
         if (pair.first, pair.second) not in named:
-            notes.append(f"{reach_sentence(pair, n_poses)}, off the way of {path.title}")
+            notes.append(f"{reach_sentence(pair, n_poses)}, but not along {path.title}")
     return problems, notes
 
 
@@ -59,4 +60,4 @@ def _on_the_way(mechanism: Mechanism, meeting: Meeting, path: LoopPath, position
     at = position_at(np.array([meeting.since]))[0]
     where = ", ".join(f"{j.name} = {j.shown(x):.5g} {j.unit}" for j, x in zip(mechanism.independent_joints, at, strict=True))
     depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
-    return f"{who(meeting)} meet at {where} on {path.title}, {depth}"
+    return f"{who(meeting)} collide at {where} on {path.title}, {depth}"

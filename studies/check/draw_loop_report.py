@@ -1,4 +1,4 @@
-"""The figure of a loop report: the mechanism at several poses of a path, and every quantity along it."""
+"""The figure of a kinematic loop report: the mechanism at several poses of a path, and every quantity along it."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What `linkplan check` says of drives that do not do what a model's author may think: one-sided ones, and feeble ones."""
+"""What `linkplan check` says of doubtful drives: those that act one way only, and those much weaker than others."""
 
 import numpy as np
 
@@ -96,8 +96,8 @@ def feeble_drives(mechanism: Mechanism) -> list[str]:
         for actuator, own in largest:
             if strongest is not None and np.isfinite(most) and 0 < own < _FEEBLE * most:
                 said.append(
-                    f"actuator {actuator.name} does next to nothing on joint {joint.name}: at its limit"
-                    f" {own:.3g} {effort_unit(joint)} at home, beside {most:.3g} of {strongest.name}"
+                    f"actuator {actuator.name} adds almost nothing on joint {joint.name}: {own:.3g} {effort_unit(joint)}"
+                    f" at its limit at home, against {most:.3g} of {strongest.name}"
                 )
     return said
 

@@ -111,8 +111,8 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     problems, notes = [], []
     if mechanism.home_gap_m > OPEN_M:
         problems.append(
-            f"loop {', '.join(mechanism.closure_names)} stands open by {1e3 * mechanism.home_gap_m:.3g} mm at the model's"
-            " reference pose: the simulator snaps it shut, on whichever branch"
+            f"loop {', '.join(mechanism.closure_names)} is open by {1e3 * mechanism.home_gap_m:.3g} mm at the model's"
+            " reference pose: the simulator closes it abruptly, on either branch"
         )
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
         if not joint.lower - AT_THE_END <= x <= joint.upper + AT_THE_END:
@@ -126,7 +126,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     soft = softness_note(mechanism)
     notes += [] if soft is None else [soft]
     if mechanism.n_u == 0:
-        problems.append("no actuator is one that a plan can use: nothing can be planned")
+        problems.append("the model has no actuator that a plan can use")
     notes += mechanism.notes
     reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
     driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > NO_ARM * reached.max()}
@@ -143,7 +143,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
         for end in (can.lower, can.upper):
             if end.joint is not None and end.joint != index:
                 other = mechanism.joints[end.joint]
-                stop = f"joint {other.name}'s range {_range(other)} stops the loop at {joint.name} ="
+                stop = f"joint {other.name}'s range {_range(other)} stops the mechanism at {joint.name} ="
                 stop += f" {joint.shown(end.position):.4g} {joint.unit}"
                 own = joint.lower if end is can.lower else joint.upper
                 if np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
@@ -154,7 +154,8 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
                     notes.append(stop)
         for position in can.singular:
             notes.append(
-                f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: there the loop ends or branches"
+                f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: the motion ends or branches"
+                " there"
             )
         notes += _toggle_notes(mechanism, can) if index not in mechanism.idle else []
     notes += feeble_drives(mechanism)

@@ -7,7 +7,7 @@ from linkplan.studies.output.tables import table
 
 
 def inspection_text(found: Inspection) -> str:
-    """Return the loop report of a mechanism."""
+    """Return the report on an assembled mechanism."""
     mechanism = found.mechanism
     n_rows = mechanism.n_closure_rows
     lines = [

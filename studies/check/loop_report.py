@@ -1,4 +1,4 @@
-"""What a designer asks of a mechanism along its way: ratios, inertias, weight, effort at hand, singular poses, pin forces.
+"""The kinematic loop report along a path: ratios, inertias, weight, available effort, singular poses, pin forces.
 
     r = Gamma^T B,   M_r = Gamma^T M Gamma,   1 / m_j = r_j^T M_r^-1 r_j
 
@@ -21,7 +21,7 @@ from linkplan.planner.closed_chain.guess import first_guess, poses_along
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import start_pose_of
 
-# Instants at which a problem's motion is looked at: a path of a few radians is then sampled to about a degree.
+# Instants at which a problem's motion is sampled: a path of a few radians is then sampled to about a degree.
 _SAMPLES = 121
 # Poses of a whole turn: one a degree.
 _TURN_SAMPLES = 361

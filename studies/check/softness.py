@@ -1,4 +1,4 @@
-"""How far MuJoCo's soft constraints let a loop gape: what `linkplan check` says of a closure with a soft `solref`.
+"""The closure gap that MuJoCo's soft constraints leave: what `linkplan check` says of a closure with a soft `solref`.
 
 A constraint of MuJoCo gives way in proportion to its force. At rest a = 0 in the row's direction, and its own law
 a + R f = -K d r (MuJoCo, "Constraint model") leaves it open by
@@ -35,7 +35,7 @@ _ROUNDS = 60
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SoftClosure:
-    """How far a connect or weld gapes at home [m]: holding the weight, and under one actuator at its limit.
+    """The closure gap of a connect or weld at home [m]: holding the weight, and under one actuator at its limit.
 
     `stiff_gap_m` is the larger of the two with `stiff_solref` and `STIFF_IMPEDANCE`, the stiffest that the timestep admits.
     """
@@ -55,7 +55,7 @@ class SoftClosure:
 
 
 def soft_closures(mechanism: Mechanism, share: float = _WORTH_SAYING) -> tuple[SoftClosure, ...]:
-    """Return the connects and welds whose loop gapes by more than a share of the model's extent, worst first."""
+    """Return the connects and welds whose closure gap exceeds a share of the model's extent, worst first."""
     model = mechanism.model
     data = mujoco.MjData(model)
     data.qpos[:] = mechanism.qpos_of(mechanism.home)
@@ -133,7 +133,7 @@ def impedance_at(gap: float, solimp: np.ndarray) -> float:
 
 
 def softness_note(mechanism: Mechanism) -> str | None:
-    """Return the sentence on a mechanism's soft closures, or None where none gapes so far that it matters."""
+    """Return the sentence on a mechanism's soft closures, or None where every closure gap is small."""
     soft = soft_closures(mechanism)
     if not soft:
         return None
@@ -144,11 +144,11 @@ def softness_note(mechanism: Mechanism) -> str | None:
         return f"{1e3 * gap:.2g} mm" if gap <= largest else f"more than {1e3 * largest:.2g} mm"
 
     also = f" (and {', '.join(one.name for one in others)})" if others else ""
-    gaps = f"by {said(worst.weight_gap_m)} while weight and springs are held at home"
+    gaps = f"{said(worst.weight_gap_m)} while weight and springs are held at home"
     if worst.rated_by is not None:
-        gaps += f", by {said(worst.rated_gap_m)} under {worst.rated_by} at its limit"
+        gaps += f", {said(worst.rated_gap_m)} under {worst.rated_by} at its limit"
     solref = " ".join(f"{number:g}" for number in worst.solref)
-    text = f"closure {worst.name}{also} is soft (solref {solref}): the simulator's loop gapes {gaps}"
+    text = f"closure {worst.name}{also} is soft (solref {solref}): the simulator's closure gap is {gaps}"
     if worst.stiff_gap_m > _HELPS * worst.gap_m:
         return f"{text}; a shorter timestep would admit a stiffer one"
     return (

@@ -137,7 +137,7 @@ def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
         raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {asked['delay_periods']:g}")
     settings = replace(settings, **asked)
     if settings.kp == 0 and settings.kd == 0:
-        raise ProblemError("--kp and --kd are both 0: there is no loop to look at")
+        raise ProblemError("--kp and --kd are both 0: there is no feedback")
     return settings
 
 
@@ -156,8 +156,7 @@ def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarra
         raise ProblemError(f"--frequencies is from 2 to 1000, got {count}")
     if high > nyquist:
         raise ProblemError(
-            f"--to-hz {high:g} is above the Nyquist frequency: a loop sampled every {settings.period_s:g} s has none above"
-            f" {nyquist:g} Hz"
+            f"--to-hz {high:g} is above the Nyquist frequency, {nyquist:g} Hz at a control period of {settings.period_s:g} s"
         )
     return np.geomspace(low, high, count)
 

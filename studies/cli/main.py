@@ -48,7 +48,7 @@ def build_parser() -> argparse.ArgumentParser:
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--version", action="store_true", help="print linkplan's version and leave")
+    parser.add_argument("--version", action="store_true", help="print linkplan's version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
 
     def command(name: str, text: str, *, output: bool = True, settings: bool = True) -> argparse.ArgumentParser:
@@ -68,7 +68,7 @@ def build_parser() -> argparse.ArgumentParser:
         return sub
 
     command("list", "list the built-in models, problems, payloads, schemes and trackers", output=False, settings=False)
-    text = "report on a mechanism's loops: freedom, closure, reach, singular poses, ratios, inertias, forces, what is wrong"
+    text = "report on a mechanism: degrees of freedom, closure, reach, singular poses, ratios, inertias, forces, faults"
     check = command("check", text)
     check.add_argument("model", metavar="MODEL", help="a built-in model or problem, or an MJCF or problem file")
     _at(check, "report inertia, gravity and effort map at this pose; may be given again")
@@ -91,7 +91,9 @@ def build_parser() -> argparse.ArgumentParser:
     compare.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _mismatch(compare, 1.2, 1)
 
-    bode = command("bode", "frequency response, margins and sampled stability of a loop, predicted and measured in MuJoCo")
+    bode = command(
+        "bode", "frequency response, margins and sampled stability of a feedback loop, predicted and measured in MuJoCo"
+    )
     _loop(bode)
     bode.add_argument("--kp", type=float, metavar="KP", help="proportional gain [N.m/rad] (default: the problem's, 200)")
     bode.add_argument("--kd", type=float, metavar="KD", help="derivative gain [N.m.s/rad] (default: the problem's, 1)")
@@ -105,10 +107,18 @@ def build_parser() -> argparse.ArgumentParser:
     bode.add_argument("--to-hz", type=float, metavar="F", help="highest frequency measured, below half the sampling rate")
     bode.add_argument("--frequencies", type=int, metavar="N", help="how many frequencies are measured (default: 20)")
     bode.add_argument("--amplitude-deg", type=float, metavar="A", help="of the test signal's motion (default: small)")
-    bode.add_argument("--map", action="store_true", help="map the stable gains over all angles, tried beside the border")
-    bode.add_argument("--large", action="store_true", help="go past the effort limit, beside the describing function")
     bode.add_argument(
-        "--along", action="store_true", help="look along the problem's motion: frozen loops, Floquet multipliers"
+        "--map",
+        action="store_true",
+        help="map the stable gains over all angles, checked in MuJoCo next to the stability boundary",
+    )
+    bode.add_argument(
+        "--large", action="store_true", help="large signals past the effort limit, beside the describing function"
+    )
+    bode.add_argument(
+        "--along",
+        action="store_true",
+        help="analyse the tracked motion of the problem: margins at frozen instants, Floquet multipliers",
     )
 
     tune = command("tune", "find PD gains or LQR weights for a bandwidth and margins at the worst angle")
@@ -132,7 +142,7 @@ def _loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tracker", default="pd", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
     parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
     parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
-    _at(parser, "a pose to look at; may be given again (default: five over the motion or the reach)")
+    _at(parser, "a pose to analyse; may be given again (default: five over the motion or the reach)")
 
 
 def _at(parser: argparse.ArgumentParser, text: str) -> None:

@@ -38,7 +38,7 @@ def comparison_text(comparison: Comparison) -> str:
             *(f"{which} [{unit}]" for unit in units for which in ("rms", "max", "final")),
             f"peak [{effort}]",
             "saturated [%]",
-            "gap [um]",
+            "closure gap [um]",
             "stable",
         ]
         lines.append(table(head, rows))

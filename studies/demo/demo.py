@@ -53,7 +53,7 @@ def demo(target: Path, say: Say) -> tuple[dict, str]:
         [
             outcome.pop("text"),
             "",
-            f"{minutes:.1f} minutes; everything is in {target}/, best begun at {target}/report.html",
+            f"{minutes:.1f} minutes; everything is in {target}/, begin with {target}/report.html",
         ]
     )
     return outcome | {"folder": str(target)}, text
@@ -86,7 +86,7 @@ def _write(place: Path, say: Say) -> dict:
 
 
 def _checks(place: Path, page: Page, said: dict, say: Say) -> None:
-    page.heading("Check: what the loop is")
+    page.heading("Check: the mechanism and its kinematic loop")
     said["check"] = {}
     for name in ("optimus-knee", "optimus-knee-source"):
         say(f"check {name}")
@@ -104,7 +104,7 @@ def _checks(place: Path, page: Page, said: dict, say: Say) -> None:
 
 
 def _plans(place: Path, page: Page, said: dict, say: Say) -> dict[str, Plan]:
-    page.heading("Plan: what the torque allows")
+    page.heading("Plan: motions within the torque limit")
     said["plans"], plans = {}, {}
     for name in PLANNED:
         say(f"plan {name}")
@@ -143,7 +143,7 @@ def _comparisons(place: Path, page: Page, said: dict, plans: dict[str, Plan], sa
 
 
 def _loops(place: Path, page: Page, said: dict, say: Say) -> None:
-    page.heading("Bode: how far the loop can be pushed")
+    page.heading("Bode: margins of the feedback loop")
     mechanism = load_mechanism("optimus-knee")
     joint = mechanism.independent_joints[0]
     said["bode"] = []
@@ -171,7 +171,10 @@ def _loops(place: Path, page: Page, said: dict, say: Say) -> None:
             map_figure(found, place / "stability_map.png", marked)
             said["stability_map"] = map_record(found)
             page.text(map_text(found))
-            page.figure("stability_map.png", "Stable gains at 0.1 ms over all angles, tried beside the border in MuJoCo")
+            page.figure(
+                "stability_map.png",
+                "Stable gains at 0.1 ms over all angles, checked in MuJoCo next to the stability boundary",
+            )
 
 
 def _document(place: Path, page: Page, said: dict, plan: Plan, say: Say) -> str:
@@ -184,8 +187,8 @@ def _document(place: Path, page: Page, said: dict, plan: Plan, say: Say) -> str:
         "KP",
         "KD",
         "rms error [deg]",
-        "gap, mean [um]",
-        "gap, max [um]",
+        "closure gap, mean [um]",
+        "closure gap, max [um]",
         "contacts",
         "at the limit [%]",
         "stable",

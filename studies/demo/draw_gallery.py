@@ -1,4 +1,4 @@
-"""The README's gallery: `python -m linkplan.studies.demo.draw_gallery` plans each mechanism's motion."""
+"""The gallery of docs/mechanisms.md: `python -m linkplan.studies.demo.draw_gallery` plans each mechanism's motion."""
 
 import sys
 from pathlib import Path
@@ -24,7 +24,7 @@ SHOWN = (
 )
 # Instants at which a motion is drawn.
 _INSTANTS = 9
-FOLDER = Path(__file__).parent / "gallery"
+FOLDER = Path(__file__).parent.parent / "gallery"  # studies/gallery
 
 
 def gallery_figure(plan: Plan, path: Path) -> None:

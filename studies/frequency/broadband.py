@@ -116,8 +116,8 @@ def signal_lines(frequency_hz: np.ndarray, period_s: float) -> tuple[int, np.nda
         raise LinkplanError("frequencies are positive numbers of hertz")
     if frequency[-1] > 0.5 / period_s * (1 + 1e-9):
         raise LinkplanError(
-            f"{frequency[-1]:.6g} Hz is above the Nyquist frequency: a loop sampled every {period_s:g} s has none above"
-            f" {0.5 / period_s:.6g} Hz"
+            f"{frequency[-1]:.6g} Hz is above the Nyquist frequency, {0.5 / period_s:.6g} Hz at a control period of"
+            f" {period_s:g} s"
         )
     N = 4 * int(np.ceil(_CYCLES / (4 * frequency[0] * period_s)))
     lines = np.unique(2 * np.round((frequency * N * period_s - 1) / 2).astype(int) + 1)

@@ -89,8 +89,7 @@ def whole_samples(frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray
     nyquist = 0.5 / period_s
     if frequency[-1] > nyquist * (1 + 1e-9):
         raise LinkplanError(
-            f"{frequency[-1]:.6g} Hz is above the Nyquist frequency: a loop sampled every {period_s:g} s has none above"
-            f" {nyquist:.6g} Hz"
+            f"{frequency[-1]:.6g} Hz is above the Nyquist frequency, {nyquist:.6g} Hz at a control period of {period_s:g} s"
         )
     found: dict[float, tuple[int, int]] = {}
     for wanted in frequency:

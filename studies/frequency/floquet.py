@@ -95,7 +95,7 @@ def tracker_gains(tracker: Tracker) -> np.ndarray:
         return np.concatenate([tracker.kp * tracker.map, tracker.kd * tracker.map], axis=2)
     if isinstance(tracker, LQR):
         return np.array(tracker.gains)
-    raise LinkplanError(f"tracker '{tracker.name}' has no gains to look at")
+    raise LinkplanError(f"tracker '{tracker.name}' has no state feedback gains to analyse")
 
 
 def feeds_forward(tracker: Tracker) -> bool:
@@ -308,6 +308,6 @@ def floquet_text(found: Floquet) -> str:
     return (
         f"along the motion a disturbance {verdict}: the largest Floquet multiplier is {size:.3g} a cycle of"
         f" {found.cycle_s:g} s"
-        f" ({found.decay_rate:.4g} 1/s); over {1e3 * seen_s:.3g} ms MuJoCo leaves {np.exp(measured):.3g} of it,"
-        f" predicted {np.exp(predicted):.3g}"
+        f" ({found.decay_rate:.4g} 1/s); over {1e3 * seen_s:.3g} ms MuJoCo reduces it to {np.exp(measured):.3g} of its"
+        f" size, predicted {np.exp(predicted):.3g}"
     )

@@ -103,7 +103,8 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
             shown = effort if abs(effort) > room else 0.0
             raise LinkplanError(
                 f"'{mechanism.name}' cannot be held at {point.name}: {actuator.name} would need {shown:.4g}"
-                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a loop needs room to both sides"
+                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides"
+                " of what holds it"
             )
     return point
 
@@ -111,7 +112,7 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
 def require_actuated(mechanism: Mechanism) -> None:
     """Refuse a mechanism whose freedoms are not all actuated, each once."""
     if mechanism.n_u == 0:
-        raise LinkplanError(f"a loop needs an actuator; '{mechanism.name}' has no motor on a hinge or slide")
+        raise LinkplanError(f"a feedback loop needs an actuator; '{mechanism.name}' has no motor on a hinge or slide")
     if mechanism.n_u != mechanism.dof:
         raise LinkplanError(
             f"frequency responses need one actuator for every degree of freedom; '{mechanism.name}' has {mechanism.n_u}"
@@ -206,8 +207,8 @@ class FeedbackLoop:
             nyquist = self.timing.nyquist_hz
             if frequency.max() > nyquist * (1 + 1e-9):
                 raise LinkplanError(
-                    f"{frequency.max():.6g} Hz is above the Nyquist frequency: a loop sampled every"
-                    f" {self.timing.period_s:g} s has none above {nyquist:.6g} Hz"
+                    f"{frequency.max():.6g} Hz is above the Nyquist frequency, {nyquist:.6g} Hz at a control period of"
+                    f" {self.timing.period_s:g} s"
                 )
             at = np.exp(1j * omega * self.timing.period_s)
             back = at[:, None, None] ** -float(self.timing.whole)

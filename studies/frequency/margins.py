@@ -1,4 +1,4 @@
-"""What a loop can bear: gain, phase, delay and disk margins, bandwidth, resonance, sensitivity peak.
+"""Robustness of a feedback loop: gain, phase, delay and disk margins, bandwidth, resonance, sensitivity peak.
 
 Crossings are bracketed on a grid up to and including the Nyquist frequency, where a sampled PD loop of small inertia loses
 its gain margin, and refined on the loop itself. The disk margin is 1 / max |S - 1/2|: gain and phase may change at
@@ -32,7 +32,7 @@ _NOTHING = 1e-9
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Margins:
-    """What one loop can bear; None where a figure has no meaning (infinite, or the loop is unstable).
+    """Margins of one feedback loop; None where a figure has no meaning (infinite, or the loop is unstable).
 
     A sampled loop's delay margin is that of its poles in simulator steps as fine as a hundredth of it, see `delay_margin`: a
     loop simulated in one step a period is a little quicker than the same loop in finer ones, by up to half a period.

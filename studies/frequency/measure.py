@@ -45,9 +45,9 @@ def refuse_unstable(loops: Sequence[FeedbackLoop]) -> None:
     """Refuse loops that hold no operating point."""
     for loop in loops:
         if loop.radius is None:
-            raise LinkplanError("a continuous loop cannot be run in MuJoCo: measure a sampled one")
+            raise LinkplanError("a continuous feedback loop cannot be run in MuJoCo: measure a sampled one")
         if not loop.stable:
             raise LinkplanError(
-                f"the loop at {loop.point.name} is unstable and cannot be measured: its largest pole is"
-                f" {loop.radius:.4g}, past 1"
+                f"the feedback loop at {loop.point.name} is unstable and cannot be measured: its largest pole is"
+                f" {loop.radius:.4g}, above 1"
             )

@@ -1,4 +1,4 @@
-"""Where PD gains keep a sampled loop stable, over all angles: borders, margins and the longest control period.
+"""Where PD gains keep a sampled feedback loop stable, over all angles: boundary, margins and the longest control period.
 
 The closed loop's poles are those of the sampled model in MuJoCo's own steps; beside them stand the least phase margin and
 the sensitivity peak.
@@ -20,9 +20,9 @@ from linkplan.studies.frequency.trial import Trials, settle_trials
 # Gains are sought within this factor of what the inertia and the period alone would bear, on a grid this fine.
 _GRID = 60
 _WIDE = 1e4
-# Points each way of the grid that borders are drawn from.
+# Points each way of the grid that the boundary is drawn from.
 _FINE = 240
-# A border is bisected to this share of itself.
+# A boundary is bisected to this share of itself.
 _BORDER = 1e-6
 
 
@@ -131,7 +131,7 @@ def longest_period(
             break
         good *= 0.5
     else:
-        raise LinkplanError(f"the loop is unstable at {unstable(good).name} however short its control period")
+        raise LinkplanError(f"the feedback loop is unstable at {unstable(good).name} at any control period")
     bad, culprit = good, None
     while culprit is None and bad < 1e6 * begin_s:
         good, bad = bad, 1.05 * bad
@@ -190,7 +190,7 @@ def stability_map(
     if effort_limit is None:
         return found
     tried = border_points(found)
-    say(f"{len(tried)} gains on both sides of the border in MuJoCo")
+    say(f"{len(tried)} gains on both sides of the stability boundary, in MuJoCo")
     loops = [pd_loop(points[index], p, d, timing) for p, d, index in tried]
     trials = settle_trials(loops, effort_limit) if loops else None
     return StabilityMap(

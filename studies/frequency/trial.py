@@ -1,4 +1,4 @@
-"""Does a loop settle in MuJoCo? Kicked loops, run side by side until what the kick left has died away or grown."""
+"""Does a feedback loop settle in MuJoCo? Disturbed loops, run side by side until the disturbance has decayed or grown."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -27,13 +27,13 @@ def plan_text(plan: Plan) -> str:
         lines.append(f"effort {actuator.name}: {peak:.5g} {actuator.unit} at the most, limit {low:g} to {high:g}")
     rows = [
         ["effort beyond its limit, any instant", certificate.effort_excess, "unit of effort"],
-        ["inverse dynamics less carried effort", certificate.dynamics_residual, "unit of effort"],
-        ["loop gap", certificate.closure_gap_m, "m"],
+        ["inverse dynamics minus planned effort", certificate.dynamics_residual, "unit of effort"],
+        ["closure gap", certificate.closure_gap_m, "m"],
     ]
     if certificate.integration_restarts:
         lines.append(
             "the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
-            f" follow it; integration was begun anew {certificate.integration_restarts} time(s)"
+            f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
         )
     kinds = {joint.kind for joint in problem.mechanism.independent_joints}
     if "hinge" in kinds:
@@ -46,8 +46,8 @@ def plan_text(plan: Plan) -> str:
     for joint, margin in zip(problem.mechanism.joints, certificate.speed_margin, strict=True):
         if np.isfinite(margin):
             rows.append([f"margin to the speed limit of {joint.name}", joint.shown(margin), f"{joint.unit}/s"])
-    rows.append(["least det J_z, of that at home", certificate.singularity_ratio, "1"])
-    rows += [[f"left of {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
+    rows.append(["least det J_z, relative to home", certificate.singularity_ratio, "1"])
+    rows += [[f"margin to the limit on {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
     forces = zip(problem.mechanism.closure_names, certificate.peak_closure_force, strict=True)
     rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]
     powers = zip(problem.mechanism.actuators, certificate.peak_power, strict=True)

@@ -108,8 +108,8 @@ def tune(
         raise LinkplanError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
     if wanted.bandwidth_hz >= timing.nyquist_hz:
         raise LinkplanError(
-            f"a bandwidth of {wanted.bandwidth_hz:g} Hz is above the Nyquist frequency: a loop sampled every"
-            f" {timing.period_s:g} s has none above {timing.nyquist_hz:g} Hz"
+            f"a bandwidth of {wanted.bandwidth_hz:g} Hz is above the Nyquist frequency, {timing.nyquist_hz:g} Hz at a"
+            f" control period of {timing.period_s:g} s"
         )
     centre = np.log([np.sqrt(_NATURAL[0] * _NATURAL[1]), np.sqrt(_DAMPING[0] * _DAMPING[1])])
     half = np.log([np.sqrt(_NATURAL[1] / _NATURAL[0]), np.sqrt(_DAMPING[1] / _DAMPING[0])])
@@ -314,7 +314,7 @@ def tune_text(tuning: Tuning) -> str:
         position, velocity = (joint.shown(float(weight[0])) for weight in settings.lqr_errors([joint]))
         lines.append(
             f"lqr_position_{joint.unit} = {position:.5g}, lqr_velocity_{joint.unit}_s = {velocity:.5g}"
-            " (errors that weigh as the whole limit)"
+            " (errors weighted like the full effort limit)"
         )
     else:
         motor = motor_gains(tuning)

@@ -1,4 +1,4 @@
-"""The built-in mechanisms together: each checks clean, has a problem, and a picture that the README shows."""
+"""The built-in mechanisms together: each checks clean, has a problem, and a picture that docs/mechanisms.md shows."""
 
 import numpy as np
 import pytest
@@ -45,11 +45,11 @@ def test_check_finds_no_fault(name):
 
 
 @every_mechanism
-def test_a_built_in_problem_moves_it_and_the_readme_shows_its_picture(name):
+def test_a_built_in_problem_moves_it_and_the_page_on_mechanisms_shows_its_picture(name):
     shown = [problem for problem in SHOWN if read_tables(problem)[1]["mechanism"]["model"] == name]
     assert shown, "no problem of the gallery moves it"
     assert set(shown) <= set(PROBLEMS)
-    assert f"studies/gallery/{name}.png" in (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"studies/gallery/{name}.png" in (ROOT / "docs" / "mechanisms.md").read_text(encoding="utf-8")
 
 
 def test_the_gallery_is_drawn_where_the_readme_looks_for_it():
@@ -98,9 +98,9 @@ def test_an_unactuated_joint_that_the_others_move_is_a_note_and_one_that_nothing
 
 def test_a_stop_on_a_dependent_joint_is_a_note_where_the_coordinate_has_no_range_that_says_otherwise():
     five_bar = inspect(mechanism_of("five-bar"), [])
-    assert any("joint P's range [10, 170] deg stops the loop" in note for note in five_bar.notes)
+    assert any("joint P's range [10, 170] deg stops the mechanism" in note for note in five_bar.notes)
     source = inspect(mechanism_of("optimus-knee-source"), [])
-    assert any("joint A's range [-90, 90] deg stops the loop" in problem for problem in source.problems)
+    assert any("joint A's range [-90, 90] deg stops the mechanism" in problem for problem in source.problems)
 
 
 def test_a_rod_that_slides_in_a_barrel_is_drawn_from_the_barrel_s_pin_to_its_own_tip():

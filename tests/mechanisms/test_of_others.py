@@ -86,7 +86,7 @@ def test_closed_too_far_its_pads_meet_and_the_plan_is_refused(tmp_path):
     )
     assert plan.status == "failed"
     assert "geoms right_pad" in plan.message
-    assert "(left_pad) meet at t = " in plan.message
+    assert "(left_pad) collide at t = " in plan.message
 
 
 def test_a_sprung_leg_has_eight_freedoms_of_which_one_is_idle_and_two_are_on_springs():

@@ -88,7 +88,7 @@ MODELS = {
     "locked by a tendon and a joint": (equality('<tendon tendon1="cable"/><joint joint1="ja"/>'), ["locked"]),
     "locked by axes that are not quite parallel": (
         replaced(WELDED, '<joint name="C"/>', '<joint name="C" axis="1e-6 1 0"/>'),
-        ["locked", "not quite"],
+        ["locked", "slightly off"],
     ),
     "locked truss": (TRUSS, ["'truss'", "locked"]),
     "couplings that contradict each other": (

@@ -254,7 +254,7 @@ def test_a_path_stops_at_a_singular_pose_though_the_loop_closes_beyond(turns):
     singular = upper if turns > 0 else lower
     with pytest.raises(AssemblyError) as refused:
         close_at(mechanism, np.array([TRIPLE_ROCKER.drawn + turns * 2 * np.pi]))
-    (at,) = re.findall(r"comes apart at O = (\S+) deg", str(refused.value))
+    (at,) = re.findall(r"opens at O = (\S+) deg", str(refused.value))
     assert abs(float(at) - np.degrees(singular)) < APART_DEG
 
 
@@ -262,5 +262,5 @@ def test_a_parallelogram_is_not_led_through_its_flat_pose_where_two_branches_cro
     bar = FourBar(crank=0.1, coupler=0.2, rocker=0.1, ground=0.2, branch=1, drawn=0.3)
     with pytest.raises(AssemblyError) as refused:
         close_at(load(bar), np.array([2.0]))
-    (at,) = re.findall(r"comes apart at O = (\S+) deg", str(refused.value))
+    (at,) = re.findall(r"opens at O = (\S+) deg", str(refused.value))
     assert abs(float(at) - 90) < APART_DEG

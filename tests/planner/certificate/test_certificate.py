@@ -76,13 +76,13 @@ def test_a_speed_that_only_touches_its_limit_is_not_said_to_overrun_it():
 
 def test_an_effort_that_is_another_motion_s_is_found_by_inverse_dynamics():
     certificate = found(replace(motion(), effort=0.9 * motion().effort))
-    assert sentence(certificate, "between nodes the motion needs", "more effort than the plan carries")
+    assert sentence(certificate, "between nodes the motion needs", "more effort than planned")
 
 
 def test_an_effort_that_is_a_hundredth_short_is_found_by_integration():
     certificate = found(replace(motion(), effort=0.99 * motion().effort))
     assert certificate.integration_error_deg > 0.5
-    assert sentence(certificate, "the integrated model ends", "deg")
+    assert sentence(certificate, "the state integrated under the planned effort ends", "deg")
 
 
 def test_no_effort_at_all_does_not_pass():
@@ -91,7 +91,7 @@ def test_no_effort_at_all_does_not_pass():
 
 def test_a_velocity_that_is_shifted_throughout_does_not_pass():
     certificate = found(moved("velocity", np.radians(20), slice(None)))
-    assert sentence(certificate, "the integrated model ends", "deg")
+    assert sentence(certificate, "the state integrated under the planned effort ends", "deg")
 
 
 def test_a_velocity_that_is_shifted_after_the_first_interval_does_not_pass():
@@ -104,7 +104,7 @@ def test_a_velocity_that_is_shifted_in_one_interval_does_not_pass():
 
 def test_a_position_that_is_shifted_in_one_interval_does_not_pass():
     certificate = found(moved("position", np.radians(0.5), slice(20, 21)))
-    assert sentence(certificate, "the integrated model ends 0.5 deg")
+    assert sentence(certificate, "the state integrated under the planned effort ends 0.5 deg")
 
 
 def test_a_position_that_bulges_within_one_interval_does_not_pass():

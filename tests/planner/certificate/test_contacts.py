@@ -83,7 +83,7 @@ def test_a_plan_that_meets_a_block_is_refused_with_the_geoms_the_instant_and_the
     assert met.home_depth_m == 0.0
     assert made.status == "failed"
     assert not made.certificate.passed
-    assert "geoms block (world) and L3 (rocker) meet at t = " in made.message
+    assert "geoms block (world) and L3 (rocker) collide at t = " in made.message
     assert f"t = {instant:.3g}" in made.message.replace(f"{met.since:.5g}", f"{met.since:.3g}")
     assert "\n" not in made.message
 
@@ -187,7 +187,7 @@ def test_a_saved_plan_is_judged_by_its_contacts_too(free, tmp_path):
     model.write_text(with_block(), encoding="utf-8")
     again = read_plan(folder)
     assert again.status == "failed"
-    assert "geoms block (world) and L3 (rocker) meet" in again.message
+    assert "geoms block (world) and L3 (rocker) collide" in again.message
 
 
 def test_check_of_the_problem_says_it_before_any_solving(tmp_path, capsys):
@@ -201,10 +201,10 @@ def test_check_of_the_problem_says_it_before_any_solving(tmp_path, capsys):
     code, said = ask_json(*asked)
     assert code == 1
     (problem,) = said["problems"]
-    assert problem.startswith("geoms block (world) and L3 (rocker) meet at O = ")
+    assert problem.startswith("geoms block (world) and L3 (rocker) collide at O = ")
     code, said = ask_json(*asked, "--set", "limits.contacts=note")
     assert code == 0
-    assert any("geoms block (world) and L3 (rocker) meet at O = " in note for note in said["notes"])
+    assert any("geoms block (world) and L3 (rocker) collide at O = " in note for note in said["notes"])
     code, said = ask_json(*asked, "--set", "motion.goal_deg.O=20")
     assert code == 0
-    assert any("off the way of the smooth path of knee-reach" in note for note in said["notes"])
+    assert any("but not along the smooth path of knee-reach" in note for note in said["notes"])

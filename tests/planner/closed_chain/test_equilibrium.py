@@ -63,7 +63,7 @@ def test_from_rest_to_rest_a_plan_needs_no_effort_beyond_the_arm_s_at_its_ends(a
 def test_without_a_spring_the_value_is_asked_for(tmp_path):
     path = tmp_path / "loose.xml"
     path.write_text(HANGING.format(spring='damping="4"'), encoding="utf-8")
-    with pytest.raises(ProblemError, match="names no value for joint spring, which moves on its own"):
+    with pytest.raises(ProblemError, match="names no value for joint spring, which is independent"):
         problem_from_tables("loose", tables(path, {"arm": 0.0}, {"arm": 20.0}))
 
 

@@ -27,4 +27,4 @@ def test_a_tolerance_on_the_integrated_state_is_kept():
 def test_a_tolerance_that_is_out_of_reach_is_said():
     plan = planned("knee-reach", "mesh.scheme=radau-1", "mesh.tolerance_deg=1e-7", "mesh.intervals=4")
     assert plan.status == "failed"
-    assert "integrated model ends" in plan.message
+    assert "the state integrated under the planned effort ends" in plan.message

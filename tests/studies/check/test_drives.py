@@ -29,7 +29,7 @@ def test_the_source_s_linear_actuator_is_told_for_what_it_is():
     assert 1e-3 < at_most < 1e-2
     assert f"act_B_to_D, on slider-crank s2-sD, only turns it one way, by 0 to {at_most:.3g} N.m at home" in on_d
     assert any(
-        "act_B_to_D does next to nothing on joint O" in note and "beside 100 of act_O" in note for note in found.notes
+        "act_B_to_D adds almost nothing on joint O" in note and "against 100 of act_O" in note for note in found.notes
     )
 
 

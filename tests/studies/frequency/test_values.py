@@ -163,7 +163,7 @@ def test_a_sampling_that_is_no_time_is_refused(values, words):
 
 def test_a_delay_between_simulator_steps_takes_finer_steps_or_is_refused(knee):
     assert sampling(knee, 1e-4, 0.25).substeps == 4
-    with pytest.raises(LinkplanError, match="between simulator steps"):
+    with pytest.raises(LinkplanError, match="is not a whole number of simulator steps"):
         sampling(knee, 1e-4, 0.25, substeps=2)
 
 
