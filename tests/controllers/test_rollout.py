@@ -100,6 +100,7 @@ def test_the_loop_stays_closed_to_ten_micrometres(kind, name):
     assert 0 < rollout.gap_m.max() < ROLLOUT_GAP_M
 
 
+@pytest.mark.slow
 @every_plan
 @every_tracker
 def test_no_effort_that_acts_exceeds_its_limit(kind, name):
