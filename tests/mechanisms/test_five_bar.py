@@ -169,6 +169,7 @@ def test_the_torques_do_the_work_that_the_closed_form_asks_for(problem):
     assert work - lost == pytest.approx(gained, rel=WORK)
 
 
+@pytest.mark.slow
 def test_the_swing_up_gathers_way_before_it_goes_over():
     """The torques cannot lift the links: a straight way up is closed, and the load swings at least once."""
     trajectory = plan_of("five-bar-swing-up").trajectory
