@@ -9,7 +9,7 @@ export OMP_NUM_THREADS ?= 1
 # What pyright reads: the package as it is installed, links to the folders that it is made of.
 LINKS := build/typed/linkplan
 
-.PHONY: demo test quick check bench clean
+.PHONY: demo test quick check links bench clean
 
 demo: $(STAMP)
 	$(BIN)/linkplan demo -o linkplan-demo
@@ -20,7 +20,7 @@ test: $(STAMP)
 quick: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m "not slow"
 
-check: $(STAMP) $(LINKS)
+check: $(STAMP) links
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
@@ -32,7 +32,7 @@ bench: $(STAMP)
 clean:
 	rm -rf $(VENV) build *.egg-info linkplan-demo bench-results
 
-$(LINKS):
+links:
 	mkdir -p $(LINKS)
 	cd $(LINKS) && ln -sf ../../../studies/package/*.py . && ln -sfn ../../../models models && ln -sfn ../../../planner planner \
 	  && ln -sfn ../../../controllers controllers && ln -sfn ../../../studies studies

@@ -1,47 +1,18 @@
 """Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text."""
 
 import warnings
-from importlib import resources
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
+from linkplan.models.catalogue import MODELS as BUILT_IN
+from linkplan.models.catalogue import built_in_text, is_file, is_folder, is_text
 from linkplan.models.errors import ModelError, one_line
 from linkplan.models.names import nearest
 from linkplan.models.payload import Payload, attach
 
-BUILT_IN = {
-    "optimus-knee": "the humanoid's knee: a four-bar driven at O within +-100 N.m",
-    "optimus-knee-linear": "the same knee as it is really driven: a linear actuator from D to B within +-2000 N, two loops",
-    "slider-crank": "crank, rod and slider, driven at the crank within +-2 N.m",
-    "andrews-squeezer": "seven bodies, three coupled loops, a spring: the IVP test set's squeezing mechanism",
-    "parallel-gripper": "two four-bar fingers geared together, closed by one cable and opened by springs",
-    "five-bar": "two motors at the base for two degrees of freedom, one loop, a load on the pin",
-    "cart-pole": "a pole on a cart, pushed at the cart: no loop, one force for two degrees of freedom",
-    "optimus-knee-source": "the source document's knee, as printed: kept to be checked, not to be used",
-}
-
-
-def built_in_text(name: str) -> str:
-    """Return the MJCF text of a built-in model."""
-    return resources.files("linkplan.models").joinpath("mjcf").joinpath(f"{name}.xml").read_text(encoding="utf-8")
-
-
-def is_file(path: Path) -> bool:
-    """Return whether a path is a file; False for a name that no file can have."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
-
-
-def is_folder(path: Path) -> bool:
-    """Return whether a path is a folder; False for a name that no folder can have."""
-    try:
-        return path.is_dir()
-    except (OSError, ValueError):
-        return False
+__all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
 
 def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[str, mujoco.MjModel]:
@@ -59,7 +30,7 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
             attach(spec, payload)
         model = spec.compile()
     except (ValueError, mujoco.FatalError) as error:
-        shown = "MJCF text" if str(source).lstrip().startswith("<") else source
+        shown = "MJCF text" if is_text(str(source)) else source
         raise ModelError(f"model '{shown}' does not compile: {one_line(error)}") from error
     finally:
         mujoco.set_mju_user_warning(None)
@@ -76,7 +47,7 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     text = str(source)
     if text in BUILT_IN:
         return text, _parse(text, built_in_text(text))
-    if text.lstrip().startswith("<"):
+    if is_text(text):
         spec = _parse("MJCF text", text)
         return spec.modelname or "MJCF text", spec
     path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."

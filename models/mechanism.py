@@ -43,6 +43,7 @@ class Mechanism:
     them. `home` (n_q,) closes the loops; `home_gap_m` is how far they stood open at the model's own reference pose, before
     assembly. `idle` are passive degrees of freedom: coordinates that can move alone while all other bodies rest and that no
     actuator drives, as a rod between two ball joints spins; `notes` are sentences on what is worth knowing of the assembly.
+    `source` is what it was loaded from, as the [mechanism] table of a problem file.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Mechanism:
     coordinates: Coordinates
     idle: tuple[int, ...]
     notes: tuple[str, ...]
+    source: Mapping[str, object]
 
     @property
     def n_q(self) -> int:
@@ -260,10 +262,24 @@ def load_mechanism(
         coordinates=tree.coordinates,
         idle=idle,
         notes=tuple(notes),
+        source=_table_of(source, payload, home, independent, joints),
     )
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
     return mechanism
+
+
+def _table_of(source, payload: Payload | None, home, independent, joints: tuple[Joint, ...]) -> dict[str, object]:
+    """Return what a mechanism is loaded from as the [mechanism] table of a problem file."""
+    table: dict[str, object] = {"model": str(source)}
+    if payload is not None:
+        table["payload"] = payload.table()
+    for joint in joints:
+        if home is not None and joint.name in home:
+            table.setdefault(f"home_{joint.unit}", {})[joint.name] = joint.shown(home[joint.name])
+    if independent is not None:
+        table["independent"] = list(independent)
+    return table
 
 
 def _hint(weak: int) -> str:

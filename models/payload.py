@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from linkplan.models.catalogue import PAYLOADS
 from linkplan.models.errors import ModelError
 from linkplan.models.names import choose, nearest
 
@@ -59,6 +60,15 @@ class Payload:
         """Return mass, centre of mass and moments of inertia (7,), the parameters of `symbolic`."""
         return np.concatenate([[self.mass_kg], self.com_m, self.inertia_kgm2])
 
+    def table(self) -> dict:
+        """Return the payload as the table that a problem file has of it."""
+        return {
+            "body": self.body,
+            "mass_kg": float(self.mass_kg),
+            "com_m": self.com_m.tolist(),
+            "inertia_kgm2": self.inertia_kgm2.tolist(),
+        }
+
     def scaled(self, factor: float) -> "Payload":
         """Return the payload with mass and inertia multiplied by `factor`, its centre of mass kept."""
         return replace(self, mass_kg=self.mass_kg * factor, inertia_kgm2=self.inertia_kgm2 * factor)
@@ -73,7 +83,7 @@ SHANK = Payload(
     inertia_kgm2=np.array([0.05, 0.05, 0.05]),
 )
 
-BUILT_IN: Mapping[str, Payload] = {"shank": SHANK}
+BUILT_IN: Mapping[str, Payload] = dict(zip(PAYLOADS, (SHANK,), strict=True))
 
 _KEYS = ("body", "mass_kg", "com_m", "inertia_kgm2")
 

@@ -240,8 +240,9 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
         asked = np.stack([motion.start, motion.goal])
         wanted = np.stack([rest if x is None else x for x in (motion.start_speed, motion.goal_speed)])
         free = np.zeros_like(ends, dtype=bool)
-        # a passive degree of freedom may end anywhere
-        free[1] = np.isin(problem.mechanism.independent, problem.mechanism.idle)
+        free[1] = np.isin(
+            problem.mechanism.independent, problem.mechanism.idle
+        )  # a passive degree of freedom may end anywhere
     elif trajectory.periodic:
         asked, wanted, free = ends[::-1], speeds[::-1], np.zeros_like(ends, dtype=bool)
     else:

@@ -11,11 +11,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from linkplan.models.catalogue import is_file
 from linkplan.models.errors import ProblemError, one_line
-from linkplan.models.library import is_file
 from linkplan.models.names import nearest
 from linkplan.planner.files.problem_file import beside
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.files.toml_text import inline
 
 KEYS = ("problem", "set", "case", "sweep")
 CASE_KEYS = ("name", "set")
@@ -113,7 +114,7 @@ def _swept(value: object) -> list[tuple[str, tuple[str, ...]]]:
         raise ProblemError(f"a batch has {MAX_CASES} cases at the most, the sweep makes {total}")
     cases = []
     for number, combination in enumerate(itertools.product(*axes)):
-        settings = tuple(f"{key}={_toml(item)}" for key, item in combination)
+        settings = tuple(f"{key}={inline(item)}" for key, item in combination)
         cases.append((f"{number + 1:0{len(str(total))}d}", settings))
     return cases
 
@@ -125,18 +126,3 @@ def _flat(table: dict, prefix: str = "") -> Iterator[tuple[str, object]]:
             yield from _flat(value, f"{prefix}{key}.")
         else:
             yield f"{prefix}{key}", value
-
-
-def _toml(value: object) -> str:
-    """Return a value of a sweep in TOML's syntax."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, int | float):
-        return repr(value)
-    if isinstance(value, str):
-        return '"' + value.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    if isinstance(value, list):
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    if isinstance(value, dict):
-        return "{" + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + "}"
-    raise ProblemError(f"a sweep's values are numbers, words, lists or tables, got {value!r}")

@@ -25,16 +25,16 @@ def check_target(target: Path, record: str = "plan.json") -> None:
             be written.
     """
     if target.exists() and not target.is_dir():
-        raise PlanFileError(f"-o takes a folder; '{target}' is a file")
+        raise PlanFileError(f"a result is a folder; '{target}' is a file")
     if target.is_dir() and any(target.iterdir()) and not (target / record).is_file():
         other = [name for name in RECORDS if (target / name).is_file()]
         held = f"another result ({', '.join(other)})" if other else "files that are not linkplan's"
-        raise PlanFileError(f"-o '{target}' holds {held}; name a new or an empty folder")
+        raise PlanFileError(f"'{target}' holds {held}; name a new or an empty folder")
     parent = target.absolute().parent
     while not parent.exists():
         parent = parent.parent
     if not parent.is_dir():
-        raise PlanFileError(f"-o '{target}' lies below '{parent}', which is a file")
+        raise PlanFileError(f"'{target}' lies below '{parent}', which is a file")
 
 
 def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan.json") -> None:

@@ -9,16 +9,15 @@ from pathlib import Path
 
 import numpy as np
 
+from linkplan.models.catalogue import is_file
 from linkplan.models.digest import part_hashes
 from linkplan.models.errors import AssemblyError, LinkplanError, PlanFileError
-from linkplan.models.library import is_file
-from linkplan.models.poses.along import joint_rates
-from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Meeting
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.collisions import with_contacts
 from linkplan.planner.certificate.margins import Margin
 from linkplan.planner.files.folders import plain_record, write_json
+from linkplan.planner.files.motion_table import motion_table
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
@@ -27,7 +26,6 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 
 FORMAT = 1
 STATUSES = ("optimal", "infeasible", "failed")
-_CSV_PER_INTERVAL = 10
 
 
 def versions() -> dict[str, str]:
@@ -148,29 +146,11 @@ def _from(place: Path, problem: PlanningProblem) -> str | None:
 
 
 def _write_csv(plan: Plan, path: Path) -> None:
-    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
-    time = trajectory.dense_times(_CSV_PER_INTERVAL)
-    q = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
-    rates = joint_rates(mechanism, q, trajectory.velocity_at(time))
-    accelerations, efforts = trajectory.acceleration_at(time), trajectory.effort_at(time)
-    header, columns = ["time_s"], [time]
-    for index, joint in enumerate(mechanism.joints):
-        header += [f"{joint.name}_{joint.unit}", f"{joint.name}_{joint.unit}_s"]
-        columns += [_shown(joint, q[:, index]), _shown(joint, rates[:, index])]
-    for index, joint in enumerate(mechanism.independent_joints):
-        header.append(f"{joint.name}_{joint.unit}_s2")
-        columns.append(_shown(joint, accelerations[:, index]))
-    for index, actuator in enumerate(mechanism.actuators):
-        header.append(f"{actuator.name}_{actuator.unit.replace('.', '')}")
-        columns.append(efforts[:, index])
+    columns = motion_table(plan).columns()
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(header)
-        writer.writerows([[f"{value:.12g}" for value in row] for row in np.column_stack(columns)])
-
-
-def _shown(joint, values: np.ndarray) -> np.ndarray:
-    return np.degrees(values) if joint.kind == "hinge" else values
+        writer.writerow(columns)
+        writer.writerows([[f"{value:.12g}" for value in row] for row in np.column_stack(list(columns.values()))])
 
 
 def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:

@@ -6,14 +6,14 @@ wherever a file does.
 
 import copy
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from linkplan.models.audit import audit
+from linkplan.models.catalogue import MODELS, is_file
 from linkplan.models.errors import AssemblyError, ProblemError
-from linkplan.models.library import BUILT_IN as MODELS
-from linkplan.models.library import is_file
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.names import nearest
 from linkplan.models.poses.assembly import close_at
@@ -71,13 +71,28 @@ def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> PlanningP
     return problem_from_tables(name, tables, folder)
 
 
-def problem_from_tables(name: str, tables: Tables, folder: Path | None = None) -> PlanningProblem:
-    """Return the problem that a file's tables mean; paths in it are from its own folder, else the working folder."""
+def problem_from_tables(
+    name: str, tables: Tables, folder: Path | None = None, mechanism: Mechanism | None = None
+) -> PlanningProblem:
+    """Return the problem that a file's tables mean.
+
+    Args:
+        name: of the problem.
+        tables: as `tomllib` reads them; they are not changed.
+        folder: the file's, from which paths in it are looked up before the working folder.
+        mechanism: one that is loaded already, in place of what [mechanism] says.
+
+    Raises:
+        ProblemError: for anything in the tables that cannot be used.
+        ModelError: when the mechanism that they name cannot be.
+    """
     tables = copy.deepcopy(tables)
+    if mechanism is not None:
+        tables["mechanism"] = copy.deepcopy(dict(mechanism.source))
     _check_keys(tables)
+    if mechanism is None:
+        mechanism = _mechanism(tables.setdefault("mechanism", {}), folder)
     section = {key: tables.get(key, {}) for key in KEYS}
-    mechanism = _mechanism(section["mechanism"], folder)
-    tables.setdefault("mechanism", {})["model"] = section["mechanism"]["model"]
     if mechanism.n_u == 0:
         raise ProblemError(
             f"mechanism '{mechanism.name}' has no usable actuator; a plan needs one"
@@ -146,7 +161,7 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
         model, payload=section.get("payload"), home=_home(section), independent=section.get("independent")
     )
     joint_values(section, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
-    return mechanism
+    return replace(mechanism, source=copy.deepcopy(section))
 
 
 def beside(path: str, folder: Path | None) -> Path:

@@ -5,10 +5,9 @@ import tomllib
 from importlib import resources
 from pathlib import Path
 
+from linkplan.models.catalogue import PAYLOADS, is_file, is_folder
 from linkplan.models.errors import ProblemError, one_line
-from linkplan.models.library import is_file, is_folder
 from linkplan.models.names import nearest
-from linkplan.models.payload import BUILT_IN as PAYLOADS
 
 BUILT_IN = (
     "knee-sine",
@@ -61,27 +60,38 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
 def apply_override(tables: Tables, override: str) -> None:
     """Set one key of `tables` from "section.key=value", the value in TOML syntax, a bare word being a string."""
     key, equals, text = override.partition("=")
+    if not equals:
+        raise ProblemError(f"a setting is section.key=value, got '{override}'")
+    set_key(tables, key, parse_value(text.strip(), override))
+
+
+def set_key(tables: Tables, key: str, value: object) -> None:
+    """Set one key, "section.key" with further keys below it, of `tables`; a built-in payload becomes a table on the way.
+
+    Raises:
+        ProblemError: when the key is none, or leads through a value.
+    """
     path = [part.strip() for part in key.split(".")]
-    if not equals or len(path) < 2 or not all(path):
-        raise ProblemError(f"--set takes section.key=value, got '{override}'")
-    value = parse_value(text.strip(), override)
+    if len(path) < 2 or not all(path):
+        raise ProblemError(f"a setting is section.key=value, got '{key}'")
     node: object = tables
     for depth, part in enumerate(path[:-1]):
         if not isinstance(node, dict):
             break
         child = node.setdefault(part, {})
         if path[: depth + 1] == ["mechanism", "payload"] and isinstance(child, str) and child in PAYLOADS:
-            built_in = PAYLOADS[child]
-            child = node[part] = {
-                "body": built_in.body,
-                "mass_kg": built_in.mass_kg,
-                "com_m": built_in.com_m.tolist(),
-                "inertia_kgm2": built_in.inertia_kgm2.tolist(),
-            }
+            child = node[part] = _payload_table(child)
         node = child
     if not isinstance(node, dict):
-        raise ProblemError(f"--set {override}: '{'.'.join(path[:-1])}' is a value, not a table")
+        raise ProblemError(f"setting '{key}': '{'.'.join(path[:-1])}' is a value, not a table")
     node[path[-1]] = value
+
+
+def _payload_table(name: str) -> dict:
+    """Return a built-in payload as a problem file would have it."""
+    from linkplan.models.payload import BUILT_IN as BUILT  # loads the simulator, which a list of names does without
+
+    return BUILT[name].table()
 
 
 def parse_value(text: str, where: str) -> object:
@@ -96,5 +106,6 @@ def parse_value(text: str, where: str) -> object:
         if re.fullmatch(r"[^\s\"'\[\]{}=,]+", text):
             return text
         raise ProblemError(
-            f"--set {where}: '{text}' is neither TOML nor a bare word; write 1.5, true, \"two words\", [1, 2] or {{ O = 1 }}"
+            f"setting '{where}': '{text}' is neither TOML nor a bare word; write 1.5, true, \"two words\", [1, 2] or"
+            " { O = 1 }"
         ) from error

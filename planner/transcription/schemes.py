@@ -26,13 +26,8 @@ from scipy.special import comb
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
+from linkplan.planner.transcription.scheme_names import LOBATTO, MAX_DEGREE, NAMES
 
-MAX_DEGREE = 9
-LOBATTO = {"trapezoid": (0.0, 1.0), "hermite-simpson": (0.0, 0.5, 1.0)}
-NAMES = (
-    *(f"{name}{form}" for name in LOBATTO for form in ("", "-consistent")),
-    *(f"{family}-{degree}" for family in ("radau", "gauss") for degree in range(1, MAX_DEGREE + 1)),
-)
 EFFORTS = {"constant": 0, "linear": 1, "polynomial": MAX_DEGREE}
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, Scan, response_curves
 from linkplan.studies.frequency.loops import SIMULATED, feedback_loop, law_gain, operating_point
@@ -30,8 +31,11 @@ def save_bode(study: BodeStudy, place: Path) -> None:
         margin_figure(study, scan, place / f"margins{suffix}.png")
 
 
-def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -> None:
-    """Draw open and closed loop at every pose, predicted as lines and measured as dots, and their differences below."""
+def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | None = None) -> Figure:
+    """Return the figure of open and closed loop at every pose, saved at `path` where one is given.
+
+    Predictions are lines, measurements dots, and their differences stand below.
+    """
     reference = "reference" if study.law == "pd" else "reference+ff"
     titles = {"loop": "open loop L", reference: f"{reference.replace('+', ' with ')} to angle"}
     measured = any(entry.measured for entry in entries)
@@ -55,6 +59,7 @@ def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -> N
         figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(handles)), frameon=False)
         how = "line: predicted, sampled; dotted: continuous" + (f"; dots: MuJoCo, {study.method}" if measured else "")
         figure.suptitle(f"{study.mechanism.name}, {study.law}: {study.message}\n{how}", fontsize=10.5, wrap=True)
+    return figure
 
 
 def draw_response(axes, entry: BodePoint, quantity: str, colour: str) -> None:

@@ -34,7 +34,7 @@ def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], No
     """
     stable = [entry for entry in study.points if entry.margins.stable and entry.channel == 0]
     if not stable:
-        raise LinkplanError("--large needs a stable feedback loop, and there is none at any of the poses")
+        raise LinkplanError("a response past the effort limit needs a stable feedback loop, and none of the poses has one")
     entry = stable[len(stable) // 2]
     curve = feasible_curve(
         entry.point,

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
@@ -20,8 +21,11 @@ _DRAWN = 3
 _NOTHING = 1e-9
 
 
-def inspection_figure(found: Inspection, path: Path) -> None:
-    """Draw, over each coordinate's reach, the mechanism, its dependent joints, inertia, and the effort that holds it."""
+def inspection_figure(found: Inspection, path: Path | None = None) -> Figure:
+    """Return the figure of a mechanism over each coordinate's reach, saved at `path` where one is given.
+
+    Drawn are the mechanism, its dependent joints, the reduced inertia, and the effort that holds it.
+    """
     reaches, mechanism = found.reaches[:_DRAWN], found.mechanism
     with page(path, rows=2 * len(reaches), columns=2, size=(10.5, 7.5 * len(reaches))) as axes:
         for row, can in zip(range(0, 2 * len(reaches), 2), reaches, strict=True):
@@ -32,6 +36,7 @@ def inspection_figure(found: Inspection, path: Path) -> None:
         names = [mechanism.joints[mechanism.independent[can.coordinate]].name for can in reaches]
         others = "" if mechanism.dof == 1 else f": {' then '.join(names)} each over its reach, the other coordinates at home"
         axes[0, 0].figure.suptitle(f"{mechanism.name}{others}")
+    return axes[0, 0].figure
 
 
 def _x(mechanism: Mechanism, can: Reach) -> tuple[np.ndarray, Joint]:

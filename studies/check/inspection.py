@@ -89,13 +89,13 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
         if index not in mechanism.independent:
             names = ", ".join(joint.name for joint in mechanism.independent_joints)
             raise ProblemError(
-                f"--at-deg names independent joints ({names}); {mechanism.joints[index].name} follows from them"
+                f"a pose names independent joints ({names}); {mechanism.joints[index].name} follows from them"
             )
         s[list(mechanism.independent).index(index)] = value
     try:
         pose = close_at(mechanism, s)
     except AssemblyError as error:
-        raise ProblemError(f"--at-deg is beyond reach: {error}") from error
+        raise ProblemError(f"the pose asked for is beyond reach: {error}") from error
     dynamics, still = mechanism.dynamics, np.zeros(mechanism.dof)
     return PoseReport(
         pose=pose,

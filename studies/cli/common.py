@@ -1,41 +1,24 @@
-"""What the commands share: reading arguments, progress, printing results."""
+"""What the commands share: reading arguments, and refusing them under the names that they have on the command line."""
 
 import argparse
-import json
-import sys
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from linkplan.models.errors import ModelError, ProblemError
-from linkplan.models.library import BUILT_IN as MODELS
+from linkplan.models.catalogue import MODELS
+from linkplan.models.errors import ModelError, PlanFileError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import nearest
-from linkplan.planner.files.folders import check_target, plain
+from linkplan.planner.files.folders import check_target
 from linkplan.planner.files.plan_folder import read_plan, record, unchecked
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.files.tables import apply_override, read_tables
+from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.exit_codes import NO
-
-Say = Callable[[str], None]
-
-
-def progress(arguments: argparse.Namespace) -> Say:
-    """Return the function that prints a command's progress on stderr."""
-
-    def say(text: str) -> None:
-        print(f"  {arguments.command}: {text}", file=sys.stderr, flush=True)
-
-    return say
-
-
-def show(arguments: argparse.Namespace, said: dict, text: str) -> None:
-    """Print a result: one JSON object, or the text for people."""
-    print(json.dumps(plain(said), allow_nan=False) if arguments.json else text)
+from linkplan.studies.cli.printing import Say, show
 
 
 def output_folder(arguments: argparse.Namespace) -> Path | None:
@@ -45,8 +28,20 @@ def output_folder(arguments: argparse.Namespace) -> Path | None:
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")
     target = Path(arguments.output)
-    check_target(target, f"{arguments.command}.json")
+    try:
+        check_target(target, f"{arguments.command}.json")
+    except PlanFileError as error:
+        raise PlanFileError(f"-o: {error}") from error
     return target
+
+
+def set_all(tables: Tables, settings: Sequence[str]) -> None:
+    """Set the keys of --set in a problem's tables."""
+    for setting in settings:
+        try:
+            apply_override(tables, setting)
+        except ProblemError as error:
+            raise ProblemError(f"--set: {error}") from error
 
 
 def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dict[str, float]]:
@@ -83,8 +78,7 @@ def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None
                 f"unknown model '{source}'{nearest(source, names)}: neither a built-in name ({', '.join(names)}) nor a file"
             )
         name, tables, folder = source, {"mechanism": {"model": source}}, None
-    for override in overrides:
-        apply_override(tables, override)
+    set_all(tables, overrides)
     return name, tables, folder, is_problem
 
 
@@ -99,8 +93,7 @@ def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
                 f" file, nor built-in ({', '.join(PROBLEMS)})"
             )
         name, tables, folder = read_tables(source)
-        for override in overrides:
-            apply_override(tables, override)
+        set_all(tables, overrides)
         return plan_motion(problem_from_tables(name, tables, folder), say)
     for override in overrides:
         if not override.startswith("tracking."):

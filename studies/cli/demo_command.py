@@ -2,8 +2,9 @@
 
 import argparse
 
-from linkplan.studies.cli.common import output_folder, progress, show
+from linkplan.studies.cli.common import output_folder
 from linkplan.studies.cli.exit_codes import DONE
+from linkplan.studies.cli.printing import progress, show
 
 
 def run_demo(arguments: argparse.Namespace) -> int:

@@ -2,19 +2,17 @@
 
 import argparse
 
-from linkplan.models.library import BUILT_IN as MODELS
-from linkplan.models.payload import BUILT_IN as PAYLOADS
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.models.catalogue import MODELS, PAYLOADS
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
-from linkplan.planner.transcription.schemes import NAMES as SCHEMES
-from linkplan.studies.cli.common import show
+from linkplan.planner.transcription.scheme_names import NAMES as SCHEMES
 from linkplan.studies.cli.exit_codes import DONE
+from linkplan.studies.cli.printing import show
 
 
 def run_list(arguments: argparse.Namespace) -> int:
     """Print the built-in names."""
-    from linkplan.studies.compare.compare import TRACKERS
-
     problems = {name: read_tables(name)[1].get("description", "") for name in PROBLEMS}
     said = {
         "models": dict(MODELS),

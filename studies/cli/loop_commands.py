@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
@@ -13,18 +14,19 @@ from linkplan.planner.files.problem_file import mechanism_from_tables, problem_f
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.cli.common import Say, output_folder, poses_asked, progress, show, tables_of
+from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
+from linkplan.studies.cli.printing import Say, progress, show
 
 
 def run_bode(arguments: argparse.Namespace) -> int:
     """Report on a loop's frequency response, predicted and measured; 1 where it is unstable at a pose."""
     from linkplan.studies.bode.bode import bode_study
     from linkplan.studies.bode.bode_report import bode_record, bode_text
+    from linkplan.studies.bode.poses import loop_poses
     from linkplan.studies.frequency.excitation import METHODS, Setup
-    from linkplan.studies.frequency.loops import LAWS
 
-    choose("tracker", arguments.tracker, LAWS, ProblemError)
+    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     choose("way to measure", arguments.measure, (*METHODS, "none"), ProblemError)
     target, say = output_folder(arguments), progress(arguments)
     problem, mechanism, settings, limit = _loop_of(arguments)
@@ -37,7 +39,7 @@ def run_bode(arguments: argparse.Namespace) -> int:
             raise ProblemError(f"--amplitude-deg is a positive number, got {amplitude:g}")
         joint = mechanism.independent_joints[0]
         setup = Setup(method=arguments.measure, amplitude=None if amplitude is None else joint.read(amplitude))
-    poses, note = _asked(arguments, problem, mechanism, limit)
+    poses, note = loop_poses(mechanism, problem, limit, poses_asked(arguments, mechanism))
     study = bode_study(
         mechanism,
         poses,
@@ -75,10 +77,11 @@ def run_bode(arguments: argparse.Namespace) -> int:
 def run_tune(arguments: argparse.Namespace) -> int:
     """Find gains for what is wanted; 1 where there are none."""
     from linkplan.controllers.sampling import sampling
-    from linkplan.studies.frequency.loops import LAWS, operating_point
+    from linkplan.studies.bode.poses import loop_poses
+    from linkplan.studies.frequency.loops import operating_point
     from linkplan.studies.tune.tune import Wanted, tune, tune_record, tune_text
 
-    choose("tracker", arguments.tracker, LAWS, ProblemError)
+    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     target, say = output_folder(arguments), progress(arguments)
     problem, mechanism, settings, limit = _loop_of(arguments)
     wanted = Wanted(
@@ -88,7 +91,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
     )
     if mechanism.dof != 1:
         raise ProblemError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
-    poses, note = _asked(arguments, problem, mechanism, limit)
+    poses, note = loop_poses(mechanism, problem, limit, poses_asked(arguments, mechanism))
     points = [operating_point(mechanism, position, limit) for position in poses]
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
     found = tune(points, wanted, settings, timing, limit, law=arguments.tracker, say=say)
@@ -138,28 +141,6 @@ def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
     return settings
 
 
-def _asked(
-    arguments: argparse.Namespace, problem: PlanningProblem | None, mechanism: Mechanism, limit: np.ndarray
-) -> tuple[np.ndarray, str | None]:
-    """Return the independent positions to look at (n, n_s), and a sentence on how they were chosen where that matters."""
-    from linkplan.studies.bode.bode import default_poses
-    from linkplan.studies.frequency.loops import require_actuated
-
-    require_actuated(mechanism)
-    if not arguments.at_deg:
-        return default_poses(mechanism, _motion_range(problem), limit)
-    names = [joint.name for joint in mechanism.independent_joints]
-    asked = poses_asked(arguments, mechanism)
-    home = dict(zip(names, mechanism.home[mechanism.independent], strict=True))
-    for pose in asked:
-        wrong = [name for name in pose if name not in names]
-        if wrong:
-            raise ProblemError(
-                f"--at-deg names the independent joint{'s' * (len(names) > 1)} {', '.join(names)}; {wrong[0]} follows"
-            )
-    return np.array([[(home | pose)[name] for name in names] for pose in asked]), None
-
-
 def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarray | None:
     """Return the frequencies asked for [Hz], or None."""
     low, high, count = arguments.from_hz, arguments.to_hz, arguments.frequencies
@@ -178,16 +159,6 @@ def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarra
             f"--to-hz {high:g} is above the Nyquist frequency, {nyquist:g} Hz at a control period of {settings.period_s:g} s"
         )
     return np.geomspace(low, high, count)
-
-
-def _motion_range(problem: PlanningProblem | None) -> np.ndarray | None:
-    """Return the ends of a problem's motion (2,), or None where there is no problem."""
-    if problem is None or problem.mechanism.dof != 1:
-        return None
-    if problem.motion.start is not None and problem.motion.goal is not None:
-        return np.array([problem.motion.start[0], problem.motion.goal[0]])
-    values = problem.reference.derivative(np.linspace(0.0, problem.reference.period_s, 181))[:, 0]
-    return np.array([values.min(), values.max()])
 
 
 def _map(study, problem: PlanningProblem | None, say: Say):

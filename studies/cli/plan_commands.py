@@ -6,10 +6,11 @@ from pathlib import Path
 from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.files.plan_folder import record, write_plan
 from linkplan.planner.files.problem_file import problem_from_tables
-from linkplan.planner.files.tables import apply_override, read_tables
+from linkplan.planner.files.tables import read_tables
 from linkplan.planner.planning import plan_motion
-from linkplan.studies.cli.common import output_folder, progress, show
+from linkplan.studies.cli.common import output_folder, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
+from linkplan.studies.cli.printing import progress, show
 
 
 def run_plan(arguments: argparse.Namespace) -> int:
@@ -19,8 +20,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
 
     target, say = output_folder(arguments), progress(arguments)
     name, tables, folder = read_tables(arguments.problem)
-    for override in arguments.set:
-        apply_override(tables, override)
+    set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
     if plan.status == "optimal" and target is not None:
         write_whole(target, lambda place: save_plan(plan, place, target))

@@ -6,17 +6,19 @@ from pathlib import Path
 
 import numpy as np
 
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
 from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.plan import Plan
-from linkplan.studies.cli.common import no_plan, output_folder, plan_asked, progress, show
+from linkplan.studies.cli.common import no_plan, output_folder, plan_asked
 from linkplan.studies.cli.exit_codes import DONE, NO
+from linkplan.studies.cli.printing import progress, show
 
 
 def run_track(arguments: argparse.Namespace) -> int:
     """Run one tracker; 1 where the plan has no motion or the loop is unstable."""
-    from linkplan.studies.compare.compare import TRACKERS, comparison_record
+    from linkplan.studies.compare.compare import comparison_record
     from linkplan.studies.compare.comparison_text import comparison_text
 
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
@@ -90,7 +92,7 @@ def _save_tracking(comparison, said: dict, place: Path, name: str, document: dic
 def run_view(arguments: argparse.Namespace) -> int:
     """Play a tracked plan in the viewer; 1 where the plan has no motion."""
     from linkplan.controllers.playback import has_screen, play
-    from linkplan.studies.compare.compare import TRACKERS, track
+    from linkplan.studies.compare.compare import track
 
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     for name in ("slow", "seconds"):

@@ -1,22 +1,25 @@
 """The study behind `linkplan compare` and `track`: trackers side by side on one plan, as modelled and with a mismatch."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import Loop, Rollout, run
+from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import lqr
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.tracker import Tracker
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
+from linkplan.planner.problem.values import number, whole
+from linkplan.studies.compare.user_tracker import Asked, users_tracker
 
-TRACKERS = ("pd", "pd+ff", "lqr")
 # Below this many control periods in a motion a table of tracking errors says more about sampling than about trackers.
 FEWEST_SAMPLES = 10
 
@@ -50,6 +53,17 @@ def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: int = 
     )
 
 
+def mismatch_of(plan: Plan, mass_factor: object, delay_periods: object) -> Mismatch | None:
+    """Return the mismatch of a factor on masses and a further delay, or None where both leave the machine as modelled.
+
+    Raises:
+        ProblemError: when the factor is no positive number, or the delay no whole number of control periods.
+    """
+    factor = number(mass_factor, "mass_factor", positive=True)
+    delay = whole(delay_periods, "delay_periods", 0, MOST_DELAY_PERIODS)
+    return None if factor == 1.0 and delay == 0 else default_mismatch(plan, factor, delay)
+
+
 def tracking_reference(plan: Plan) -> SampledReference:
     """Return the plan sampled at its problem's control period, over the problem's tracking duration or its own.
 
@@ -66,13 +80,15 @@ def tracking_reference(plan: Plan) -> SampledReference:
     return sample(plan.problem.mechanism, trajectory, settings.period_s, duration)
 
 
-def build_tracker(name: str, plan: Plan, reference: SampledReference) -> Tracker:
-    """Return the tracker called `name` for a plan.
+def build_tracker(asked: Asked, plan: Plan, reference: SampledReference) -> Tracker:
+    """Return a tracker for a plan: a built-in one by its name, or a user's own.
 
     Raises:
-        ProblemError: for an unknown name.
+        ProblemError: for an unknown name, or what is no tracker.
     """
-    choose("tracker", name, TRACKERS, ProblemError)
+    if not isinstance(asked, str):
+        return users_tracker(asked, plan.problem.mechanism, reference)
+    name = choose("tracker", asked, TRACKERS, ProblemError)
     problem = plan.problem
     settings, mechanism = problem.tracking, problem.mechanism
     if name == "lqr":
@@ -89,16 +105,26 @@ def build_tracker(name: str, plan: Plan, reference: SampledReference) -> Tracker
     return feedback if name == "pd" else Feedforward(reference=reference, feedback=feedback)
 
 
-def track(plan: Plan, name: str, mismatch: Mismatch | None = None) -> Rollout:
+def track(plan: Plan, asked: Asked, mismatch: Mismatch | None = None) -> Rollout:
     """Return one tracker's run on a plan, under a mismatch if one is given."""
     reference = tracking_reference(plan)
-    return run(plan.problem.mechanism, reference, build_tracker(name, plan, reference), _loop(plan, mismatch))
+    return run(plan.problem.mechanism, reference, build_tracker(asked, plan, reference), _loop(plan, mismatch))
 
 
-def compare(plan: Plan, mismatch: Mismatch | None, say: Callable[[str], None] = silent) -> Comparison:
-    """Return all trackers' runs on a plan, nominal and under a mismatch."""
+def compare(
+    plan: Plan, mismatch: Mismatch | None, say: Callable[[str], None] = silent, asked: Sequence[Asked] = TRACKERS
+) -> Comparison:
+    """Return several trackers' runs on a plan, nominal and under a mismatch.
+
+    Raises:
+        ProblemError: for an unknown tracker, two of one name, or none.
+    """
     reference = tracking_reference(plan)
-    trackers = {name: build_tracker(name, plan, reference) for name in TRACKERS}
+    built = [build_tracker(one, plan, reference) for one in asked]
+    trackers = {tracker.name: tracker for tracker in built}
+    if len(trackers) < max(1, len(built)):
+        names = ", ".join(tracker.name for tracker in built)
+        raise ProblemError(f"trackers that are compared are one or more with names of their own, got {names or 'none'}")
     mechanism = plan.problem.mechanism
     cases = [None] if mismatch is None else [None, mismatch]
     runs: list[dict[str, Rollout]] = [{}, {}]

@@ -4,14 +4,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.studies.compare.compare import Comparison
-from linkplan.studies.output.drawing import BLUE, GREY, ORANGE, TRACKER_COLOURS, outside_legend, page
+from linkplan.studies.output.drawing import BLUE, GREY, ORANGE, SERIES, TRACKER_COLOURS, outside_legend, page
 
 
-def comparison_figure(comparison: Comparison, path: Path) -> None:
-    """Draw motion, error and effort of every tracker, nominal to the left and under the mismatch to the right."""
+def comparison_figure(comparison: Comparison, path: Path | None = None) -> Figure:
+    """Return the figure of every tracker's motion, error and effort, saved at `path` where one is given.
+
+    Nominal runs are to the left, those under the mismatch to the right.
+    """
     cases = [(comparison.title, comparison.nominal)]
     if comparison.mismatch is not None:
         cases.append((comparison.mismatch.name, comparison.mismatched))
@@ -25,13 +29,21 @@ def comparison_figure(comparison: Comparison, path: Path) -> None:
             axes[0, column].set_title(f"{comparison.plan.problem.name}: {title}", pad=24)
             outside_legend(axes[0, column])
             axes[2, column].set_xlabel("time [s]")
+    return axes[0, 0].figure
+
+
+def _colour(runs: Mapping[str, Rollout], name: str) -> str:
+    """Return a tracker's colour: its own, or of those that no built-in tracker has, in order."""
+    others = [other for other in runs if other not in TRACKER_COLOURS]
+    left = [colour for colour in SERIES if colour not in TRACKER_COLOURS.values()]
+    return TRACKER_COLOURS[name] if name in TRACKER_COLOURS else left[others.index(name) % len(left)]
 
 
 def draw_tracking(axes, runs: Mapping[str, Rollout], joint) -> None:
     """Draw the first independent joint's motion: desired dashed, actual solid."""
     factor = joint.shown(1.0)
     for name, rollout in runs.items():
-        axes.plot(rollout.time_s, factor * rollout.position[:, 0], color=TRACKER_COLOURS.get(name, BLUE), label=name)
+        axes.plot(rollout.time_s, factor * rollout.position[:, 0], color=_colour(runs, name), label=name)
     longest = max(runs.values(), key=lambda rollout: len(rollout.time_s))
     axes.plot(
         longest.time_s, factor * longest.reference[:, 0], color="black", linestyle="--", linewidth=1.0, label="desired"
@@ -44,7 +56,7 @@ def draw_tracking_error(axes, runs: Mapping[str, Rollout], joint) -> None:
     factor = joint.shown(1.0)
     for name, rollout in runs.items():
         error = np.maximum(np.abs(factor * rollout.error[:, 0]), 1e-7)
-        axes.semilogy(rollout.time_s, error, color=TRACKER_COLOURS.get(name, BLUE), linewidth=1.1)
+        axes.semilogy(rollout.time_s, error, color=_colour(runs, name), linewidth=1.1)
     axes.set_ylim(bottom=1e-5)
     axes.set_ylabel(f"|error of {joint.name}| [{joint.unit}]")
 
@@ -53,7 +65,7 @@ def draw_applied_effort(axes, runs: Mapping[str, Rollout], actuator) -> None:
     """Draw the first actuator's applied effort, and its limits where it comes near them."""
     peak = 0.0
     for name, rollout in runs.items():
-        axes.plot(rollout.time_s, rollout.applied[:, 0], color=TRACKER_COLOURS.get(name, BLUE), linewidth=1.1)
+        axes.plot(rollout.time_s, rollout.applied[:, 0], color=_colour(runs, name), linewidth=1.1)
         peak = max(peak, float(np.abs(rollout.applied[:, 0]).max()))
     for bound in next(iter(runs.values())).effort_limit[0]:
         if np.isfinite(bound) and abs(bound) < 2 * peak:

@@ -15,6 +15,7 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, exact, simulated, spectral_radius
 from linkplan.controllers.trackers.lqr import linearise, lqr
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
@@ -35,7 +36,6 @@ QUANTITIES = {
     "reference": "1",
     "reference+ff": "1",
 }
-LAWS = ("pd", "pd+ff", "lqr")
 # As sentences call them.
 LAW_NAMES = {"pd": "PD", "pd+ff": "PD with feedforward", "lqr": "LQR"}
 # An effort that misses this share of what is needed does not hold the pose.
@@ -127,7 +127,7 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
     Raises:
         LinkplanError: for an unknown law, or an LQR without a stabilising gain.
     """
-    choose("tracker", law, LAWS, LinkplanError)
+    choose("tracker", law, TRACKERS, LinkplanError)
     reference = point.constant(settings.period_s)
     if law == "lqr":
         limit = np.abs(effort_limit).max(axis=1)

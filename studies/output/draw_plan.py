@@ -3,19 +3,21 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.drawing import BLACK, GREY, SERIES, STYLES, level_zeros, outside_legend, page, sides_by_unit
 
 
-def plan_figure(plan: Plan, path: Path) -> None:
-    """Draw a plan's positions, speeds and efforts on one page."""
+def plan_figure(plan: Plan, path: Path | None = None) -> Figure:
+    """Return the figure of a plan's positions, speeds and efforts, saved at `path` where one is given."""
     with page(path, rows=3, size=(7.5, 7.5), sharex=True) as axes:
         draw_position(axes[0, 0], plan)
         draw_velocity(axes[1, 0], plan)
         draw_effort(axes[2, 0], plan)
         axes[0, 0].figure.suptitle(f"{plan.problem.name}: {plan.message}", fontsize=10, wrap=True)
         axes[2, 0].set_xlabel(_time_label(plan))
+    return axes[0, 0].figure
 
 
 def _time_scale(plan: Plan) -> float:

@@ -35,13 +35,14 @@ _STYLE = {
 
 
 @contextmanager
-def page(path: Path, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **layout) -> Iterator:
-    """Yield a figure's axes (rows, columns) and save the figure at `path` when the block ends."""
+def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **layout) -> Iterator:
+    """Yield a figure's axes (rows, columns); when the block ends, save the figure at `path` where one is given."""
     with matplotlib.rc_context(_STYLE):
         # A figure of its own, without pyplot: no screen is needed and nothing is left open.
         figure = Figure(figsize=size, layout="constrained")
         yield figure.subplots(rows, columns, squeeze=False, **layout)
-        figure.savefig(path)
+        if path is not None:
+            figure.savefig(path)
 
 
 def outside_legend(axes, *, narrow: bool = False, **options) -> None:

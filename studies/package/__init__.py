@@ -1,1 +1,87 @@
-"""Optimal-control motion planning for closed-chain mechanisms: MuJoCo model in, certified trajectory out."""
+"""Optimal-control motion planning for closed-chain mechanisms: MuJoCo model in, certified trajectory out.
+
+    import linkplan
+
+    knee = linkplan.load_mechanism("optimus-knee", payload="shank")
+    problem = linkplan.Problem.reach(knee, start_deg={"O": -49.07}, goal_deg={"O": 56.27}, duration_s=0.16)
+    plan = linkplan.plan(problem).require()
+    plan.plot("plan.png")
+    print(linkplan.compare(plan))
+
+Every name is loaded when it is first used: `import linkplan` itself loads no solver, no simulator and no plots. Angles are
+in degrees where a name says `_deg`, slides in metres (`_m`), all else is SI. Whatever is refused raises a `LinkplanError`
+with one sentence: what was asked, what is legal, what was got. Progress is logged under the name "linkplan" and told to
+`progress` where it is given.
+"""
+
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # what editors and type checkers read; `_HOMES` below says the same when the program runs
+    from linkplan.controllers.trackers.tracker import Tracker
+    from linkplan.loops import bode, tune
+    from linkplan.mechanisms import check, load_mechanism
+    from linkplan.models.errors import LinkplanError
+    from linkplan.planner.ode.problem import OdeProblem
+    from linkplan.plans import Plan, Planner, plan, read_plan, solve_ocp
+    from linkplan.problems import Problem
+    from linkplan.tracking import compare, track
+
+    __version__: str
+
+__all__ = [
+    "LinkplanError",
+    "OdeProblem",
+    "Plan",
+    "Planner",
+    "Problem",
+    "Tracker",
+    "bode",
+    "check",
+    "compare",
+    "load_mechanism",
+    "plan",
+    "read_plan",
+    "solve_ocp",
+    "track",
+    "tune",
+]
+
+# The module of each public name, loaded when the name is first used (PEP 562). No module of this package bears a public
+# name: importing it would put the module in the name's place.
+_HOMES = {
+    "LinkplanError": "linkplan.models.errors",
+    "OdeProblem": "linkplan.planner.ode.problem",
+    "Plan": "linkplan.plans",
+    "Planner": "linkplan.plans",
+    "Problem": "linkplan.problems",
+    "Tracker": "linkplan.controllers.trackers.tracker",
+    "bode": "linkplan.loops",
+    "check": "linkplan.mechanisms",
+    "compare": "linkplan.tracking",
+    "load_mechanism": "linkplan.mechanisms",
+    "plan": "linkplan.plans",
+    "read_plan": "linkplan.plans",
+    "solve_ocp": "linkplan.plans",
+    "track": "linkplan.tracking",
+    "tune": "linkplan.loops",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Return a public name, its module loaded now."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        value: object = version("linkplan")
+    elif name in _HOMES:
+        value = getattr(importlib.import_module(_HOMES[name]), name)
+    else:
+        raise AttributeError(f"module 'linkplan' has no attribute '{name}'; it has {', '.join(__all__)}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names, loaded or not."""
+    return sorted({*globals(), *__all__, "__version__"})

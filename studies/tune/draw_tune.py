@@ -3,13 +3,14 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from linkplan.studies.output.drawing import BLUE, GREY, RED, outside_legend, page
 from linkplan.studies.tune.tune import Tuning
 
 
-def tune_figure(tuning: Tuning, path: Path) -> None:
-    """Draw the margins over the independent joint's position, unstable loops crossed out."""
+def tune_figure(tuning: Tuning, path: Path | None = None) -> Figure:
+    """Return the figure of the margins over the joint's position, unstable loops crossed out, saved at `path` if given."""
     joint, wanted = tuning.mechanism.independent_joints[0], tuning.wanted
     rows = [
         ("bandwidth_hz", "bandwidth [Hz]", wanted.bandwidth_hz, "wanted at least"),
@@ -32,3 +33,4 @@ def tune_figure(tuning: Tuning, path: Path) -> None:
         outside_legend(axes[0, 0])
         axes[-1, 0].set_xlabel(f"{joint.name} [{joint.unit}]")
         axes[0, 0].set_title(f"{tuning.mechanism.name}: {tuning.message}", fontsize=10, pad=24, wrap=True)
+    return axes[0, 0].figure

@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.controllers.sampling import Sampling
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.loops import LAW_NAMES, LAWS, OperatingPoint, feedback_loop, law_gain
+from linkplan.studies.frequency.loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.stability_map import effort_map
@@ -101,8 +102,8 @@ def tune(
         LinkplanError: for a bandwidth beyond Nyquist, an unknown law, or a mechanism of more freedoms.
     """
     mechanism = points[0].mechanism
-    if law not in LAWS:
-        raise LinkplanError(f"unknown tracker '{law}'; trackers are {', '.join(LAWS)}")
+    if law not in TRACKERS:
+        raise LinkplanError(f"unknown tracker '{law}'; trackers are {', '.join(TRACKERS)}")
     if mechanism.dof != 1:
         raise LinkplanError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
     if wanted.bandwidth_hz >= timing.nyquist_hz:
@@ -280,8 +281,8 @@ def tune_record(tuning: Tuning) -> dict:
     }
 
 
-def tracking_table(tuning: Tuning) -> str:
-    """Return the gains as the [tracking] table of a problem file."""
+def tracking_values(tuning: Tuning) -> dict[str, float]:
+    """Return the gains by the keys of the [tracking] table of a problem file."""
     settings, joint = tuning.best.settings, tuning.mechanism.independent_joints[0]
     values = {"kp": settings.kp, "kd": settings.kd}
     if tuning.law == "lqr":
@@ -290,6 +291,12 @@ def tracking_table(tuning: Tuning) -> str:
     values |= {"period_s": settings.period_s}
     if settings.delay_periods and float(settings.delay_periods).is_integer():
         values |= {"delay_periods": int(settings.delay_periods)}
+    return values
+
+
+def tracking_table(tuning: Tuning) -> str:
+    """Return the gains as the text of the [tracking] table of a problem file."""
+    values = tracking_values(tuning)
     lines = [f"# {tuning.message}", "[tracking]", *(f"{key} = {value:.6g}" for key, value in values.items())]
     return "\n".join(lines) + "\n"
 

@@ -72,6 +72,7 @@ def test_a_solver_says_what_its_program_s_functions_took():
     assert all(part > 0 for name, part in solver.parts(solver.whole).items() if name != "call")
 
 
+@pytest.mark.slow
 def test_sizes_counts_bodies_loops_and_freedoms_and_writes_every_solve(tmp_path, monkeypatch):
     wanted = ("knee-linear-reach", "cart-pole-swing-up")
     monkeypatch.setattr(bench_sizes, "problems", lambda: map(load_problem, wanted))

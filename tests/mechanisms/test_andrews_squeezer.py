@@ -200,6 +200,7 @@ def test_a_turn_is_planned_and_passes_its_certificate():
     assert np.abs(ends - [0.0, 2 * np.pi]).max() < BOUNDARY
 
 
+@pytest.mark.slow
 def test_over_a_planned_turn_from_rest_to_rest_the_torque_does_no_work():
     """Nothing damps, and the spring is as long at the end of a turn as at its beginning."""
     plan = plan_of(PROBLEM)

@@ -6,6 +6,7 @@
 """
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 from tests.support.fourbar import G
@@ -60,6 +61,7 @@ def test_acceleration_is_the_textbook_s():
         assert relative_error(acceleration(mechanism, x[:2], x[2:], np.array([u])), field(x, u)[2:].real) < NO_MOMENT
 
 
+@pytest.mark.slow
 def test_the_swing_up_costs_no_more_than_published():
     plan = plan_of(PROBLEM)
     assert plan.certificate.failures == ()

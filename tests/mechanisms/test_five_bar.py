@@ -154,6 +154,7 @@ def test_a_plan_passes_its_certificate_within_torque_and_speed_limits(problem):
     assert np.abs(ends - [motion.start, motion.goal]).max() < BOUNDARY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("problem", ["five-bar-reach", "five-bar-swing-up"])
 def test_the_torques_do_the_work_that_the_closed_form_asks_for(problem):
     """Energy gained is work less what the motors' damping takes."""
@@ -168,6 +169,7 @@ def test_the_torques_do_the_work_that_the_closed_form_asks_for(problem):
     assert work - lost == pytest.approx(gained, rel=WORK)
 
 
+@pytest.mark.slow
 def test_the_swing_up_gathers_way_before_it_goes_over():
     """The torques cannot lift the links: a straight way up is closed, and the load swings at least once."""
     trajectory = plan_of("five-bar-swing-up").trajectory

@@ -65,6 +65,7 @@ def test_with_its_couplers_locked_it_moves_as_mujocos_own_matrices_say():
         assert relative_error(found, rigid_acceleration(mechanism, q, np.array([v]), np.array([u]))) < DIFFERENCES
 
 
+@pytest.mark.slow
 def test_with_its_couplers_locked_it_is_planned_and_tracked(tmp_path):
     path = tmp_path / "locked.xml"
     path.write_text(locked(), encoding="utf-8")
@@ -77,6 +78,7 @@ def test_with_its_couplers_locked_it_is_planned_and_tracked(tmp_path):
     assert np.degrees(np.abs(rollout.position - rollout.reference).max()) < TRACKED_DEG
 
 
+@pytest.mark.slow
 def test_closed_too_far_its_pads_meet_and_the_plan_is_refused(tmp_path):
     path = tmp_path / "locked.xml"
     path.write_text(locked().replace('ctrlrange="0 255"', 'ctrlrange="-100 400"'), encoding="utf-8")

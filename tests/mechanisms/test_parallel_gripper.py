@@ -78,6 +78,7 @@ def test_mujoco_s_own_simulation_of_the_file_is_the_closed_form():
     assert np.abs(data.qpos - closed.y[0, -1] * np.array([1, -1, 1, -1, 1, -1])).max() < SIMULATED_RAD
 
 
+@pytest.mark.slow
 def test_the_hand_is_closed_by_pulling_alone():
     plan = plan_of(PROBLEM)
     assert plan.certificate.failures == ()

@@ -104,6 +104,7 @@ def test_no_other_turn_of_the_same_duration_costs_less():
     assert min(costs) > plan.objective
 
 
+@pytest.mark.slow
 def test_the_planned_turn_passes_its_certificate():
     plan = plan_of(PROBLEM)
     assert plan.certificate.failures == ()

@@ -212,6 +212,7 @@ def test_torque_of_the_documents_sinusoid_has_the_known_extremes(payload):
     assert relative_error([effort.min(), effort.max()], [expected["min_Nm"], expected["max_Nm"]]) < SAMPLED_PEAK
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", [None, "shank"])
 def test_torque_of_the_documents_sinusoid_has_the_known_rms(payload):
     # The mean over whole periods of equally spaced samples is exact for a periodic function, to rounding.

@@ -181,6 +181,7 @@ def test_a_motion_on_the_other_branch_does_not_pass():
     assert not found(replace(motion(), start_pose=start)).passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", KNEE_PROBLEMS)
 def test_the_peak_effort_is_the_largest_of_the_carried_ones(name):
     plan = planned(name)

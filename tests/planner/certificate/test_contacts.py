@@ -72,6 +72,7 @@ def scanned(made: Plan) -> tuple[float, float]:
     return first, deepest
 
 
+@pytest.mark.slow
 def test_a_plan_that_meets_a_block_is_refused_with_the_geoms_the_instant_and_the_depth():
     made = plan_motion(problem_with(with_block()))
     instant, deepest = scanned(made)
@@ -88,6 +89,7 @@ def test_a_plan_that_meets_a_block_is_refused_with_the_geoms_the_instant_and_the
     assert "\n" not in made.message
 
 
+@pytest.mark.slow
 def test_the_same_block_out_of_the_way_lets_the_plan_pass(free):
     made = judged(free, with_block(y=0.1))
     assert made.status == "optimal"
@@ -121,6 +123,7 @@ def test_links_that_overlap_on_their_pin_are_named_and_not_refused(free):
     assert record(judged(free, KNEE))["not_honoured"] == []
 
 
+@pytest.mark.slow
 def test_bodies_on_one_pin_that_meet_elsewhere_are_refused(free):
     # A horn on the coupler and one on the rocker: far from pin B, and apart at home.
     horns = KNEE.replace(
@@ -175,6 +178,7 @@ def test_an_explicit_pair_with_a_margin_meets_at_its_margin(free):
     assert met.since < bare.since
 
 
+@pytest.mark.slow
 def test_a_saved_plan_is_judged_by_its_contacts_too(free, tmp_path):
     model = tmp_path / "blocked.xml"
     model.write_text(with_block(y=0.1), encoding="utf-8")
@@ -190,6 +194,7 @@ def test_a_saved_plan_is_judged_by_its_contacts_too(free, tmp_path):
     assert "geoms block (world) and L3 (rocker) collide" in again.message
 
 
+@pytest.mark.slow
 def test_check_of_the_problem_says_it_before_any_solving(tmp_path, capsys):
     def ask_json(*arguments: str) -> tuple[int, dict]:
         code = main([*arguments, "--json"])

@@ -40,6 +40,7 @@ def test_an_error_next_to_upright_would_grow_beyond_all_rounding():
     assert np.exp(RATE * WAIT_S) > 1e6 * GROWTH
 
 
+@pytest.mark.slow
 def test_a_rod_that_waits_upright_is_planned_and_judged_anew_as_often_as_errors_grow():
     plan = over_upright()
     assert plan.status == "optimal", plan.message
@@ -83,6 +84,7 @@ def quick_hinge_guess():
     return quick.trajectory
 
 
+@pytest.mark.slow
 def test_a_least_time_motion_is_lengthened_to_the_fixed_duration_that_is_asked():
     """A pure inertia's least effort in T: 12 J^2 turn^2 / T^3."""
     quick = quick_hinge_guess()
@@ -99,6 +101,7 @@ def test_a_least_time_motion_is_lengthened_to_the_fixed_duration_that_is_asked()
     assert history[-1].objective == pytest.approx(12 * HINGE_INERTIA**2 * (np.pi / 2) ** 2 / T**3, rel=CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_a_free_duration_is_lengthened_until_more_time_saves_next_to_nothing():
     """A weight lifted in free time: at the best duration of a pendulum's rise a longer motion is no better."""
     motion = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 60.0 }\nduration_s = "free"\nmax_duration_s = 20.0\n'
@@ -114,6 +117,7 @@ def test_a_free_duration_is_lengthened_until_more_time_saves_next_to_nothing():
     assert reached.start.duration_s == pytest.approx(best.trajectory.duration_s, rel=SAVED)
 
 
+@pytest.mark.slow
 def test_a_motion_five_times_as_long_as_the_least_is_planned_by_lengthening():
     """Number 313 of the random problems: solvers that begin elsewhere are lost, or pass where their mesh does not look."""
     case = random_case(1, 313)
@@ -123,6 +127,7 @@ def test_a_motion_five_times_as_long_as_the_least_is_planned_by_lengthening():
     assert plan.trajectory.duration_s == pytest.approx(case.duration)
 
 
+@pytest.mark.slow
 def test_a_least_duration_is_kept_by_a_motion_that_is_lengthened():
     """A pure inertia's best motion within [4 T, 6 T] takes 6 T; on the way there none ends before 4 T is allowed."""
     quick = quick_hinge_guess()

@@ -1,5 +1,7 @@
 """Servos as bounded efforts: what their ctrl cannot give is said at once, and no finer mesh is tried for it."""
 
+import pytest
+
 from tests.support.bodies import body_plan
 
 SERVO = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0"/>
@@ -13,6 +15,7 @@ def test_a_servo_with_room_is_planned():
     assert plan.status == "optimal", plan.message
 
 
+@pytest.mark.slow
 def test_a_servo_that_would_need_more_ctrl_than_it_has_fails_on_the_first_mesh():
     plan = body_plan(SERVO.format(reach=0.9), REACH)
     assert plan.status == "failed"

@@ -67,6 +67,7 @@ def test_of_two_models_the_one_that_was_planned_with_is_taken(project, tmp_path)
     assert Path(read_plan(copy / "plans" / "reach").problem.source["mechanism"]["model"]).parent == project.resolve()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new", "part"),
     [
@@ -87,6 +88,7 @@ def test_a_model_that_has_changed_since_is_refused_in_one_line(old, new, part, p
         assert words in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new"),
     [('rgba="0.5 0.5 0.5 1"', 'rgba="1 0 0 1"'), ('timestep="1e-4"', 'timestep="5e-5"'), ("<mujoco ", "<!-- --><mujoco ")],
@@ -96,6 +98,7 @@ def test_what_no_plan_hangs_on_may_change(old, new, project):
     assert read_plan(project / "plans" / "reach").status == "optimal"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("edit", "said"),
     [
@@ -114,12 +117,14 @@ def test_a_plan_whose_model_cannot_be_compared_is_read_with_a_note(edit, said, p
     assert said in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_model_that_is_gone_is_said(project):
     (project / "arm.xml").unlink()
     with pytest.raises(PlanFileError, match=r"cannot be built again: unknown model .*arm.xml"):
         read_plan(project / "plans" / "reach")
 
 
+@pytest.mark.slow
 def test_a_plan_outlives_the_plan_that_it_was_guessed_from(project):
     (project / "again.toml").write_text(REACH + '[guess]\nplan = "plans/reach"\n', encoding="utf-8")
     assert main(["plan", str(project / "again.toml"), "-o", str(project / "plans" / "again")]) == 0

@@ -56,6 +56,7 @@ def oscillator_to_rest(last: float, first: float, switches: int) -> tuple[OdePla
     return plan, np.cumsum(arcs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("last", "first", "switches"), [(1.0, 2.0, 1), (1.0, 2.0, 2), (2.5, 0.7, 3)])
 def test_an_oscillator_comes_to_rest_in_the_time_of_its_arcs(last, first, switches):
     plan, ends = oscillator_to_rest(last, first, switches)
@@ -158,12 +159,14 @@ def quickest_cart(**limits) -> OdePlan:
     )
 
 
+@pytest.mark.slow
 def test_a_speed_limit_on_a_cart_makes_a_trapezium():
     plan = quickest_cart(state_limit=[[-INF, INF], [-INF, 0.8]])
     assert plan.objective == pytest.approx(2 / 0.8 + 0.8, rel=ODE_CLOSED_FORM)
     assert plan.trajectory.state_at(plan.trajectory.dense_times(50))[:, 1].max() <= 0.8 * (1 + ODE_LIMIT)
 
 
+@pytest.mark.slow
 def test_a_power_limit_on_a_cart_makes_energy_grow_with_time():
     """Full effort up to speed P, then v^2 = P^2 + 2 P t, then full braking."""
     P = 0.5
@@ -196,6 +199,7 @@ def test_an_equality_on_the_path_is_kept_at_every_instant():
 # Singular arcs.
 
 
+@pytest.mark.slow
 def test_aly_and_chan_s_singular_problem_costs_nothing():
     """int (x2^2 - x1^2) / 2 over a quarter turn with x1' = x2, x2' = u from (0, 1): u = -sin t, J = 0."""
     plan = solved(
@@ -212,6 +216,7 @@ def test_aly_and_chan_s_singular_problem_costs_nothing():
     assert plan.objective == pytest.approx(0.0, abs=ODE_SINGULAR)
 
 
+@pytest.mark.slow
 def test_a_rocket_s_height_is_that_of_its_bang_singular_and_coasting_arcs():
     """Goddard's rocket in COPS's units: full thrust, the singular arc, no thrust; scipy takes the two switches."""
     drag, falloff, exhaust, thrust_limit = 310.0, 500.0, 0.5, 3.5
@@ -281,6 +286,7 @@ def test_a_rocket_s_height_is_that_of_its_bang_singular_and_coasting_arcs():
     assert -plan.objective - 1 == pytest.approx(state[0] - 1, rel=ODE_CHATTERING)
 
 
+@pytest.mark.slow
 def test_catalysts_are_mixed_by_a_bang_a_singular_arc_and_a_rest():
     """COPS's problem: x' = A(u) x, linear in x, so that two switches and the constant singular effort give it exactly."""
 

@@ -27,6 +27,7 @@ from tests.support.tolerances_planner import (
 # Angles: what acts through sine and cosine alone may leap by whole turns from node to node.
 
 
+@pytest.mark.slow
 def test_zermelo_s_boat_crosses_the_current_in_its_least_time():
     """Current -y along x, speed 1, from (3.66, -1.86) to the origin; theta' = cos^2 theta (Bryson & Ho, 2.7)."""
 
@@ -57,6 +58,7 @@ def test_zermelo_s_boat_crosses_the_current_in_its_least_time():
     assert np.all(turn <= np.diff(plan.trajectory.breaks_s) + ODE_STATE)
 
 
+@pytest.mark.slow
 def test_a_thrust_turns_an_orbit_as_large_as_bryson_and_ho_say():
     plan = solved(
         OdeProblem(
@@ -78,6 +80,7 @@ def test_a_thrust_turns_an_orbit_as_large_as_bryson_and_ho_say():
     assert -plan.objective == pytest.approx(1.52525, abs=FIVE_DIGITS)  # 1.5253 in the book
 
 
+@pytest.mark.slow
 def test_a_particle_is_steered_in_the_time_of_the_linear_tangent_law():
     """COPS's problem: thrust 100 to height 5 and speed 45 along x; tan theta = k (1 - 2 t / T)."""
 
@@ -125,6 +128,7 @@ def shortest_dubins(x: float, y: float, heading: float) -> float:
     return best
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("goal", [(4, 4, np.pi / 2), (5, 1, -np.pi / 3), (-3, 2, 0.0)], ids=["left", "right", "behind"])
 def test_dubins_car_takes_the_shortest_arcs_and_line(goal):
     plan = solved(
@@ -141,6 +145,7 @@ def test_dubins_car_takes_the_shortest_arcs_and_line(goal):
     assert plan.objective == pytest.approx(shortest_dubins(*goal), rel=ODE_PUBLISHED)
 
 
+@pytest.mark.slow
 def test_a_chain_hangs_in_its_catenary():
     """COPS's problem: int x sqrt(1 + x'^2) from x(0) = 1 to x(1) = 3 with a length of 4."""
     c = brentq(lambda c: 2 * c * np.sinh(0.5 / c) - np.sqrt(4**2 - 2**2), 0.05, 5, xtol=1e-15)
@@ -161,6 +166,7 @@ def test_a_chain_hangs_in_its_catenary():
     assert plan.objective == pytest.approx(exact, rel=ODE_INTEGRATED)
 
 
+@pytest.mark.slow
 def test_an_aircraft_s_angle_of_attack_is_brought_to_zero_in_the_better_of_two_local_least_times():
     """The F-8 of Garrard and Jordan, |u| <= 0.05236: 3.78086 is the best known, 5.74 a local optimum next to it."""
 
@@ -188,6 +194,7 @@ def test_an_aircraft_s_angle_of_attack_is_brought_to_zero_in_the_better_of_two_l
     assert plan.objective == pytest.approx(3.78086, abs=FIVE_DIGITS)
 
 
+@pytest.mark.slow
 def test_the_shortest_way_round_a_disk_is_two_tangents_and_an_arc():
     distance = np.hypot(2, 0.3)
     arc = np.arctan2(0.3, -2) - np.arctan2(0.3, 2) - 2 * np.arccos(1 / distance)
@@ -212,6 +219,7 @@ def test_the_shortest_way_round_a_disk_is_two_tangents_and_an_arc():
 # Long and stiff, singular, and many-stationed.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("T", [25.0, 100.0])
 def test_a_hypersensitive_motion_costs_its_two_boundary_layers(T):
     """Rao & Mease: x' = -x^3 + u, int (x^2 + u^2) / 2 from 1 to 1.5; in and out along H = 0, u = x^3 -+ x sqrt(x^4 + 1)."""
@@ -233,6 +241,7 @@ def test_a_hypersensitive_motion_costs_its_two_boundary_layers(T):
     assert plan.objective == pytest.approx(layer(1) - 1 / 4 + layer(1.5) + 1.5**4 / 4, rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_jacobson_s_singular_problem_costs_its_bang_and_its_arc():
     """int (x1^2 + x2^2) / 2 over 5 s from (0, 1): u = -1, then u = x1 with x2 = -x1 tanh(5 - t)."""
 
@@ -264,6 +273,7 @@ def test_jacobson_s_singular_problem_costs_its_bang_and_its_arc():
     assert plan.objective == pytest.approx(plan.certificate.integrated_objective, rel=ODE_INTEGRATED_ROUGHLY)
 
 
+@pytest.mark.slow
 def test_a_rocket_s_height_is_found_to_eight_digits_without_chatter():
     """Goddard's rocket in COPS's units at the default tolerance; the height is of its bang, singular and coasting arcs."""
     plan = solved(
@@ -310,6 +320,7 @@ def test_a_chemist_s_reactor_is_cooled_as_luus_has_it():
     assert plan.objective == pytest.approx(0.133095, abs=COPS_GLIDER)
 
 
+@pytest.mark.slow
 def test_thrusters_are_fired_as_sparingly_as_is_known():
     """The free-flying robot of Sakawa: int of four thrusts, pairs of which never fire together; Betts has 7.9101546."""
 
@@ -343,6 +354,7 @@ def test_thrusters_are_fired_as_sparingly_as_is_known():
 # Limits on states, between the nodes too.
 
 
+@pytest.mark.slow
 def test_a_state_s_limit_is_kept_by_the_integrated_motion_too():
     """x''' = u within +-10, |v| <= 0.5, |a| <= 1, 1 from rest to rest: 2.6 s; a speed's polynomial may lie on its limit
     with an acceleration that swings about zero between the nodes, and the motion itself beyond it.

@@ -110,6 +110,7 @@ def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
     assert guess.velocity(guess.knots_s)[:, 0] == pytest.approx([0.0, -0.5, 0.0], abs=SAME_FIGURE)
 
 
+@pytest.mark.slow
 def test_a_start_too_fast_to_stop_at_the_goal_turns_back_beyond_it():
     case = random_case(1, 598)
     problem = problem_from_tables("too fast to stop", case.tables)
@@ -119,6 +120,7 @@ def test_a_start_too_fast_to_stop_at_the_goal_turns_back_beyond_it():
     assert guess.duration_s == pytest.approx(case.duration, rel=TURNS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [65, 94, 136, 217])
 def test_a_speed_limit_is_kept_by_braking_in_time_and_left_no_faster_than_full_effort_does(number):
     case = random_case(1, number)
@@ -129,6 +131,7 @@ def test_a_speed_limit_is_kept_by_braking_in_time_and_left_no_faster_than_full_e
     assert guess.duration_s == pytest.approx(case.duration, rel=GRID)
 
 
+@pytest.mark.slow
 def test_a_motion_that_there_is_no_time_for_is_not_tried_from_other_starts(spring):
     plan = plan_motion(spring(10.0, "motion.max_duration_s=10"))
     assert plan.status == "infeasible"

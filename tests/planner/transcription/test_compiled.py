@@ -31,6 +31,7 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.usefixtures("folder")
 def test_compiled_functions_give_the_interpreted_ones_numbers():
@@ -44,6 +45,7 @@ def test_compiled_functions_give_the_interpreted_ones_numbers():
             np.testing.assert_allclose(np.array(b), np.array(a), rtol=ROUNDING, atol=ROUNDING)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_what_is_compiled_once_is_found_again_whole(folder):
     first = compiled("k1", built)
@@ -56,6 +58,7 @@ def test_what_is_compiled_once_is_found_again_whole(folder):
     assert sorted(path.name for path in folder.iterdir()) == ["k1.json", "k1.so"]
 
 
+@pytest.mark.slow
 @needs_compiler
 @pytest.mark.usefixtures("folder")
 def test_a_cached_function_is_not_built_again():
@@ -114,6 +117,7 @@ def test_the_cache_lies_where_it_is_told_to(folder):
     assert cache_folder() == folder
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_a_plan_is_the_same_compiled_and_interpreted(folder):
     with warnings.catch_warnings():

@@ -50,6 +50,7 @@ def knee_loops(payload, law, kd, angles=ANGLES_DEG, period=1e-4, delay=0.0):
     return mechanism, [feedback_loop(p, law_gain(p, law, settings, limit), timing, SIMULATED) for p in points]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=" ".join)
 def test_measured_closed_loops_are_as_predicted_at_five_angles(case):
     payload, kd, frequencies = CASES[case]
@@ -90,6 +91,7 @@ def test_a_computing_delay_of_two_periods_and_a_half_is_measured_as_predicted():
     assert np.abs(deg).max() < MEASURED_DEG
 
 
+@pytest.mark.slow
 def test_the_study_names_the_worst_angle_and_says_how_well_the_two_agree():
     mechanism = load_mechanism("optimus-knee")
     positions = default_poses(mechanism)[0][[1, 5]]

@@ -24,6 +24,7 @@ LABELS = {
 }
 
 
+@pytest.mark.slow
 def test_bode_measures_draws_and_says_how_well_the_two_agree(ask, tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
     folder = tmp_path / "loop"

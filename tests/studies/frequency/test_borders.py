@@ -69,6 +69,7 @@ def test_the_documents_gains_are_beyond_the_border_at_every_angle_and_within_it_
         assert settle_trials(loops, knee.effort_limit).settles.tolist() == [stable] * 9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [-49.07, 3.6, 56.27])
 def test_a_delay_a_little_below_its_margin_is_stable_in_mujoco_and_a_little_above_is_not(knee, angle):
     point = at(knee, angle)
@@ -96,6 +97,7 @@ def test_the_longest_period_of_the_documents_gains_is_the_critical_ones(knee):
     assert not settle_trials(loops[1.03], knee.effort_limit).settles.any()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("payload", [None, "shank"])
 def test_a_map_agrees_with_mujoco_on_both_sides_of_its_border(payload):
     mechanism = load_mechanism("optimus-knee", payload=payload)

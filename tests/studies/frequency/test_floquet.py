@@ -32,6 +32,7 @@ def along(plan, law, **settings):
     return floquet(mechanism, reference, tracker, timing, problem.limits.effort), reference, tracker, timing
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "settings"),
     [
@@ -50,6 +51,7 @@ def test_multipliers_predict_the_decay_a_cycle_leaves_in_mujoco(plan, law, setti
     assert found.converges
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["pd", "pd+ff", "lqr"])
 def test_the_problems_own_trackers_let_a_disturbance_die_as_predicted(plan, law):
     found, *_ = along(plan, law)
@@ -59,6 +61,7 @@ def test_the_problems_own_trackers_let_a_disturbance_die_as_predicted(plan, law)
     assert 0 < seen_s <= found.cycle_s
 
 
+@pytest.mark.slow
 def test_determinant_of_the_monodromy_is_the_product_of_the_steps_determinants(plan):
     # Liouville: det A_k - B_k K_k of the joint with damping kd is 1 - kd T / J in MuJoCo's steps, whatever the motion.
     found, reference, *_ = along(plan, "pd+ff", kp=0.5, kd=0.002)
@@ -70,17 +73,20 @@ def test_determinant_of_the_monodromy_is_the_product_of_the_steps_determinants(p
     assert np.linalg.det(found.monodromy) == pytest.approx(np.prod(factor), rel=LIOUVILLE)
 
 
+@pytest.mark.slow
 def test_a_loop_that_is_stable_nowhere_along_the_motion_does_not_converge(plan):
     found, reference, tracker, timing = along(plan, "pd+ff", kp=200.0, kd=10.0)
     assert not found.converges
     assert frozen_radii(plan.problem.mechanism, reference, tracker, timing).min() > 1
 
 
+@pytest.mark.slow
 def test_a_motion_that_does_not_repeat_after_whole_periods_has_no_multipliers(plan):
     with pytest.raises(LinkplanError, match="whole control periods"):
         along(plan, "pd+ff", period_s=1.7e-4)
 
 
+@pytest.mark.slow
 def test_the_loop_frozen_along_a_reach_has_margins_at_every_instant_and_no_multipliers():
     plan = plan_motion(load_problem("knee-reach"))
     found = along_motion(plan, "lqr", plan.problem.tracking)

@@ -87,6 +87,7 @@ def large(loop):
     return large_signals(loop, limit, np.array([25.0, 40.0]), multiples=(0.5, 1.3, 2.5))
 
 
+@pytest.mark.slow
 def test_below_the_limit_nothing_depends_on_the_amplitude(large):
     small = large.loop.gains("reference", large.frequency_hz)
     assert np.abs(large.measured[:, 0] / small - 1).max() < UNSATURATED

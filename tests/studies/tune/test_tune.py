@@ -25,6 +25,7 @@ def tuned(payload, law, bandwidth_hz, phase_margin_deg, period_s, delay=0.0, pea
     return tune(points, wanted, Tracking(period_s=period_s), timing, mechanism.effort_limit, law=law)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("payload", "law", "bandwidth", "phase", "period", "delay"),
     [(None, "pd", 100.0, 60.0, 1e-3, 0), ("shank", "pd", 30.0, 60.0, 1e-3, 1), ("shank", "lqr", 30.0, 50.0, 1e-3, 1)],
@@ -42,6 +43,7 @@ def test_gains_found_do_what_is_wanted_at_every_angle(payload, law, bandwidth, p
         assert bounds.phase_margin_deg >= phase
 
 
+@pytest.mark.slow
 def test_a_sensitivity_peak_is_kept():
     loose, tight = tuned(None, "pd", 60.0, 30.0, 1e-3), tuned(None, "pd", 60.0, 30.0, 1e-3, peak=1.5)
     assert tight.found
@@ -49,6 +51,7 @@ def test_a_sensitivity_peak_is_kept():
     assert loose.best.worst("sensitivity_peak", largest=True)[0] > 1.5
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_refused_in_a_sentence_with_its_reason():
     found = tuned(None, "pd", 300.0, 60.0, 1e-3, 2)
     assert not found.found

@@ -1,0 +1,3 @@
+"""The names of the tracking laws: known without loading what computes them."""
+
+TRACKERS = ("pd", "pd+ff", "lqr")

@@ -1,0 +1,42 @@
+"""What is built in, by name: models and payloads, their text, and whether a name is a file's. Loads nothing heavy."""
+
+from importlib import resources
+from pathlib import Path
+
+MODELS = {
+    "optimus-knee": "the humanoid's knee: a four-bar driven at O within +-100 N.m",
+    "optimus-knee-linear": "the same knee as it is really driven: a linear actuator from D to B within +-2000 N, two loops",
+    "slider-crank": "crank, rod and slider, driven at the crank within +-2 N.m",
+    "andrews-squeezer": "seven bodies, three coupled loops, a spring: the IVP test set's squeezing mechanism",
+    "parallel-gripper": "two four-bar fingers geared together, closed by one cable and opened by springs",
+    "five-bar": "two motors at the base for two degrees of freedom, one loop, a load on the pin",
+    "cart-pole": "a pole on a cart, pushed at the cart: no loop, one force for two degrees of freedom",
+    "optimus-knee-source": "the source document's knee, as printed: kept to be checked, not to be used",
+}
+PAYLOADS = ("shank",)
+
+
+def built_in_text(name: str) -> str:
+    """Return the MJCF text of a built-in model."""
+    return resources.files("linkplan.models").joinpath("mjcf").joinpath(f"{name}.xml").read_text(encoding="utf-8")
+
+
+def is_text(source: str) -> bool:
+    """Return whether a model's source is MJCF text, and no name or path."""
+    return source.lstrip().startswith("<")
+
+
+def is_file(path: Path) -> bool:
+    """Return whether a path is a file; False for a name that no file can have."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether a path is a folder; False for a name that no folder can have."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False

@@ -1,0 +1,85 @@
+"""A plan's motion at any times, in the units that people read: dependent joints and their speeds too."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.models.poses.along import joint_rates
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.plan import Plan
+
+# Steps of an interval at which a motion is written down, and between which a loop is followed.
+PER_INTERVAL = 10
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class MotionTable:
+    """A motion at times (n,) [s]: by joint [deg or m, and per second], by actuator [N.m or N].
+
+    `acceleration` is the independent joints'; `unit` is by joint, of positions, `effort_unit` by actuator.
+    """
+
+    time_s: np.ndarray
+    position: dict[str, np.ndarray]
+    speed: dict[str, np.ndarray]
+    acceleration: dict[str, np.ndarray]
+    effort: dict[str, np.ndarray]
+    unit: dict[str, str]
+    effort_unit: dict[str, str]
+
+    def single(self) -> "MotionTable":
+        """Return the first time's row, numbers in place of arrays."""
+
+        def first(values: dict[str, np.ndarray]) -> dict:
+            return {name: float(x[0]) for name, x in values.items()}
+
+        return replace(
+            self,
+            time_s=float(self.time_s[0]),
+            position=first(self.position),
+            speed=first(self.speed),
+            acceleration=first(self.acceleration),
+            effort=first(self.effort),
+        )
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return all columns (n,) under heads that carry their units: time_s, O_deg, O_deg_s, ..., act_O_Nm."""
+        found = {"time_s": self.time_s}
+        for name, values in self.position.items():
+            found[f"{name}_{self.unit[name]}"] = values
+            found[f"{name}_{self.unit[name]}_s"] = self.speed[name]
+        found |= {f"{name}_{self.unit[name]}_s2": values for name, values in self.acceleration.items()}
+        return found | {f"{name}_{self.effort_unit[name].replace('.', '')}": values for name, values in self.effort.items()}
+
+
+def motion_table(plan: Plan, time_s: np.ndarray | None = None) -> MotionTable:
+    """Return a plan's motion at times (n,) [s], in any order; by default at ten instants of every interval.
+
+    A periodic motion goes on beyond its ends; any other rests there, under the effort of the nearer end.
+
+    Raises:
+        AssemblyError: when the loops do not close along the motion.
+    """
+    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
+    dense = trajectory.dense_times(PER_INTERVAL)
+    time = dense if time_s is None else np.asarray(time_s, dtype=float)
+    begin, end = trajectory.breaks_s[0], trajectory.breaks_s[-1]
+    within = begin + np.mod(time - begin, end - begin) if trajectory.periodic else np.clip(time, begin, end)
+    # Loops are followed along the motion, whatever the order and distance of the times that are asked for.
+    along, back = np.unique(np.concatenate([dense, within]), return_inverse=True)
+    q = follow(mechanism, trajectory.position_at(along), trajectory.start_pose)[back[len(dense) :]]
+    rates = joint_rates(mechanism, q, trajectory.velocity_at(time))
+    accelerations, efforts = trajectory.acceleration_at(time), trajectory.effort_at(time)
+
+    def shown(joints, values: np.ndarray) -> dict[str, np.ndarray]:
+        return {j.name: np.degrees(x) if j.kind == "hinge" else x for j, x in zip(joints, values.T, strict=True)}
+
+    return MotionTable(
+        time_s=time,
+        position=shown(mechanism.joints, q),
+        speed=shown(mechanism.joints, rates),
+        acceleration=shown(mechanism.independent_joints, accelerations),
+        effort={actuator.name: u for actuator, u in zip(mechanism.actuators, efforts.T, strict=True)},
+        unit={joint.name: joint.unit for joint in mechanism.joints},
+        effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},
+    )

@@ -1,0 +1,66 @@
+"""Tables as TOML text, the other way round from `tomllib`: what is written is read back as it was."""
+
+import math
+import re
+from collections.abc import Mapping
+
+from linkplan.models.errors import ProblemError
+
+# What TOML (1.0, "Keys") admits without quotes.
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+# What a basic string may not hold as it stands (TOML 1.0, "String"), and the short escapes.
+_ESCAPED = re.compile(r'[\x00-\x1f\x7f"\\]')
+_SHORT = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
+
+
+def toml_text(tables: Mapping[str, object]) -> str:
+    """Return the TOML text of tables: values first, then a [section] each, what is deeper on one line.
+
+    Raises:
+        ProblemError: for a value that TOML has no form for, naming its key.
+    """
+    lines = [f"{_key(key)} = {inline(value, key)}" for key, value in tables.items() if not isinstance(value, Mapping)]
+    for name, section in tables.items():
+        if isinstance(section, Mapping):
+            lines += ["", f"[{_key(name)}]"]
+            lines += [f"{_key(key)} = {_value(value, f'{name}.{key}')}" for key, value in section.items()]
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def _value(value: object, where: str) -> str:
+    """Return a section's value: a text of several lines, as a model's MJCF is, between three quotes."""
+    if isinstance(value, str) and "\n" in value and "'''" not in value and not re.search(r"[\x00-\x08\x0b-\x1f\x7f]", value):
+        return f"'''\n{value}'''"
+    return inline(value, where)
+
+
+def inline(value: object, where: str = "value") -> str:
+    """Return a value in TOML's syntax, on one line.
+
+    Raises:
+        ProblemError: for what is no word, number, list or table.
+    """
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float) and not math.isfinite(value):
+        return "nan" if math.isnan(value) else "inf" if value > 0 else "-inf"
+    if isinstance(value, int):
+        return repr(int(value))
+    if isinstance(value, float):
+        return repr(float(value))  # numpy's own floats are floats, but print as what they are
+    if isinstance(value, str):
+        return _quoted(value)
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(inline(item, where) for item in value) + "]"
+    if isinstance(value, Mapping):
+        pairs = [f"{_key(key)} = {inline(item, f'{where}.{key}')}" for key, item in value.items()]
+        return "{ " + ", ".join(pairs) + " }" if pairs else "{}"
+    raise ProblemError(f"{where} is numbers, words, lists or tables, got {value!r}")
+
+
+def _key(key: str) -> str:
+    return key if _BARE.fullmatch(key) else _quoted(key)
+
+
+def _quoted(text: str) -> str:
+    return '"' + _ESCAPED.sub(lambda found: _SHORT.get(found[0], f"\\u{ord(found[0]):04x}"), text) + '"'

@@ -1,0 +1,9 @@
+"""The names of the transcriptions: known without loading what computes them."""
+
+MAX_DEGREE = 9
+# The nodes of the first-order families, on the unit interval.
+LOBATTO = {"trapezoid": (0.0, 1.0), "hermite-simpson": (0.0, 0.5, 1.0)}
+NAMES = (
+    *(f"{name}{form}" for name in LOBATTO for form in ("", "-consistent")),
+    *(f"{family}-{degree}" for family in ("radau", "gauss") for degree in range(1, MAX_DEGREE + 1)),
+)

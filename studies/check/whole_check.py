@@ -1,0 +1,61 @@
+"""All that `linkplan check` finds: the inspection of a mechanism, and the loop report along its motion or its reach."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.studies.check.check_report import path_text
+from linkplan.studies.check.inspection import Inspection, inspect, inspection_record
+from linkplan.studies.check.inspection_text import inspection_text
+from linkplan.studies.check.loop_report import LoopPath, motion_path, path_record, reach_paths
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class WholeCheck:
+    """An inspection, and the loop report along a problem's motion or, without one, over each coordinate's reach."""
+
+    found: Inspection
+    paths: tuple[LoopPath, ...]
+
+    def record(self) -> dict:
+        """Return the findings by name, units in the names."""
+        return inspection_record(self.found) | {"along": [path_record(path) for path in self.paths]}
+
+    def text(self) -> str:
+        """Return the findings for people."""
+        return "\n\n".join([inspection_text(self.found), *(path_text(path) for path in self.paths)])
+
+
+def check_whole(
+    mechanism: Mechanism,
+    problem: PlanningProblem | None,
+    poses: Sequence[dict[str, float]] = (),
+    notes: Sequence[str] = (),
+) -> WholeCheck:
+    """Return what is found about a mechanism, along its problem's motion where there is one.
+
+    Args:
+        mechanism: the problem's, where there is one.
+        problem: whose motion is looked along, and whose contacts are judged.
+        poses: joint positions [rad or m] by name, each reported on.
+        notes: further sentences for the report.
+
+    Raises:
+        ProblemError: for a pose that is beyond reach, or that names a joint that follows from others.
+    """
+    motion, off_path = _motion(problem)
+    found = inspect(mechanism, list(poses), motion=motion, contacts="refuse" if problem is None else problem.contacts)
+    paths = reach_paths(mechanism, found.reaches) if motion is None else (motion,)
+    return WholeCheck(found=replace(found, notes=(*found.notes, *notes, *off_path)), paths=paths)
+
+
+def _motion(problem: PlanningProblem | None) -> tuple[LoopPath | None, tuple[str, ...]]:
+    """Return the path of a problem's motion, or None, and why there is none, if there is a problem."""
+    if problem is None:
+        return None, ()
+    try:
+        return motion_path(problem), ()
+    except LinkplanError as error:
+        return None, (f"no path for the problem's motion: {error}",)

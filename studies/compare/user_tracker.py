@@ -1,0 +1,68 @@
+"""A user's own tracker beside the built-in ones: what it may be, and a check of what it gives at every instant."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.tracker import Tracker
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+
+# A built-in name, a law, or what makes a law of the reference that it is to follow.
+Asked = str | Tracker | Callable[[SampledReference], Tracker]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class CheckedTracker:
+    """A user's law whose efforts are checked: one finite-shaped number for each actuator."""
+
+    law: Tracker
+    name: str
+    actuators: tuple[str, ...]
+
+    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Return efforts (n_u,) [N.m or N].
+
+        Raises:
+            ProblemError: when the law gives anything but one number for each actuator.
+        """
+        given = self.law.effort(k, position, velocity)
+        try:
+            effort = np.array(given, dtype=float)
+        except (TypeError, ValueError):
+            effort = np.zeros((0, 0))
+        if effort.shape != (len(self.actuators),):
+            got = repr(given) if effort.ndim == 2 and not effort.size else f"shape {effort.shape}"
+            raise ProblemError(
+                f"tracker '{self.name}' gives an array of one effort for each actuator ({', '.join(self.actuators)}),"
+                f" shape ({len(self.actuators)},), got {got}"
+            )
+        return effort
+
+
+def users_tracker(asked: object, mechanism: Mechanism, reference: SampledReference) -> CheckedTracker:
+    """Return a user's tracker for a reference: the law itself, or what a function (or class) makes of the reference.
+
+    Raises:
+        ProblemError: when it is no tracker: a name and `effort(k, position, velocity)`.
+    """
+    law = asked
+    if isinstance(asked, type) or not callable(getattr(asked, "effort", None)):
+        if not callable(asked):
+            raise ProblemError(
+                f"a tracker is one of {', '.join(TRACKERS)}, an object with a name and effort(k, position, velocity), or a"
+                f" function of the sampled reference that returns one; got {asked!r}"
+            )
+        law = asked(reference)
+        if not callable(getattr(law, "effort", None)):
+            raise ProblemError(
+                "a function that is given as a tracker returns an object with a name and effort(k, position, velocity),"
+                f" got {law!r}"
+            )
+    name = getattr(law, "name", None)
+    if not isinstance(name, str) or not name.strip():
+        raise ProblemError(f"a tracker's name is a word for tables and figures, got {name!r}")
+    return CheckedTracker(law=law, name=name, actuators=tuple(actuator.name for actuator in mechanism.actuators))

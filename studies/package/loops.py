@@ -1,0 +1,248 @@
+"""`bode` and `tune`: a tracker's loop over the mechanism's poses, and gains for what it is to do."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from linkplan.controllers.sampling import MOST_DELAY_PERIODS, sampling
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.models.errors import ProblemError
+from linkplan.models.names import choose
+from linkplan.plain import plain
+from linkplan.planner.files.problem_file import tracking_from_tables
+from linkplan.planner.problem.settings import Tracking
+from linkplan.planner.problem.values import number
+from linkplan.reporting import Progress, listener
+from linkplan.studies.bode.bode import BodeStudy, bode_study
+from linkplan.studies.bode.poses import loop_poses
+from linkplan.studies.frequency.excitation import METHODS, Setup
+from linkplan.studies.frequency.loops import operating_point
+from linkplan.studies.tune import tune as tuning
+from linkplan.subjects import Subject, poses_of, subject_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def bode(
+    subject: Subject,
+    *,
+    tracker: str = "pd",
+    tracking: Mapping[str, float] | None = None,
+    at_deg: Sequence[Mapping[str, float]] = (),
+    at_m: Sequence[Mapping[str, float]] = (),
+    measure: str | None = "sinestream",
+    frequency_hz: Sequence[float] | None = None,
+    amplitude_deg: float | None = None,
+    progress: Progress | None = None,
+) -> BodeResult:
+    """Return a loop's frequency response, margins and sampled stability: predicted, and measured in MuJoCo.
+
+    Args:
+        subject: a mechanism, a `Problem`, or the name or path of either; every freedom has its actuator.
+        tracker: "pd", "pd+ff" or "lqr".
+        tracking: settings in place of the problem's, by the keys of its [tracking] table: kp [N.m/rad], kd [N.m.s/rad],
+            period_s, delay_periods (here a broken number will do), lqr_position_deg, ...
+        at_deg: poses to look at, each independent hinges' angles [deg] by joint name; by default five over the problem's
+            motion, seven over the reach, or home where there are several freedoms.
+        at_m: the same of slides [m].
+        measure: "sinestream", "multisine" or "chirp"; None measures nothing.
+        frequency_hz: where to measure [Hz], below half the sampling rate; by default twenty about the crossover.
+        amplitude_deg: of the test signal's motion at the joint, in degrees (metres on a slide); by default small.
+        progress: called with a line of text now and then.
+
+    Raises:
+        LinkplanError: for a pose that cannot be held, or a number that makes no sense.
+    """
+    choose("tracker", str(tracker), TRACKERS, ProblemError)
+    say = listener(progress)
+    mechanism, planning, settings, limit = _loop_of(subject, tracking)
+    setup = None
+    if measure is not None:
+        method = choose("way to measure", str(measure), METHODS, ProblemError)
+        amplitude = None if amplitude_deg is None else number(plain(amplitude_deg), "amplitude_deg", positive=True)
+        joint = mechanism.independent_joints[0]
+        setup = Setup(method=method, amplitude=None if amplitude is None else joint.read(amplitude))
+    poses, note = loop_poses(mechanism, planning, limit, poses_of(mechanism, at_deg, at_m))
+    study = bode_study(
+        mechanism, poses, settings, limit, say, law=tracker, setup=setup, frequency_hz=_frequencies(frequency_hz)
+    )
+    return BodeResult(study=study, note=note)
+
+
+def tune(
+    subject: Subject,
+    *,
+    bandwidth_hz: float,
+    phase_margin_deg: float = 60.0,
+    sensitivity_peak: float | None = None,
+    tracker: str = "pd",
+    tracking: Mapping[str, float] | None = None,
+    at_deg: Sequence[Mapping[str, float]] = (),
+    at_m: Sequence[Mapping[str, float]] = (),
+    progress: Progress | None = None,
+) -> TuneResult:
+    """Return gains that do what is wanted at the worst pose, or the nearest miss and why.
+
+    Args:
+        subject: a mechanism of one degree of freedom, a `Problem` of one, or the name or path of either.
+        bandwidth_hz: of the closed loop, at least [Hz].
+        phase_margin_deg: at least [deg].
+        sensitivity_peak: the largest |S|; by default any.
+        tracker: "pd", "pd+ff" or "lqr".
+        tracking: settings in place of the problem's, of which the period and delay count, as `bode` takes them.
+        at_deg: poses, as `bode` takes them; `at_m` on slides.
+        at_m: the same of slides [m].
+        progress: called with a line of text now and then.
+
+    Raises:
+        LinkplanError: for a bandwidth beyond half the sampling rate, a mechanism of several freedoms, or a number that
+            makes no sense.
+    """
+    choose("tracker", str(tracker), TRACKERS, ProblemError)
+    say = listener(progress)
+    peak = np.inf if sensitivity_peak is None else number(plain(sensitivity_peak), "sensitivity_peak", positive=True)
+    wanted = tuning.Wanted(
+        bandwidth_hz=number(plain(bandwidth_hz), "bandwidth_hz", positive=True),
+        phase_margin_deg=number(plain(phase_margin_deg), "phase_margin_deg", least=0.0),
+        sensitivity_peak=peak,
+    )
+    mechanism, planning, settings, limit = _loop_of(subject, tracking)
+    if mechanism.dof != 1:
+        raise ProblemError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
+    poses, note = loop_poses(mechanism, planning, limit, poses_of(mechanism, at_deg, at_m))
+    points = [operating_point(mechanism, position, limit) for position in poses]
+    timing = sampling(mechanism, settings.period_s, settings.delay_periods)
+    found = tuning.tune(points, wanted, settings, timing, limit, law=tracker, say=say)
+    return TuneResult(tuning=found, note=note)
+
+
+def _loop_of(subject: Subject, tracking: object):
+    """Return the mechanism, its planning problem or None, the tracking settings and the effort limits (n_u, 2)."""
+    mechanism, problem = subject_of(subject)
+    if tracking is not None and not isinstance(tracking, Mapping):
+        raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
+    own = {} if problem is None else problem.to_dict().get("tracking", {})
+    settings = _settings(own | plain(tracking or {}))
+    if problem is None:
+        return mechanism, None, settings, mechanism.effort_limit
+    return mechanism, problem.planning, settings, problem.planning.limits.effort
+
+
+def _settings(table: dict) -> Tracking:
+    """Return the tracking settings of a table, whose delay may be a broken number of periods."""
+    delay = number(table.get("delay_periods", 0), "tracking.delay_periods", least=0.0)
+    if delay > MOST_DELAY_PERIODS:
+        raise ProblemError(f"tracking.delay_periods is a number from 0 to {MOST_DELAY_PERIODS}, got {delay:g}")
+    settings = tracking_from_tables({"tracking": {key: x for key, x in table.items() if key != "delay_periods"}})
+    if settings.kp == 0 and settings.kd == 0:
+        raise ProblemError("tracking.kp and tracking.kd are both 0: there is no loop to look at")
+    return replace(settings, delay_periods=delay)
+
+
+def _frequencies(frequency_hz: object) -> np.ndarray | None:
+    if frequency_hz is None:
+        return None
+    given = plain(frequency_hz)
+    given = given if isinstance(given, list) else [given]
+    return np.array([number(value, "frequency_hz", positive=True) for value in given])
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class BodeResult:
+    """A loop's frequency response. `str(result)` is the table; `to_dict()` has every figure, its unit in its name."""
+
+    study: BodeStudy
+    note: str | None
+
+    @property
+    def stable(self) -> bool:
+        """Whether the sampled loop is stable at every pose looked at."""
+        return self.study.stable
+
+    @property
+    def message(self) -> str:
+        """The verdict in a sentence."""
+        return self.study.message
+
+    def to_dict(self) -> dict:
+        """Return all figures by name, in JSON's own types."""
+        from linkplan.planner.files.folders import plain_record
+        from linkplan.studies.bode.bode_report import bode_record
+
+        return plain_record(bode_record(self.study) | {"note": self.note})
+
+    def plot(self, path: str | Path | None = None, *, joint: str | None = None) -> Figure:
+        """Return the figure of open and closed loop at every pose; it is saved at `path` where one is given.
+
+        Args:
+            path: where to save.
+            joint: whose loop, of a mechanism of several freedoms; by default the first independent joint's.
+
+        Raises:
+            LinkplanError: for a joint that is not independent.
+        """
+        from linkplan.studies.bode.draw_bode import bode_figure
+
+        names = [one.name for one in self.study.mechanism.independent_joints]
+        name = choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError)
+        entries = [entry for entry in self.study.points if entry.channel == names.index(name)]
+        return bode_figure(self.study, entries, path)
+
+    def __str__(self) -> str:
+        from linkplan.studies.bode.bode_report import bode_text
+
+        return bode_text(self.study) + _noted(self.note)
+
+    def __repr__(self) -> str:
+        return f"BodeResult({self.study.mechanism.name!r}: {self.message})"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class TuneResult:
+    """Gains for what a loop is to do. `str(result)` is the report; `to_dict()` has every figure, its unit in its name."""
+
+    tuning: tuning.Tuning
+    note: str | None
+
+    @property
+    def found(self) -> bool:
+        """Whether the gains do what is wanted at every pose; where not, they are the nearest miss."""
+        return self.tuning.found
+
+    @property
+    def message(self) -> str:
+        """The verdict in a sentence."""
+        return self.tuning.message
+
+    @property
+    def tracking(self) -> dict[str, float]:
+        """The gains as the `tracking` table that problems, `track`, `compare` and `bode` take."""
+        return tuning.tracking_values(self.tuning)
+
+    def to_dict(self) -> dict:
+        """Return all figures by name, in JSON's own types."""
+        from linkplan.planner.files.folders import plain_record
+
+        return plain_record(tuning.tune_record(self.tuning) | {"note": self.note})
+
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """Return the figure of bandwidth and margins over the poses; it is saved at `path` where one is given."""
+        from linkplan.studies.tune.draw_tune import tune_figure
+
+        return tune_figure(self.tuning, path)
+
+    def __str__(self) -> str:
+        return tuning.tune_text(self.tuning) + _noted(self.note)
+
+    def __repr__(self) -> str:
+        return f"TuneResult({self.tuning.mechanism.name!r}: {self.message})"
+
+
+def _noted(note: str | None) -> str:
+    return "" if note is None else f"\nnote: {note}"

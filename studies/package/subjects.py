@@ -1,0 +1,61 @@
+"""What a study is asked about: a mechanism, a problem, or the name or path of either; and the poses to look at."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.plain import plain
+from linkplan.planner.files.joint_values import joint_values
+from linkplan.planner.files.problem_file import mechanism_from_tables
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.problem.values import number
+from linkplan.problems import Problem
+
+Subject = Mechanism | Problem | str | Path
+
+
+def subject_of(subject: Subject) -> tuple[Mechanism, Problem | None]:
+    """Return the mechanism that is meant, and the problem where it is one.
+
+    Raises:
+        LinkplanError: when it is none, or its file cannot be used.
+    """
+    if isinstance(subject, str | Path):
+        is_problem = str(subject) in PROBLEMS or Path(str(subject)[:255]).suffix == ".toml"
+        if not is_problem:
+            return mechanism_from_tables({"mechanism": {"model": str(subject)}}), None
+        subject = Problem.from_file(subject)
+    if isinstance(subject, Problem):
+        return subject.mechanism, subject
+    if isinstance(subject, Mechanism):
+        return subject, None
+    raise ProblemError(f"a study is asked about a mechanism, a Problem, or the name or path of either, got {subject!r}")
+
+
+def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[dict[str, float]]:
+    """Return poses as positions [rad or m] by joint name; `at_deg` and `at_m` are lists of tables of joint = value.
+
+    Where both are given, their tables belong together in turn.
+
+    Raises:
+        ProblemError: for a value that is none, or a joint that the mechanism does not have.
+    """
+    lists = {}
+    for key, value in (("at_deg", at_deg), ("at_m", at_m)):
+        value = [value] if isinstance(value, Mapping) else value
+        value = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
+        if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
+            raise ProblemError(f"{key} is a list of poses, each a table of joint = value, got {value!r}")
+        lists[key] = [plain(item) for item in value]
+    if lists["at_deg"] and lists["at_m"] and len(lists["at_deg"]) != len(lists["at_m"]):
+        raise ProblemError(
+            f"at_deg and at_m have a table each for every pose, got {len(lists['at_deg'])} and {len(lists['at_m'])}"
+        )
+    poses = []
+    for k in range(max(map(len, lists.values()))):
+        section = {key: tables[k] for key, tables in lists.items() if tables}
+        values = joint_values(section, "at", f"poses[{k}]", mechanism)
+        joints = {index: mechanism.joints[index] for index in values}
+        poses.append({j.name: float(j.read(number(values[i], f"poses[{k}] of joint {j.name}"))) for i, j in joints.items()})
+    return poses

@@ -1,0 +1,142 @@
+"""`track` and `compare`: trackers on a plan in MuJoCo, built-in ones and a user's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from linkplan.controllers.rollout import Rollout
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.plain import plain
+from linkplan.planner import plan as planned
+from linkplan.planner.files.problem_file import tracking_from_tables
+from linkplan.plans import Plan
+from linkplan.reporting import Progress, listener
+from linkplan.studies.compare import compare as study
+from linkplan.studies.compare.comparison_text import comparison_text
+from linkplan.studies.compare.user_tracker import Asked
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def track(
+    plan: Plan,
+    tracker: Asked = "lqr",
+    *,
+    mass_factor: float = 1.0,
+    delay_periods: int = 0,
+    tracking: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> TrackingResult:
+    """Return one tracker's run on a plan in MuJoCo.
+
+    Args:
+        plan: with a motion.
+        tracker: "pd", "pd+ff" or "lqr"; or a `Tracker`: an object with a `name` and `effort(k, position, velocity)`; or a
+            function that is given the sampled reference and returns one. The reference has `period_s`, and at the control
+            instants `time_s` (n,), `position`, `velocity` (n, n_s) [rad or m, and per second], `pose` (n, n_q) and the
+            needed `effort` (n, n_u) [N.m or N]. A tracker is asked for efforts (n_u,) at instant k for the independent
+            joints' measured position and velocity (n_s,); saturation, sampling and delay are the loop's.
+        mass_factor: on the payload's mass and inertia in the simulator, on all moving bodies' where there is none.
+        delay_periods: further control periods before a command acts, beside the problem's own.
+        tracking: settings in place of the problem's: kp, kd, period_s, delay_periods, duration_s, lqr_position_deg, ...
+        progress: called with a line of text now and then.
+
+    Raises:
+        LinkplanError: when the plan has no motion, the tracker is none, or a number makes no sense.
+    """
+    answer, say = _to_track(plan, tracking), listener(progress)
+    mismatch = study.mismatch_of(answer, mass_factor, delay_periods)
+    say(f"{answer.problem.name}: one tracker")
+    run = study.track(answer, tracker, mismatch)
+    title = "nominal" if mismatch is None else mismatch.name
+    one = study.Comparison(plan=answer, nominal={run.tracker: run}, mismatch=None, mismatched={}, title=title)
+    return TrackingResult(comparison=one)
+
+
+def compare(
+    plan: Plan,
+    trackers: Sequence[Asked] = study.TRACKERS,
+    *,
+    mass_factor: float = 1.2,
+    delay_periods: int = 1,
+    tracking: Mapping[str, float] | None = None,
+    progress: Progress | None = None,
+) -> TrackingResult:
+    """Return trackers' runs on a plan side by side in MuJoCo, as modelled and with a mismatch.
+
+    Args:
+        plan: with a motion.
+        trackers: each as `track` takes it, with names of their own.
+        mass_factor: the mismatch's, on the payload's mass and inertia (all moving bodies' without one).
+        delay_periods: the mismatch's, further control periods of delay. With a factor of 1 and no delay there is none.
+        tracking: settings in place of the problem's, as `track` takes them.
+        progress: called with a line of text now and then.
+
+    Raises:
+        LinkplanError: as `track` does.
+    """
+    answer = _to_track(plan, tracking)
+    if isinstance(trackers, str) or not isinstance(trackers, Sequence):
+        raise ProblemError(f"trackers are a list of names, objects or functions, got {trackers!r}")
+    mismatch = study.mismatch_of(answer, mass_factor, delay_periods)
+    return TrackingResult(comparison=study.compare(answer, mismatch, listener(progress), trackers))
+
+
+def _to_track(plan: object, tracking: object) -> planned.Plan:
+    """Return a plan with a motion, its tracking settings changed as asked."""
+    if not isinstance(plan, Plan):
+        raise ProblemError(f"what is tracked is a Plan, got {plan!r}")
+    if plan.answer.trajectory is None:
+        raise LinkplanError(f"nothing to track, the plan has no motion: {plan.message}")
+    if tracking is None:
+        return plan.answer
+    if not isinstance(tracking, Mapping):
+        raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
+    table = plan.problem.to_dict().get("tracking", {}) | plain(tracking)
+    settings = tracking_from_tables({"tracking": table})
+    return replace(plan.answer, problem=replace(plan.answer.problem, tracking=settings))
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class TrackingResult:
+    """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every figure, its unit in its name."""
+
+    comparison: study.Comparison
+
+    @property
+    def runs(self) -> dict[str, Rollout]:
+        """The runs by tracker, as modelled (or under `track`'s mismatch): logs at the control instants, in SI units."""
+        return dict(self.comparison.nominal)
+
+    @property
+    def mismatched(self) -> dict[str, Rollout]:
+        """The runs by tracker under the mismatch of `compare`; empty without one."""
+        return dict(self.comparison.mismatched)
+
+    @property
+    def stable(self) -> bool:
+        """Whether every run stayed finite and none swung between its limits over and over."""
+        return all(run.stable for run in (*self.comparison.nominal.values(), *self.comparison.mismatched.values()))
+
+    def to_dict(self) -> dict:
+        """Return all figures by name, in JSON's own types: errors in deg or m, efforts, share at the limits, loop gap."""
+        from linkplan.planner.files.folders import plain_record
+
+        return plain_record(study.comparison_record(self.comparison))
+
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """Return the figure of motion, error and effort of every tracker; it is saved at `path` where one is given."""
+        from linkplan.studies.compare.draw_tracking import comparison_figure
+
+        return comparison_figure(self.comparison, path)
+
+    def __str__(self) -> str:
+        return comparison_text(self.comparison)
+
+    def __repr__(self) -> str:
+        names = ", ".join(self.comparison.nominal)
+        return f"TrackingResult({self.comparison.plan.problem.name!r}: {names})"

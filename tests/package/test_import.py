@@ -1,0 +1,119 @@
+"""`import linkplan`: a dozen names that load nothing before they are used; sentences without the command line's words."""
+
+import ast
+import importlib
+import inspect
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import linkplan
+
+ROOT = Path(__file__).resolve().parents[2]
+PUBLIC = ROOT / "studies" / "package"
+HEAVY = {"casadi", "mujoco", "numpy", "scipy", "matplotlib", "control"}
+# Strings of the library that hold a dash and are no message: what is handed to a compiler.
+NO_MESSAGES = {"compiled.py"}
+
+
+def loaded_by(code: str) -> set[str]:
+    """Return the top-level modules that a fresh interpreter has loaded after `code`."""
+    said = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport sys; print('LOADED', *{{m.split('.')[0] for m in sys.modules}})"],
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    return set(said.rpartition("LOADED")[2].split())
+
+
+def test_importing_linkplan_loads_nothing_heavy():
+    loaded = loaded_by("import linkplan; dir(linkplan)")
+    assert "linkplan" in loaded
+    assert not loaded & HEAVY
+
+
+def test_what_is_heavy_comes_with_the_first_name_that_needs_it():
+    assert {"casadi", "mujoco", "numpy"} <= loaded_by("import linkplan; linkplan.load_mechanism")
+
+
+def test_planning_loads_no_plots():
+    loaded = loaded_by("import linkplan; linkplan.plan, linkplan.Problem, linkplan.Planner")
+    assert "casadi" in loaded
+    assert not loaded & {"matplotlib", "control"}
+
+
+def test_the_names_that_list_prints_load_neither_solver_nor_simulator():
+    loaded = loaded_by("from linkplan.studies.cli.main import main; main(['list'])")
+    assert "linkplan" in loaded
+    assert not loaded & {"casadi", "mujoco", "scipy", "matplotlib", "control"}
+
+
+def test_the_module_runs_as_the_command_line():
+    command = [sys.executable, "-m", "linkplan", "list"]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert "optimus-knee" in said
+    assert "trackers: pd, pd+ff, lqr" in said
+
+
+@pytest.mark.parametrize("name", linkplan.__all__)
+def test_every_public_name_is_there_and_documented(name):
+    value = getattr(linkplan, name)
+    assert inspect.getdoc(value)
+    assert name in dir(linkplan)
+    if inspect.isclass(value):
+        for member, thing in vars(value).items():
+            if not member.startswith("_") and (callable(thing) or isinstance(thing, property | classmethod)):
+                assert inspect.getdoc(thing), f"{name}.{member}"
+
+
+def test_a_name_that_is_not_there_is_refused_with_those_that_are():
+    with pytest.raises(AttributeError, match=r"no attribute 'solve'.*load_mechanism.*tune"):
+        linkplan.solve  # noqa: B018
+
+
+def test_editors_see_the_names_where_the_program_finds_them():
+    tree = ast.parse((PUBLIC / "__init__.py").read_text(encoding="utf-8"))
+    block = next(node for node in tree.body if isinstance(node, ast.If))
+    seen = {alias.name: node.module for node in block.body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    assert seen == linkplan._HOMES
+    assert sorted(seen) == sorted(linkplan.__all__)
+
+
+def test_no_module_of_the_package_bears_a_public_name():
+    modules = {path.stem for path in PUBLIC.glob("*.py")}
+    assert len(modules) > 5
+    assert not modules & set(linkplan.__all__)
+    for name in modules - {"__init__", "__main__"}:
+        importlib.import_module(f"linkplan.{name}")
+    assert callable(linkplan.plan)
+
+
+def test_the_version_is_that_of_the_installed_package():
+    assert re.fullmatch(r"\d+\.\d+.*", linkplan.__version__)
+
+
+def test_messages_of_the_library_know_no_command_line():
+    looked, found = 0, []
+    for package in ("models", "planner", "controllers", "studies"):
+        for path in (ROOT / package).rglob("*.py"):
+            if path.is_relative_to(ROOT / "studies" / "cli") or path.name in NO_MESSAGES:
+                continue
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            documents = {
+                id(node.body[0].value)
+                for node in ast.walk(tree)
+                if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef)
+                and node.body
+                and isinstance(node.body[0], ast.Expr)
+            }
+            for node in ast.walk(tree):
+                if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in documents:
+                    looked += 1
+                    if re.search(r"(^|[\s'(])(--[a-z]|-o\b)", node.value):
+                        found.append((path.name, node.value))
+    assert looked > 1000
+    assert not found

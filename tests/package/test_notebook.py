@@ -1,0 +1,131 @@
+"""What a notebook does, against `import linkplan` alone: a linkage of one's own, from MJCF text to its loop's margins."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+import linkplan
+
+# A crank-rocker: crank 50 mm, frame 200 mm, driven at O; A and C are its other hinges, B is closed by a connect.
+CRANK_ROCKER = """
+<mujoco model="crank-rocker">
+  <option timestep="2e-4"/>
+  <default>
+    <joint axis="0 1 0" damping="0.002"/>
+    <geom type="capsule" size="0.008" contype="0" conaffinity="0"/>
+  </default>
+  <worldbody>
+    <body name="crank">
+      <joint name="O"/>
+      <geom fromto="0 0 0 0 0 0.05"/>
+      <body name="coupler" pos="0 0 0.05">
+        <joint name="A"/>
+        <geom fromto="0 0 0 0.16 0 0.07"/>
+      </body>
+    </body>
+    <body name="rocker" pos="0.2 0 0">
+      <joint name="C"/>
+      <geom fromto="0 0 0 -0.04 0 0.12"/>
+    </body>
+  </worldbody>
+  <equality>
+    <connect name="B" body1="coupler" body2="rocker" anchor="0.16 0 0.07" solref="0.0008 1"/>
+  </equality>
+  <actuator>
+    <motor name="drive" joint="O" ctrllimited="true" ctrlrange="-2 2"/>
+  </actuator>
+</mujoco>
+"""
+
+
+@dataclass(frozen=True)
+class ComputedTorque:
+    """The reference's own effort, with feedback of position and speed by gains chosen by hand."""
+
+    reference: object
+    name: str = "by hand"
+
+    def effort(self, k, position, velocity):
+        reference = self.reference
+        stiff, damped = 5.0 * (reference.position[k] - position), 0.03 * (reference.velocity[k] - velocity)
+        return reference.effort[k] + stiff + damped
+
+
+@pytest.mark.slow
+def test_a_notebook_from_mjcf_text_to_margins(tmp_path):
+    linkage = linkplan.load_mechanism(CRANK_ROCKER)
+    found = linkplan.check(linkage)
+    assert found.problems == ()
+    assert "crank-rocker: 1 degree of freedom (O independent of 3 joints)" in str(found)
+
+    # Half a turn of the crank from rest to rest: least effort in a given time, then the least time.
+    problem = linkplan.Problem.reach(
+        linkage,
+        start_deg={"O": 0.0},
+        goal_deg={"O": 180.0},
+        duration_s=0.3,
+        limits={"effort": {"drive": [-1.0, 1.0]}, "speed_deg_s": {"C": 600.0}},
+        tracking={"kp": 5.0, "kd": 0.03, "period_s": 5e-4},
+        name="half-turn",
+    )
+    plan = linkplan.plan(problem).require()
+    assert plan.certificate.passed
+    assert plan.duration_s == pytest.approx(0.3)
+    weak = {"effort": {"drive": [-0.2, 0.2]}}
+    quickest = linkplan.plan(problem.replace(duration_s="free", minimize="time", limits=weak)).require()
+    assert quickest.duration_s < 0.2
+
+    motion = plan.sample(np.linspace(0.0, 0.3, 31))
+    assert np.ptp(motion.position["C"]) > 20.0
+    assert np.abs(motion.effort["drive"]).max() <= 1.0
+    assert np.abs(motion.speed["C"]).max() <= 600.0 * (1 + 1e-6)
+    plan.plot(tmp_path / "half-turn.png")
+    plan.save(tmp_path / "half-turn")
+    assert linkplan.read_plan(tmp_path / "half-turn").objective == plan.objective
+
+    run = linkplan.track(plan, ComputedTorque)
+    assert run.stable
+    assert run.to_dict()["trackers"]["by hand"]["max_error_deg"] < 1.0
+    side_by_side = linkplan.compare(plan, ["pd", "lqr", ComputedTorque])
+    assert list(side_by_side.runs) == ["pd", "lqr", "by hand"]
+    side_by_side.plot(tmp_path / "compared.png")
+
+    gains = linkplan.tune(problem, bandwidth_hz=10.0)
+    assert gains.found
+    loop = linkplan.bode(problem.replace(tracking=gains.tracking), at_deg=[{"O": 90.0}], frequency_hz=[20.0, 50.0])
+    assert loop.stable
+    assert loop.study.worst_deviation[0] < 0.2
+    loop.plot(tmp_path / "bode.png")
+
+    planner = linkplan.Planner()
+    for goal in (180.0, 170.0, 160.0):
+        assert planner.plan(problem.replace(goal_deg={"O": goal})).require().status == "optimal"
+
+
+TEN_LINES = """
+import linkplan
+
+knee = linkplan.load_mechanism("optimus-knee", payload="shank")  # or your own MJCF, a file or its text
+problem = linkplan.Problem.reach(knee, start_deg={"O": -49.07}, goal_deg={"O": 56.27}, duration_s=0.16)
+plan = linkplan.plan(problem).require()  # certified between its nodes; or it says which limit, which joint, when
+plan.plot("reach.png")
+print(plan.sample(0.08).position)  # every joint in degrees, the dependent ones too
+print(linkplan.track(plan, "lqr"))  # in MuJoCo; or a tracker of your own
+print(linkplan.compare(plan))  # PD, PD + feedforward and LQR, as modelled and with a mismatch
+print(linkplan.bode(problem, tracker="lqr"))  # margins at every angle, predicted and measured
+"""
+
+
+@pytest.mark.slow
+def test_the_ten_lines_do_what_they_say(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    lines = TEN_LINES.strip().splitlines()
+    assert len(lines) == 10
+    names = {}
+    exec(TEN_LINES, names)
+    said = capsys.readouterr().out
+    assert names["plan"].status == "optimal"
+    assert (tmp_path / "reach.png").is_file()
+    for words in ("'A': ", "tracker  rms [deg]", "payload +20 %", "Stable at all 5 poses: lqr"):
+        assert words in said

@@ -1,0 +1,214 @@
+"""`plan` and `Plan`: the answer, its samples in users' units, its folder; `Planner` and `solve_ocp`."""
+
+import csv
+import logging
+import types
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import linkplan
+from linkplan.models.errors import InfeasibleError, LinkplanError, PlanFileError, ProblemError
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.planning import plan_motion
+
+
+@pytest.fixture(scope="module")
+def told():
+    return []
+
+
+@pytest.fixture(scope="module")
+def plan(told):
+    return linkplan.plan(linkplan.Problem.from_file("knee-reach"), told.append).require()
+
+
+@pytest.fixture(scope="module")
+def sine():
+    return linkplan.plan("knee-sine").require()
+
+
+@pytest.fixture(scope="module")
+def impossible():
+    settings = {"motion.goal_speed_deg_s.O": 1000.0, "limits.speed_deg_s.O": 900.0}
+    return linkplan.plan(linkplan.Problem.from_file("knee-reach", settings))
+
+
+def test_a_plan_is_what_the_planner_found(plan):
+    known = plan_motion(load_problem("knee-reach"))
+    assert plan.status == "optimal"
+    assert plan.message == known.message
+    assert plan.objective == pytest.approx(known.objective, rel=1e-9)
+    assert plan.duration_s == known.trajectory.duration_s
+    assert plan.certificate.passed
+    assert len(plan.history) == len(known.history) > 0
+    assert plan.require() is plan
+
+
+def test_a_plan_without_a_motion_says_why_and_is_not_let_through(impossible):
+    assert impossible.status == "infeasible"
+    assert impossible.duration_s is None
+    with pytest.raises(InfeasibleError) as refused:
+        impossible.require()
+    assert refused.value.plan is impossible
+    assert str(refused.value) == impossible.message
+    for use in (impossible.sample, impossible.plot, lambda: impossible.save("nowhere"), lambda: linkplan.track(impossible)):
+        with pytest.raises(LinkplanError, match=r"nothing to .*, the plan has no motion: infeasible"):
+            use()
+
+
+def test_progress_is_told_and_logged(plan, told, caplog):
+    del plan
+    assert told
+    with caplog.at_level(logging.INFO, logger="linkplan"):
+        linkplan.plan("knee-reach")
+    assert [record.getMessage() for record in caplog.records if record.name == "linkplan"] == told
+
+
+def test_nothing_is_printed_where_nobody_listens(plan, capfd):
+    linkplan.plan(plan.problem)
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "")
+
+
+def test_samples_are_in_degrees_and_hold_the_dependent_joints(plan):
+    motion = plan.sample([0.0, 0.16])
+    assert motion.position["O"] == pytest.approx([-49.07, 56.27])
+    assert motion.unit == {"O": "deg", "A": "deg", "C": "deg"}
+    assert motion.effort_unit == {"act_O": "N.m"}
+    assert motion.speed["A"] == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert list(motion.acceleration) == ["O"]
+    mechanism = plan.problem.mechanism
+    q = np.radians([motion.position[joint.name] for joint in mechanism.joints]).T
+    assert np.ptp(motion.position["A"]) > 30
+    assert mechanism.gaps_m(q).max() < 1e-12
+
+
+def test_samples_do_not_depend_on_the_order_or_company_of_their_times(plan):
+    times = np.array([0.15, 0.01, 0.08, 0.01])
+    together = plan.sample(times)
+    for k, time in enumerate(times):
+        alone = plan.sample(time)
+        assert alone.time_s == time
+        assert isinstance(alone.position["A"], float)
+        for name, values in together.position.items():
+            assert values[k] == pytest.approx(alone.position[name], abs=1e-9)
+        assert together.effort["act_O"][k] == alone.effort["act_O"]
+
+
+def test_speeds_are_the_slopes_of_positions(plan):
+    time, step = np.array([0.03, 0.1]), 1e-6
+    before, after, there = plan.sample(time - step), plan.sample(time + step), plan.sample(time)
+    for name, speed in there.speed.items():
+        slope = (after.position[name] - before.position[name]) / (2 * step)
+        assert slope == pytest.approx(speed, rel=1e-5)
+        assert abs(speed).min() > 1.0
+
+
+def test_a_motion_rests_beyond_its_ends_and_a_periodic_one_goes_on(plan, sine):
+    late = plan.sample(1.0)
+    assert late.position["O"] == pytest.approx(56.27)
+    assert late.speed["O"] == 0.0
+    assert sine.duration_s == pytest.approx(0.25)
+    for name, value in sine.sample(0.05).position.items():
+        assert sine.sample(0.05 + 3 * 0.25).position[name] == pytest.approx(value, abs=1e-9)
+        assert sine.sample(0.05 - 0.25).position[name] == pytest.approx(value, abs=1e-9)
+
+
+@pytest.mark.parametrize("time", [np.nan, [0.0, np.inf], "soon", [[0.0]], None.__class__])
+def test_a_time_that_is_none_is_refused(plan, time):
+    with pytest.raises(ProblemError, match="times are finite numbers of seconds"):
+        plan.sample(time)
+
+
+def test_a_frame_has_the_columns_of_the_saved_table(plan, tmp_path, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pandas", types.SimpleNamespace(DataFrame=dict))
+    frame = plan.to_frame()
+    with (plan.save(tmp_path / "plan") / "trajectory.csv").open(encoding="utf-8") as file:
+        rows = list(csv.reader(file))
+    assert list(frame) == rows[0]
+    assert rows[0][:3] == ["time_s", "O_deg", "O_deg_s"]
+    assert np.array(rows[1:], dtype=float) == pytest.approx(np.column_stack(list(frame.values())), rel=1e-9, abs=1e-9)
+    assert list(plan.to_frame([0.1])["time_s"]) == [0.1]
+
+
+def test_without_pandas_a_frame_is_refused_in_a_sentence(plan, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "pandas", None)
+    with pytest.raises(ImportError, match=r"Plan.to_frame needs pandas, which is not installed"):
+        plan.to_frame()
+
+
+def test_a_saved_plan_is_read_as_it_was(plan, tmp_path):
+    folder = plan.save(tmp_path / "reach")
+    assert {path.name for path in folder.iterdir()} == {"plan.json", "trajectory.npz", "trajectory.csv", "plan.png"}
+    again = linkplan.read_plan(folder)
+    assert again.status == "optimal"
+    assert again.objective == plan.objective
+    assert again.problem.to_dict() == plan.problem.to_dict()
+    assert again.sample(0.08).position == pytest.approx(plan.sample(0.08).position)
+    with pytest.raises(PlanFileError, match=r"plan\.json' cannot be read"):
+        linkplan.read_plan(tmp_path)
+
+
+def test_a_plan_is_not_saved_over_what_is_not_a_plan(plan, tmp_path):
+    (tmp_path / "letters.txt").write_text("dear", encoding="utf-8")
+    with pytest.raises(PlanFileError, match=r"^'.*' holds files that are not linkplan's"):
+        plan.save(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["letters.txt"]
+
+
+def test_a_figure_is_returned_and_saved_where_a_path_is_given(plan, tmp_path):
+    figure = plan.plot(tmp_path / "plan.png")
+    assert isinstance(figure, Figure)
+    assert (tmp_path / "plan.png").is_file()
+    position, speed, effort = figure.axes
+    drawn = position.lines[0].get_ydata()
+    assert [drawn[0], drawn[-1]] == pytest.approx([-49.07, 56.27])
+    assert "deg/s" in speed.get_ylabel()
+    assert "N.m" in effort.get_ylabel()
+
+
+def test_a_plan_says_itself_and_its_record(plan):
+    assert str(plan).startswith("knee-reach: optimal")
+    assert repr(plan) == "Plan('knee-reach', optimal, 0.16 s)"
+    assert plan.to_dict()["certificate"]["passed"] is True
+    assert plan.to_dict()["problem"] == plan.problem.to_dict()
+
+
+def test_a_planner_answers_as_a_fresh_plan_does(plan):
+    planner = linkplan.Planner()
+    assert planner.plan(plan.problem).objective == pytest.approx(plan.objective, rel=1e-9)
+    other = plan.problem.replace(goal_deg={"O": 50.0})
+    again = planner.plan(other)
+    assert again.history[-1].what == "solved again"
+    assert again.objective == pytest.approx(linkplan.plan(other).objective, rel=1e-6)
+
+
+def test_a_differential_equation_of_ones_own_is_solved():
+    problem = linkplan.OdeProblem(
+        name="double integrator",
+        rate=lambda x, u, p, t: [x[1], u[0]],  # noqa: ARG005
+        start=[0, 0],
+        goal=[1, 0],
+        effort_limit=[[-1, 1]],
+        duration_s=(0.1, 10),
+        final_cost=lambda x0, xT, T, p: T,  # noqa: ARG005
+    )
+    told = []
+    assert linkplan.solve_ocp(problem, told.append).require().objective == pytest.approx(2.0, rel=1e-8)
+    with pytest.raises(ProblemError, match="solve_ocp takes an OdeProblem, got 3"):
+        linkplan.solve_ocp(3)
+
+
+@pytest.mark.parametrize("problem", [None, 5, {"motion": {}}])
+def test_what_is_no_problem_is_refused(problem):
+    with pytest.raises(ProblemError, match="what is planned is a Problem"):
+        linkplan.plan(problem)
+    with pytest.raises(ProblemError, match="what is planned is a Problem"):
+        linkplan.Planner().plan(problem)
+
+
+def test_progress_that_cannot_be_called_is_refused_before_any_work(plan):
+    with pytest.raises(ProblemError, match=r"progress is a function of one line of text, got 'loud'"):
+        linkplan.plan(plan.problem, "loud")

@@ -1,0 +1,287 @@
+"""`Problem`: builders mean what a file means, refuse in a file's words, and go back to a file."""
+
+import math
+import tomllib
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+import pytest
+
+import linkplan
+from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError
+from linkplan.models.library import built_in_text
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.files.tables import BUILT_IN
+from linkplan.planner.search.presolve import start_pose_of
+
+REACH = {"start_deg": {"O": -49.07}, "goal_deg": {"O": 56.27}, "duration_s": 0.2}
+SINE = {"amplitude_deg": {"O": 20.0}, "bias_deg": {"O": 3.6}, "frequency_hz": 4.0}
+BUILDERS = {"reach": linkplan.Problem.reach, "periodic": linkplan.Problem.periodic, "track": linkplan.Problem.track}
+
+
+@pytest.fixture(scope="module")
+def knee():
+    return linkplan.load_mechanism("optimus-knee")
+
+
+def differences(one, other, where="problem"):
+    """Return where two problems, or what they are made of, are not the same; their sources and models left to others."""
+    if is_dataclass(one) and type(one) is type(other):
+        names = [f.name for f in fields(one) if f.name not in ("mechanism", "name")]
+        return [d for name in names for d in differences(getattr(one, name), getattr(other, name), f"{where}.{name}")]
+    if isinstance(one, tuple) and isinstance(other, tuple) and len(one) == len(other):
+        pairs = enumerate(zip(one, other, strict=True))
+        return [d for k, (a, b) in pairs for d in differences(a, b, f"{where}[{k}]")]
+    same = np.array_equal(one, other, equal_nan=True) if isinstance(one, np.ndarray) else one == other
+    return [] if same else [f"{where}: {one!r} and {other!r}"]
+
+
+@pytest.mark.parametrize("name", BUILT_IN)
+def test_a_problem_written_as_toml_is_the_same_problem_again(name, tmp_path):
+    problem = linkplan.Problem.from_file(name)
+    written = tmp_path / f"{name}.toml"
+    written.write_text(problem.to_toml(), encoding="utf-8")
+    again = linkplan.Problem.from_file(written)
+    assert again.name == name
+    assert again.to_dict() == problem.to_dict()
+    assert not differences(problem.planning, again.planning)
+    assert problem.mechanism.fingerprint() == again.mechanism.fingerprint()
+
+
+def test_the_comparison_of_two_problems_sees_a_difference(knee):
+    one = linkplan.Problem.reach(knee, **REACH)
+    assert differences(one.planning, one.replace(duration_s=0.21).planning)
+    assert differences(one.planning, one.replace(goal_deg={"O": 56.0}).planning)
+
+
+def test_a_built_problem_is_what_a_file_says(knee):
+    built = linkplan.Problem.reach(
+        knee,
+        **REACH,
+        minimize={"effort": 1.0, "work": 0.5},
+        limits={"effort": {"act_O": (-80, np.float64(80))}, "speed_deg_s": {"A": 900}, "singular_margin": 0.1},
+        waypoints=[{"at_deg": {"O": 0.0}, "time_s": 0.1}],
+        motors={"act_O": {"torque_constant": 0.5, "resistance_ohm": 0.1}},
+        guess={"path_deg": {"O": np.linspace(-49.07, 56.27, 3)}},
+        mesh={"scheme": "gauss-3", "intervals": 20},
+        solver={"name": "fatrop"},
+        tracking={"kp": 50, "kd": 2},
+        name="mine",
+    )
+    file = """
+        [mechanism]
+        model = "optimus-knee"
+        [motion]
+        kind = "reach"
+        start_deg = { O = -49.07 }
+        goal_deg = { O = 56.27 }
+        duration_s = 0.2
+        waypoints = [{ at_deg = { O = 0.0 }, time_s = 0.1 }]
+        [objective]
+        minimize = { effort = 1.0, work = 0.5 }
+        [limits]
+        effort = { act_O = [-80, 80.0] }
+        speed_deg_s = { A = 900 }
+        singular_margin = 0.1
+        [motors.act_O]
+        torque_constant = 0.5
+        resistance_ohm = 0.1
+        [guess]
+        path_deg = { O = [-49.07, 3.6000000000000014, 56.27] }
+        [mesh]
+        scheme = "gauss-3"
+        intervals = 20
+        [solver]
+        name = "fatrop"
+        [tracking]
+        kp = 50
+        kd = 2
+    """
+    read = problem_from_tables("mine", tomllib.loads(file))
+    assert not differences(built.planning, read)
+    assert built.planning.motion.start == pytest.approx(np.radians(-49.07))
+    assert built.name == "mine"
+
+
+@pytest.mark.parametrize("kind", ["periodic", "track"])
+def test_motions_that_repeat_are_built_about_their_reference(knee, kind):
+    problem = BUILDERS[kind](knee, reference=SINE)
+    assert problem.planning.motion.kind == kind
+    assert problem.planning.objective.name == "tracking"
+    assert problem.planning.motion.duration_s == pytest.approx(0.25)
+
+
+def test_a_slide_is_stated_in_metres():
+    pole = linkplan.load_mechanism("cart-pole")
+    problem = linkplan.Problem.reach(
+        pole, start_m={"cart": 0}, start_deg={"pole": 0}, goal_m={"cart": 1}, goal_deg={"pole": 180}, duration_s=2
+    )
+    assert problem.planning.motion.goal == pytest.approx([1.0, np.pi])
+
+
+def test_a_mechanism_is_assembled_as_it_is_asked(tmp_path):
+    payload = {"body": "crank", "mass_kg": 2.0, "com_m": np.array([0.0, 0.0, -0.1])}
+    knee = linkplan.load_mechanism("optimus-knee", home_deg={"O": 20.0}, independent=["O"], payload=payload)
+    assert np.degrees(knee.home[knee.joint_index("O")]) == pytest.approx(20.0)
+    assert knee.payload.mass_kg == 2.0
+    problem = linkplan.Problem.reach(knee, **REACH)
+    assert problem.to_dict()["mechanism"] == {
+        "model": "optimus-knee",
+        "home_deg": {"O": 20.0},
+        "independent": ["O"],
+        "payload": {"body": "crank", "mass_kg": 2.0, "com_m": [0.0, 0.0, -0.1]},
+    }
+    written = tmp_path / "problem.toml"
+    written.write_text(problem.to_toml(), encoding="utf-8")
+    assert linkplan.Problem.from_file(written).mechanism.fingerprint() == knee.fingerprint()
+
+
+def test_a_mechanism_of_mjcf_text_goes_into_the_file_with_its_lines(tmp_path):
+    problem = linkplan.Problem.reach(built_in_text("optimus-knee"), **REACH)
+    written = tmp_path / "problem.toml"
+    written.write_text(problem.to_toml(), encoding="utf-8")
+    assert written.read_text(encoding="utf-8").count("\n") > 50
+    again = linkplan.Problem.from_file(written)
+    assert again.mechanism.fingerprint() == problem.mechanism.fingerprint()
+
+
+def test_a_mechanism_from_a_path_is_found_again_from_elsewhere(tmp_path, monkeypatch):
+    (tmp_path / "mine.xml").write_text(built_in_text("optimus-knee"), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    problem = linkplan.Problem.reach(linkplan.load_mechanism("mine.xml"), **REACH)
+    (tmp_path / "else").mkdir()
+    monkeypatch.chdir(tmp_path / "else")
+    (tmp_path / "else" / "problem.toml").write_text(problem.to_toml(), encoding="utf-8")
+    assert linkplan.Problem.from_file("problem.toml").mechanism.fingerprint() == problem.mechanism.fingerprint()
+
+
+def test_a_varied_problem_keeps_the_rest_and_the_first_one(knee):
+    problem = linkplan.Problem.reach(knee, **REACH, limits={"effort": {"act_O": [-80, 80]}})
+    other = problem.replace(goal_deg={"O": 40.0}, minimize="effort_rate")
+    assert other.mechanism is knee
+    assert other.planning.motion.goal == pytest.approx(np.radians(40.0))
+    assert other.planning.objective.name == "effort_rate"
+    assert other.planning.limits.effort.tolist() == [[-80.0, 80.0]]
+    assert problem.planning.motion.goal == pytest.approx(np.radians(56.27))
+    assert other.replace(limits=None, minimize=None).planning.limits.effort.tolist() == [[-100.0, 100.0]]
+
+
+def test_a_payload_is_put_on_and_taken_off(knee):
+    problem = linkplan.Problem.reach(knee, **REACH)
+    loaded = problem.replace(payload="shank")
+    assert loaded.mechanism.payload.mass_kg == 4.0
+    assert loaded.with_settings({"mechanism.payload.mass_kg": 3.0}).mechanism.payload.mass_kg == 3.0
+    bare = loaded.replace(payload=None)
+    assert bare.mechanism.payload is None
+    assert bare.mechanism.fingerprint() == knee.fingerprint()
+
+
+def test_single_settings_stand_in_for_those_of_a_file():
+    problem = linkplan.Problem.from_file(
+        "knee-reach", {"motion.duration_s": np.float64(0.2), "limits.effort.act_O": (-90, 90)}
+    )
+    assert problem.planning.motion.duration_s == 0.2
+    assert problem.planning.limits.effort.tolist() == [[-90.0, 90.0]]
+
+
+# builder, arguments in place of those of a sound problem, and the same as a file's tables
+LATE = [{"at_deg": {"O": 0}, "time_s": 0.5}]
+WIDE = SINE | {"amplitude_deg": {"O": 200}}
+BAD = [
+    ("reach", {"start_deg": {"K": 1.0}}, ("motion", "start_deg", {"K": 1.0})),
+    ("reach", {"start_deg": {"O": math.nan}}, ("motion", "start_deg", {"O": math.nan})),
+    ("reach", {"start_deg": {"O": "left"}}, ("motion", "start_deg", {"O": "left"})),
+    ("reach", {"start_deg": {"O": True}}, ("motion", "start_deg", {"O": True})),
+    ("reach", {"start_deg": {"O": None}}, ("motion", "start_deg", {"O": None})),
+    ("reach", {"start_deg": 3.0}, ("motion", "start_deg", 3.0)),
+    ("reach", {"start_deg": {"O": -49.07, "A": 0.0}}, ("motion", "start_deg", {"O": -49.07, "A": 0.0})),
+    ("reach", {"start_m": {"O": 0.1}}, ("motion", "start_m", {"O": 0.1})),
+    ("reach", {"goal_speed_deg_s": {"A": 1.0}}, ("motion", "goal_speed_deg_s", {"A": 1.0})),
+    ("reach", {"duration_s": -1}, ("motion", "duration_s", -1)),
+    ("reach", {"duration_s": "soon"}, ("motion", "duration_s", "soon")),
+    ("reach", {"duration_s": math.inf}, ("motion", "duration_s", math.inf)),
+    ("reach", {"min_duration_s": 0.1}, ("motion", "min_duration_s", 0.1)),
+    ("reach", {"waypoints": {"at_deg": {"O": 0}}}, ("motion", "waypoints", {"at_deg": {"O": 0}})),
+    ("reach", {"waypoints": [{"at": {"O": 0}}]}, ("motion", "waypoints", [{"at": {"O": 0}}])),
+    ("reach", {"waypoints": LATE}, ("motion", "waypoints", LATE)),
+    ("reach", {"minimize": "beauty"}, ("objective", "minimize", "beauty")),
+    ("reach", {"minimize": {"effort": -1}}, ("objective", "minimize", {"effort": -1})),
+    ("reach", {"minimize": 3}, ("objective", "minimize", 3)),
+    ("reach", {"minimize": "time"}, ("objective", "minimize", "time")),
+    ("reach", {"limits": {"effort": {"act_X": [-1, 1]}}}, ("limits", "effort", {"act_X": [-1, 1]})),
+    ("reach", {"limits": {"effort": {"act_O": [1, -1]}}}, ("limits", "effort", {"act_O": [1, -1]})),
+    ("reach", {"limits": {"effort": {"act_O": 5}}}, ("limits", "effort", {"act_O": 5})),
+    ("reach", {"limits": {"torque": {"act_O": 5}}}, ("limits", "torque", {"act_O": 5})),
+    ("reach", {"limits": {"range_deg": {"A": [-170, 170]}}}, ("limits", "range_deg", {"A": [-170, 170]})),
+    ("reach", {"limits": 5}, ("limits", None, 5)),
+    ("reach", {"motors": {"act_O": {"torque_constant": 0.5}}}, ("motors", "act_O", {"torque_constant": 0.5})),
+    ("reach", {"guess": {"path_deg": {"O": [1.0]}}}, ("guess", "path_deg", {"O": [1.0]})),
+    ("reach", {"guess": {"plan": "nowhere/at/all"}}, ("guess", "plan", "nowhere/at/all")),
+    ("reach", {"mesh": {"scheme": "radau-12"}}, ("mesh", "scheme", "radau-12")),
+    ("reach", {"mesh": {"intervals": 2.5}}, ("mesh", "intervals", 2.5)),
+    ("reach", {"solver": {"starts": 0}}, ("solver", "starts", 0)),
+    ("reach", {"solver": {"compile": "allways"}}, ("solver", "compile", "allways")),
+    ("reach", {"tracking": {"kp": -1}}, ("tracking", "kp", -1)),
+    ("reach", {"tracking": {"lqr_position_deg": math.nan}}, ("tracking", "lqr_position_deg", math.nan)),
+    ("reach", {"goal_deg": {"O": 95.0}}, ("motion", "goal_deg", {"O": 95.0})),
+    ("periodic", {"reference": SINE | {"frequency_hz": 0}}, ("reference", None, SINE | {"frequency_hz": 0})),
+    ("periodic", {"reference": SINE | {"amplitude_deg": {"A": 3}}}, ("reference", None, SINE | {"amplitude_deg": {"A": 3}})),
+    ("periodic", {"reference": SINE, "duration_s": 0.3}, ("motion", "duration_s", 0.3)),
+    ("track", {"reference": None}, ("reference", None, {})),
+    ("track", {"reference": WIDE}, ("reference", None, WIDE)),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "argument", "in_file"), BAD, ids=lambda value: str(value)[:50])
+def test_a_builder_refuses_in_the_words_in_which_a_file_is_refused(knee, kind, argument, in_file):
+    sound = REACH if kind == "reach" else {"reference": SINE}
+    tables = {"mechanism": {"model": "optimus-knee"}, "motion": {"kind": kind}}
+    if kind == "reach":
+        tables["motion"] |= REACH
+    else:
+        tables["reference"] = dict(SINE)
+    section, key, value = in_file
+    if key is None:
+        tables[section] = value
+    else:
+        tables.setdefault(section, {})[key] = value
+    with pytest.raises(LinkplanError) as from_file:
+        start_pose_of(problem_from_tables("mine", tables))
+    with pytest.raises(type(from_file.value)) as built:
+        BUILDERS[kind](knee, **(sound | argument), name="mine")
+    assert str(built.value) == str(from_file.value)
+    assert "\n" not in str(built.value)
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "words"),
+    [
+        (lambda: linkplan.load_mechanism("optimus-kne"), ModelError, "did you mean 'optimus-knee'"),
+        (lambda: linkplan.load_mechanism(5), ProblemError, "mechanism.model is a built-in name or a path"),
+        (lambda: linkplan.load_mechanism("optimus-knee", payload="shin"), ModelError, "shank"),
+        (lambda: linkplan.load_mechanism("optimus-knee", payload=4), ModelError, "payload is a built-in name"),
+        (lambda: linkplan.load_mechanism("optimus-knee", home_deg={"O": "up"}), ProblemError, "mechanism.home_deg.O"),
+        (lambda: linkplan.load_mechanism("optimus-knee", home_deg=7), ProblemError, "mechanism.home_deg is a table"),
+        (lambda: linkplan.load_mechanism("optimus-knee", home_deg={"O": 85}), AssemblyError, "does not close"),
+        (lambda: linkplan.load_mechanism("optimus-knee", home_m={"O": 0.1}), ProblemError, "mechanism.home_deg, not home_m"),
+        (lambda: linkplan.load_mechanism("optimus-knee", independent="O"), ModelError, "list of joint names"),
+        (lambda: linkplan.load_mechanism("optimus-knee", independent=["K"]), ModelError, "joints are O, A, C"),
+        (lambda: linkplan.load_mechanism("<mujoco><worldbody>"), ModelError, "does not parse"),
+        (lambda: linkplan.Problem(planning=3), ProblemError, "Problem.reach, .periodic, .track or .from_file"),
+        (lambda: linkplan.Problem.reach("optimus-knee", **REACH, name=""), ProblemError, "name is a word"),
+        (lambda: linkplan.Problem.reach(None, **REACH), ProblemError, "mechanism.model"),
+        (lambda: linkplan.Problem.from_file("knee-reech"), ProblemError, "did you mean 'knee-reach'"),
+        (lambda: linkplan.Problem.from_file("knee-reach", {"duration_s": 1}), ProblemError, "section.key=value"),
+        (lambda: linkplan.Problem.from_file("knee-reach", {"motion.kind.of": 1}), ProblemError, "a value, not a table"),
+        (lambda: linkplan.Problem.from_file("knee-reach", {"motion.goal": 1}), ProblemError, "unknown key 'motion.goal'"),
+        (lambda: linkplan.Problem.from_file("knee-reach", ["a=1"]), ProblemError, "settings are a table"),
+        (lambda: linkplan.Problem.from_file("knee-reach").replace(goal=1), ProblemError, "unknown argument 'goal'"),
+        (lambda: linkplan.Problem.from_file("knee-reach").replace(payload="shin"), ModelError, "shank"),
+        (lambda: linkplan.Problem.from_file("knee-reach").replace(duration_s=-1), ProblemError, "motion.duration_s"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_sense_is_refused_in_one_sentence(make, error, words):
+    with pytest.raises(error) as refused:
+        make()
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)

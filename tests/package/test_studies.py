@@ -1,0 +1,219 @@
+"""The studies' doors: `check`, `track`, `compare`, `bode`, `tune`, and trackers of one's own."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import linkplan
+from linkplan.controllers.trackers.pd import pd
+from linkplan.models.errors import LinkplanError, ProblemError
+
+COARSE = {"period_s": 1e-3}
+
+
+@dataclass(frozen=True)
+class Stiff:
+    """PD about the needed effort, on a mechanism of one degree of freedom."""
+
+    reference: object
+    kp: float = 200.0
+    kd: float = 1.0
+    name: str = "stiff"
+
+    def effort(self, k, position, velocity):
+        reference = self.reference
+        return (
+            reference.effort[k] + self.kp * (reference.position[k] - position) + self.kd * (reference.velocity[k] - velocity)
+        )
+
+
+@dataclass(frozen=True)
+class Idle:
+    """A law that does nothing."""
+
+    name: str = "idle"
+    value: object = (0.0,)
+
+    def effort(self, k, position, velocity):  # noqa: ARG002
+        return self.value
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return linkplan.Problem.from_file("knee-reach", {"tracking.period_s": 1e-3, "tracking.kp": 200.0, "tracking.kd": 1.0})
+
+
+@pytest.fixture(scope="module")
+def plan(problem):
+    return linkplan.plan(problem).require()
+
+
+@pytest.fixture(scope="module")
+def compared(plan):
+    return linkplan.compare(plan, ["pd", "lqr", Stiff, Idle()])
+
+
+def test_ones_own_tracker_runs_as_the_built_in_one_of_the_same_law(plan):
+    mine = linkplan.track(plan, lambda reference: pd(plan.problem.mechanism, reference, 200.0, 1.0))
+    known = linkplan.track(plan, "pd")
+    assert np.array_equal(mine.runs["pd"].applied, known.runs["pd"].applied)
+    assert known.to_dict()["trackers"]["pd"]["rms_error_deg"] > 1e-3
+
+
+def test_trackers_of_ones_own_stand_beside_the_built_in_ones(compared):
+    assert list(compared.runs) == list(compared.mismatched) == ["pd", "lqr", "stiff", "idle"]
+    errors = {name: of["rms_error_deg"] for name, of in compared.to_dict()["trackers"].items()}
+    assert errors["stiff"] < errors["pd"] < errors["idle"]
+    assert "stiff" in str(compared)
+    json.dumps(compared.to_dict(), allow_nan=False)
+
+
+def test_every_tracker_has_a_colour_of_its_own(compared, tmp_path):
+    figure = compared.plot(tmp_path / "compared.png")
+    assert isinstance(figure, Figure)
+    assert (tmp_path / "compared.png").is_file()
+    drawn = [line.get_color() for line in figure.axes[0].lines if line.get_label() in compared.runs]
+    assert len(drawn) == len(set(drawn)) == 4
+
+
+def test_a_tracker_object_is_taken_as_it_is(plan):
+    run = linkplan.track(plan, Idle()).runs["idle"]
+    assert np.all(run.commanded == 0.0)
+
+
+def test_tracking_settings_stand_in_for_the_problems(plan):
+    soft = linkplan.track(plan, "pd", tracking={"kp": 20.0}).to_dict()
+    own = linkplan.track(plan, "pd").to_dict()
+    assert soft["gains"]["kp"] == 20.0
+    assert own["gains"]["kp"] == 200.0
+    assert soft["trackers"]["pd"]["rms_error_deg"] > own["trackers"]["pd"]["rms_error_deg"]
+
+
+def test_a_mismatch_is_named(plan):
+    result = linkplan.track(plan, "lqr", mass_factor=1.2, delay_periods=1)
+    assert "payload +20 %, 1 control period of delay" in str(result)
+    assert not linkplan.compare(plan, ["lqr"], mass_factor=1, delay_periods=0).mismatched
+
+
+class Nameless:
+    def effort(self, k, position, velocity):  # noqa: ARG002
+        return [0.0]
+
+
+@pytest.mark.parametrize(
+    ("use", "words"),
+    [
+        (lambda plan: linkplan.track(plan, "mpc"), "unknown tracker 'mpc'; legal: pd, pd+ff, lqr"),
+        (lambda plan: linkplan.track(plan, 7), "a tracker is one of pd, pd+ff, lqr, an object with a name and effort"),
+        (lambda plan: linkplan.track(plan, lambda reference: None), "returns an object with a name and effort"),  # noqa: ARG005
+        (lambda plan: linkplan.track(plan, Nameless()), "a tracker's name is a word"),
+        (lambda plan: linkplan.track(plan, Idle(value=[0.0, 0.0])), "shape (1,), got shape (2,)"),
+        (lambda plan: linkplan.track(plan, Idle(value=0.0)), "(act_O), shape (1,), got shape ()"),
+        (lambda plan: linkplan.track(plan, Idle(value="much")), "tracker 'idle' gives an array of one effort"),
+        (lambda plan: linkplan.track(plan, Idle(value=None)), "shape (1,)"),
+        (lambda plan: linkplan.track(plan, mass_factor=0), "mass_factor is a positive number, got 0"),
+        (lambda plan: linkplan.track(plan, delay_periods=0.5), "delay_periods is a whole number from 0 to 1000"),
+        (lambda plan: linkplan.track(plan, tracking={"kq": 1}), "unknown key 'tracking.kq'"),
+        (lambda plan: linkplan.track(plan, tracking={"kp": "much"}), "tracking.kp is a number of at least 0"),
+        (lambda plan: linkplan.track(plan, tracking=3), "tracking is a table"),
+        (lambda plan: linkplan.track(plan.problem), "what is tracked is a Plan"),
+        (lambda plan: linkplan.compare(plan, "lqr"), "trackers are a list"),
+        (lambda plan: linkplan.compare(plan, []), "got none"),
+        (lambda plan: linkplan.compare(plan, ["lqr", "lqr"]), "names of their own, got lqr, lqr"),
+    ],
+)
+def test_what_cannot_be_tracked_is_refused_in_one_sentence(plan, use, words):
+    with pytest.raises(LinkplanError) as refused:
+        use(plan)
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("subject", ["optimus-knee", "knee-reach"])
+def test_a_check_has_findings_text_record_and_figure(subject, tmp_path):
+    found = linkplan.check(subject, at_deg=[{"O": 10}])
+    assert found.problems == ()
+    assert found.to_dict()["points"][0]["q_deg"]["O"] == pytest.approx(10.0)
+    assert str(found).startswith("optimus-knee: 1 degree of freedom")
+    assert isinstance(found.plot(tmp_path / "knee.png"), Figure)
+    json.dumps(found.to_dict(), allow_nan=False)
+
+
+def test_a_check_names_what_is_wrong():
+    assert any("stands open by" in sentence for sentence in linkplan.check("optimus-knee-source").problems)
+
+
+@pytest.mark.slow
+def test_a_loops_response_is_measured_and_drawn(problem, tmp_path):
+    told = []
+    result = linkplan.bode(
+        problem,
+        tracking={"delay_periods": 0.5},
+        at_deg={"O": 10.0},
+        frequency_hz=(20.0, 100.0),
+        progress=told.append,
+    )
+    assert result.stable
+    assert result.message.startswith("stable at all 1 poses: kp = 200, kd = 1 sampled every 0.001 s with a delay of 0.5")
+    loop = result.to_dict()["points"][0]["loops"]["pd"]
+    assert loop["measured"]["complementary"]["frequency_hz"] == pytest.approx([20.0, 100.0], rel=0.01)
+    assert np.abs(loop["measured"]["complementary"]["less_predicted_db"]).max() < 0.1
+    assert isinstance(result.plot(tmp_path / "bode.png"), Figure)
+    assert "PM [deg]" in str(result)
+    assert told
+
+
+@pytest.mark.slow
+def test_gains_that_were_found_are_a_problems_tracking(problem):
+    result = linkplan.tune(problem, bandwidth_hz=20.0)
+    assert result.found
+    assert set(result.tracking) == {"kp", "kd", "period_s"}
+    loop = linkplan.bode(problem.replace(tracking=result.tracking), measure=None)
+    points = [point["loops"]["pd"] for point in loop.to_dict()["points"]]
+    assert len(points) == 5
+    assert min(point["bandwidth_hz"] for point in points) >= 20.0
+    assert min(point["phase_margin_deg"] for point in points) >= 60.0
+    assert isinstance(result.plot(), Figure)
+    assert "at the joint: kp" in str(result)
+
+
+@pytest.mark.parametrize(
+    ("use", "words"),
+    [
+        (lambda: linkplan.check(5), "a mechanism, a Problem, or the name or path of either, got 5"),
+        (lambda: linkplan.check("optimus-nee"), "did you mean 'optimus-knee'"),
+        (lambda: linkplan.check("no/such.toml"), "no/such.toml"),
+        (lambda: linkplan.check("optimus-knee", at_deg=[{"O": 120}]), "the pose asked for is beyond reach"),
+        (lambda: linkplan.check("optimus-knee", at_deg=[{"A": 1}]), "a pose names independent joints (O); A follows"),
+        (lambda: linkplan.check("optimus-knee", at_deg=[{"Q": 1}]), "joints are O, A, C"),
+        (lambda: linkplan.check("optimus-knee", at_deg=[{"O": np.nan}]), "poses[0] of joint O is a number, got nan"),
+        (lambda: linkplan.check("optimus-knee", at_deg=[3]), "at_deg is a list of poses"),
+        (lambda: linkplan.check("optimus-knee", at_m=[{"O": 0.1}]), "use poses[0].at_deg, not at_m"),
+        (lambda: linkplan.bode("optimus-knee", at_deg=[{"A": 1}]), "a pose names the independent joint O; A follows"),
+        (lambda: linkplan.bode("optimus-knee", tracker="mpc"), "legal: pd, pd+ff, lqr"),
+        (lambda: linkplan.bode("optimus-knee", measure="hammer"), "sinestream, multisine, chirp"),
+        (lambda: linkplan.bode("optimus-knee", frequency_hz=[1, 6000]), "Nyquist"),
+        (lambda: linkplan.bode("optimus-knee", frequency_hz=["1"]), "frequency_hz is a positive number, got '1'"),
+        (lambda: linkplan.bode("optimus-knee", amplitude_deg=0), "amplitude_deg is a positive number, got 0"),
+        (lambda: linkplan.bode("optimus-knee", tracking={"kp": 0, "kd": 0}), "there is no loop to look at"),
+        (lambda: linkplan.bode("optimus-knee", tracking={"delay_periods": -1}), "tracking.delay_periods"),
+        (lambda: linkplan.bode("cart-pole"), "one actuator for every degree of freedom"),
+        (lambda: linkplan.tune("optimus-knee", bandwidth_hz=-5), "bandwidth_hz is a positive number, got -5"),
+        (lambda: linkplan.tune("optimus-knee", bandwidth_hz=10, phase_margin_deg=200), "0 to 180"),
+        (lambda: linkplan.tune("optimus-knee", bandwidth_hz=6000), "Nyquist"),
+        (lambda: linkplan.tune("five-bar", bandwidth_hz=5), "one degree of freedom; 'five-bar' has 2"),
+    ],
+)
+def test_a_study_refuses_in_one_sentence(use, words):
+    with pytest.raises(LinkplanError) as refused:
+        use()
+    assert words in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_the_protocol_is_what_a_tracker_is():
+    assert {"name", "effort"} <= set(dir(linkplan.Tracker))
+    assert issubclass(ProblemError, linkplan.LinkplanError)
