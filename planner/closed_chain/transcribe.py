@@ -14,7 +14,7 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.tightening import Inset
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with
-from linkplan.planner.transcription.formulation import Start
+from linkplan.planner.transcription.formulation import Formulation, Start
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import scheme
 
@@ -119,9 +119,19 @@ def renumbered(transcribed: Transcribed, problem: PlanningProblem, x: np.ndarray
         problem: whose numbers to take.
         x: unknowns to start from, as a rule the last solution; a fixed duration is the new problem's.
     """
-    positions = bool(transcribed.formulation.rows.position_columns)
-    again = renumbered_with(transcribed, formulate(problem, transcribed.origin.scales, position_rows=positions), x)
+    again = renumbered_with(transcribed, _with_numbers_of(problem, transcribed), x)
     return replace(again, origin=replace(transcribed.origin, mechanism=problem.mechanism))
+
+
+def is_program_of(transcribed: Transcribed, problem: PlanningProblem) -> bool:
+    """Return whether a program has the rows that a problem asks for: one that was solved with another limit has more."""
+    own, asked = transcribed.formulation, _with_numbers_of(problem, transcribed)
+    return repr(own.rows) == repr(asked.rows) and own.path.shape == asked.path.shape and len(own.knots) == len(asked.knots)
+
+
+def _with_numbers_of(problem: PlanningProblem, transcribed: Transcribed) -> Formulation:
+    positions = bool(transcribed.formulation.rows.position_columns)
+    return formulate(problem, transcribed.origin.scales, position_rows=positions)
 
 
 def _start(problem: PlanningProblem, guess: Guess, scales: Scales, n_z: int) -> Start:
