@@ -1,4 +1,4 @@
-"""Integration under a plan's efforts, interval by interval: begun anew at each interval's end, where efforts may jump."""
+"""Integration under a plan's efforts, interval by interval: restarted at each interval's end, where efforts may jump."""
 
 import itertools
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ Rate = Callable[[float, np.ndarray], np.ndarray]
 
 
 class _CrawlsError(Exception):
-    """Integration of an interval needs more evaluations than any motion that is one."""
+    """Integration of an interval needs more evaluations than any feasible motion does."""
 
 
 def flow(rate: Rate, width_s: float, state: np.ndarray, looks: np.ndarray) -> np.ndarray | None:
