@@ -22,7 +22,7 @@ from linkplan.planner.closed_chain.transcribe import is_program_of, renumbered, 
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.free_duration import held_by_guess
+from linkplan.planner.refinement.free_duration import bounded_by_guess
 from linkplan.planner.refinement.history import Say, Step, silent
 from linkplan.planner.search.presolve import plain_contradiction, start_pose_of
 from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
@@ -109,12 +109,12 @@ class Planner:
 def _held_back(problem: PlanningProblem, solution: Solution) -> bool:
     """Return whether the last motion is in the new one's way.
 
-    A duration would be longer than its guess allows, or a cut have moved further than it may: its segments are then not the
-    new motion's.
+    A duration would be longer than its guess allows, or a switch time have moved further than it may: its segments are then
+    not the new motion's.
     """
     motion, transcribed = problem.motion, solution.transcribed
     shortest, longest = motion.min_duration_s or 0.0, motion.max_duration_s or np.inf
-    if motion.duration_s is None and held_by_guess(solution, shortest, longest) is not None:
+    if motion.duration_s is None and bounded_by_guess(solution, shortest, longest) is not None:
         return True
     place = transcribed.program.layout.durations()
     if len(place) == 1:

@@ -17,7 +17,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import LQR_ERRORS, Tracking
-from linkplan.studies.frequency.loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain
+from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.stability_map import effort_map

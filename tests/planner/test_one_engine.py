@@ -10,15 +10,15 @@ import pytest
 from linkplan.planner.certificate.boundary import exactly, missed
 from linkplan.planner.certificate.flow import flow, flows
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
-from linkplan.planner.closed_chain.guess import bent_guesses, first_guess
+from linkplan.planner.closed_chain.guess import first_guess, perturbed_guesses
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.formulation import straight_guess
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.starts import bent
-from linkplan.planner.refinement.bends import bend
+from linkplan.planner.ode.starts import perturbed
 from linkplan.planner.refinement.case import Case
-from linkplan.planner.refinement.free_duration import LONGER, SHORTER, held_by_guess
+from linkplan.planner.refinement.free_duration import LONGER, SHORTER, bounded_by_guess
+from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME, SUCCEEDED, why_stopped
 from linkplan.planner.transcription.mesh import Mesh, uniform
@@ -42,8 +42,8 @@ def test_a_case_is_small_and_both_clients_are_one():
 
 def test_what_a_case_aims_at_follows_from_its_objective():
     quick, cheap = case_of(load_problem("knee-sprint")).aims, case_of(load_problem("knee-reach")).aims
-    assert (quick.switches, quick.bangs, quick.ramps) == (True, True, False)
-    assert (cheap.switches, cheap.bangs, cheap.ramps) == (True, False, True)
+    assert (quick.switches, quick.bangs, quick.continuous_efforts) == (True, True, False)
+    assert (cheap.switches, cheap.bangs, cheap.continuous_efforts) == (True, False, True)
     assert not case_of(load_problem("knee-reach"), bends=False).aims.switches
     asked = case_of(load_problem("knee-reach", ["mesh.tolerance_deg=1e-4"])).aims
     assert asked.tolerance_given
@@ -55,36 +55,38 @@ def test_what_a_case_aims_at_follows_from_its_objective():
 
 def test_a_bend_leaves_the_ends_where_they_are_and_is_the_same_in_every_run():
     span = np.array([1.0, 3.0])
-    once, again = bend(7, TAU, span), bend(7, TAU, span)
+    once, again = perturbation(7, TAU, span), perturbation(7, TAU, span)
     np.testing.assert_array_equal(once.offset, again.offset)
     np.testing.assert_allclose(once.offset[[0, -1]], 0.0, atol=UNIT)
     assert np.all(np.abs(once.offset).max(axis=0) > 0.01 * span)
-    assert not np.allclose(once.offset, bend(8, TAU, span).offset)
+    assert not np.allclose(once.offset, perturbation(8, TAU, span).offset)
     assert 0.5 <= once.stretch <= 2.0
 
 
 def test_a_bend_is_as_large_as_the_motion_it_bends():
-    np.testing.assert_allclose(bend(2, TAU, np.array([4.0])).offset, 4.0 * bend(2, TAU, np.array([1.0])).offset, rtol=1e-12)
-    small, large = (np.abs(bend(number, TAU, np.ones(50)).offset).max() for number in (3, 40))
+    np.testing.assert_allclose(
+        perturbation(2, TAU, np.array([4.0])).offset, 4.0 * perturbation(2, TAU, np.array([1.0])).offset, rtol=1e-12
+    )
+    small, large = (np.abs(perturbation(number, TAU, np.ones(50)).offset).max() for number in (3, 40))
     assert large > 3 * small
 
 
 def test_mechanisms_and_differential_equations_are_bent_alike():
     problem = load_problem("knee-reach")
     pose = start_pose_of(problem)
-    base, (_, guess) = first_guess(problem, pose), next(iter(bent_guesses(problem, pose)))
+    base, (_, guess) = first_guess(problem, pose), next(iter(perturbed_guesses(problem, pose)))
     times = np.linspace(0.0, base.duration_s, 121)
     offset = guess.position(times) - base.position(times)
     span = np.ptp(base.position(times), axis=0)
-    np.testing.assert_allclose(offset, bend(1, times / base.duration_s, span).offset, atol=1e-12)
+    np.testing.assert_allclose(offset, perturbation(1, times / base.duration_s, span).offset, atol=1e-12)
     ode = OdeProblem(
         name="an integrator", rate=lambda x, u, p, t: u, start=[0.0], goal=[1.0], effort_limit=[[-9, 9]],  # noqa: ARG005
         duration_s=(0.1, 100.0), running_cost=lambda x, u, p, t: u[0] ** 2,  # noqa: ARG005
     )  # fmt: skip
     straight = straight_guess(ode)
-    _, second = bent(ode, [straight], 2)
-    np.testing.assert_allclose(second.state[:, 0] - TAU, bend(1, TAU, np.ones(1)).offset[:, 0], atol=1e-12)
-    assert second.duration_s == pytest.approx(straight.duration_s * bend(1, TAU, np.ones(1)).stretch)
+    _, second = perturbed(ode, [straight], 2)
+    np.testing.assert_allclose(second.state[:, 0] - TAU, perturbation(1, TAU, np.ones(1)).offset[:, 0], atol=1e-12)
+    assert second.duration_s == pytest.approx(straight.duration_s * perturbation(1, TAU, np.ones(1)).stretch)
 
 
 # Free durations.
@@ -116,15 +118,15 @@ def solution(durations, mesh: Mesh | None = None, fixed: bool = False):
     ],
 )
 def test_a_duration_that_its_guess_held_is_told_from_one_that_the_user_did(duration, bounds, said):
-    assert held_by_guess(solution([duration]), *bounds) == said
+    assert bounded_by_guess(solution([duration]), *bounds) == said
 
 
 def test_legs_to_given_instants_and_switch_times_hold_no_duration():
-    assert held_by_guess(solution([2.0], fixed=True), 0.0, np.inf) is None
-    cut = Mesh(fraction=np.array([0.5, 0.5, 1.0]), segment=np.array([0, 0, 1]), leg=np.array([0, 0]))
-    legs = Mesh(fraction=np.array([0.5, 0.5, 1.0]), segment=np.array([0, 0, 1]), leg=np.array([0, 1]))
-    assert held_by_guess(solution([99.9, 1.0], cut), 0.0, np.inf) is None
-    assert held_by_guess(solution([99.9, 1.0], legs), 0.0, np.inf) == LONGER
+    assert bounded_by_guess(solution([2.0], fixed=True), 0.0, np.inf) is None
+    cut = Mesh(fraction=np.array([0.5, 0.5, 1.0]), segment=np.array([0, 0, 1]), phase=np.array([0, 0]))
+    legs = Mesh(fraction=np.array([0.5, 0.5, 1.0]), segment=np.array([0, 0, 1]), phase=np.array([0, 1]))
+    assert bounded_by_guess(solution([99.9, 1.0], cut), 0.0, np.inf) is None
+    assert bounded_by_guess(solution([99.9, 1.0], legs), 0.0, np.inf) == LONGER
 
 
 # Polynomials, integration, ends, words.
