@@ -22,7 +22,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
 
 
-class BatchLoop:
+class BatchControlLoop:
     """Closed loops in MuJoCo. Mutable: every `run` advances the simulations named by some control periods.
 
     Args:

@@ -29,7 +29,7 @@ _FEWEST_SWINGS = 6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Loop:
+class ControlLoop:
     """The feedback loop's properties between a tracker and the mechanism.
 
     `effort_limit` (n_u, 2) [N.m or N] saturates; `delay_periods` whole control periods pass before a command acts;
@@ -103,7 +103,7 @@ def scaled_model(mechanism: Mechanism, factor: float) -> mujoco.MjModel:
     return model
 
 
-def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loop: Loop) -> Rollout:
+def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loop: ControlLoop) -> Rollout:
     """Return the log of a tracker run in MuJoCo over the whole reference."""
     model = scaled_model(mechanism, loop.mass_factor)
     substeps = max(1, int(np.ceil(reference.period_s / model.opt.timestep - 1e-9)))
@@ -213,7 +213,7 @@ def run_as_it_stands(
     )
 
 
-def conditions(mechanism: Mechanism, model: mujoco.MjModel, reference: SampledReference, loop: Loop) -> dict:
+def conditions(mechanism: Mechanism, model: mujoco.MjModel, reference: SampledReference, loop: ControlLoop) -> dict:
     """Return what a result depends on beside the tracker: versions, steps, integrator, softness, delay, masses."""
     active = [index for index in range(model.neq) if model.eq_active0[index]]
     return {

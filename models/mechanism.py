@@ -14,9 +14,9 @@ import numpy as np
 from linkplan.models.actuation.actuators import Actuator, effort_matrix, read_actuators
 from linkplan.models.actuation.transmission import TRN_TENDON
 from linkplan.models.closure.equations import Closure, read_closures
-from linkplan.models.closure.initial_assembly import asked_home, assemble_home, poses_about, refuse_singular_home
-from linkplan.models.closure.newton import Loop
-from linkplan.models.closure.passive_freedom import idle_freedoms
+from linkplan.models.closure.initial_assembly import assemble, home_positions, poses_about, refuse_singular_assembly
+from linkplan.models.closure.newton import KinematicLoop
+from linkplan.models.closure.passive_freedom import find_passive_dofs
 from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank, weak_rank
 from linkplan.models.errors import AssemblyError, ModelError
 from linkplan.models.library import compile_model
@@ -41,9 +41,9 @@ class Mechanism:
 
     Its coordinates q (n_q,) are internal ones, see `models.tree.coordinates`; `independent` and `dependent` are indices into
     them. `home` (n_q,) closes the loops; `home_gap_m` is how far they stood open at the model's own reference pose, before
-    assembly. `idle` are passive degrees of freedom: coordinates that can move alone while all other bodies rest and that no
-    actuator drives, as a rod between two ball joints spins; `notes` are sentences on what is worth knowing of the assembly.
-    `source` is what it was loaded from, as the [mechanism] table of a problem file.
+    assembly. `passive_dofs` are passive degrees of freedom: coordinates that can move alone while all other bodies rest and
+    that no actuator drives, as a rod between two ball joints spins; `notes` are sentences on what is worth knowing of the
+    assembly. `source` is what it was loaded from, as the [mechanism] table of a problem file.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Mechanism:
     extent_m: float  # of what moves: a length to compare lengths with
     dynamics: ReducedDynamics
     coordinates: Coordinates
-    idle: tuple[int, ...]
+    passive_dofs: tuple[int, ...]
     notes: tuple[str, ...]
     source: Mapping[str, object]
 
@@ -206,13 +206,13 @@ def load_mechanism(
     closures = read_closures(model, tree)
     actuators = read_actuators(model)
     phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
-    loop = Loop(
+    loop = KinematicLoop(
         function=ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(ca.jacobian(phi, tree.q))]),
         rows=tuple(closure.rows for closure in closures),
     )
 
     reference = tree.coordinates.q_of(reference_qpos)
-    pose = assemble_home(name, joints, loop, reference, asked_home(name, joints, home))
+    pose = assemble(name, joints, loop, reference, home_positions(name, joints, home))
     _refuse_beyond_charts(name, tree.coordinates, pose)
     extent = extent_m(model)
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])  # what counts as a radian
@@ -229,12 +229,12 @@ def load_mechanism(
     named = _named(name, joints, independent, len(joints) - rank)
     dependent = _choose_dependent(joints, model, jacobians[0][rows], rank, actuators, named)
     free = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
-    refuse_singular_home(name, joints, loop, pose, rank, free, extent, about)
+    refuse_singular_assembly(name, joints, loop, pose, rank, free, extent, about)
     B = effort_matrix(model, tree, actuators)
     dynamics = reduce_tree(tree, closures, B, rows, free, dependent)
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian) == rank]
     weight = ca.Function("weight", [tree.q], [tree.gravity])
-    idle, notes = idle_freedoms(
+    passive_dofs, notes = find_passive_dofs(
         model,
         [jacobian / unit for jacobian in ordinary],
         [np.array(dynamics.effort_matrix(q)).reshape(len(joints), -1) for q in poses],
@@ -260,7 +260,7 @@ def load_mechanism(
         extent_m=extent,
         dynamics=dynamics,
         coordinates=tree.coordinates,
-        idle=idle,
+        passive_dofs=passive_dofs,
         notes=tuple(notes),
         source=_table_of(source, payload, home, independent, joints),
     )

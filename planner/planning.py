@@ -49,7 +49,7 @@ RUNGS: tuple[Rung, ...] = (
         budget=PATIENT,
     ),
     Rung(
-        name="the phase plane, its switches held",
+        name="the phase plane, its bang efforts fixed",
         tried=lambda search: _one_start(search) and search.quickest is not None and not starts.no_time(search),
         climb=starts.from_the_phase_plane,
         budget=HURRIED,
@@ -61,14 +61,14 @@ RUNGS: tuple[Rung, ...] = (
         budget=HURRIED,
     ),
     Rung(
-        name="random bends",  # what a fixed duration forbids, other starts forbid too
+        name="perturbed guesses",  # what a fixed duration forbids, other starts forbid too
         tried=lambda search: (
             _one_start(search)
             and not search.missed
             and search.problem.motion.duration_s is None
             and not starts.no_time(search)
         ),
-        climb=starts.from_random_bends,
+        climb=starts.from_perturbed_guesses,
         budget=HURRIED,
     ),
     Rung(
@@ -84,7 +84,7 @@ RUNGS: tuple[Rung, ...] = (
             and all(attempts.unsound(plan) for plan in search.plans[:1])
             and not search.only_time_counts
             and starts.enough_time(search)
-            and search.quickest.knots_s is None
+            and search.quickest.boundaries_s is None
         ),
         climb=duration_continuation.from_lengthening,
         budget=PATIENT,
@@ -116,8 +116,8 @@ RUNGS: tuple[Rung, ...] = (
 REPAIRS: tuple[Repair, ...] = (
     Repair(
         name="without phase boundaries where efforts bend",
-        tried=lambda _search, problem, plan: attempts.unsound(plan) and attempts.lost_at_bends(problem),
-        mend=attempts.without_bends,
+        tried=lambda _search, problem, plan: attempts.unsound(plan) and attempts.lost_at_kinks(problem),
+        mend=attempts.without_kinks,
     ),
     Repair(
         name="finer meshes begun next to the coarser one's answer",

@@ -6,7 +6,8 @@
 
 Payload, boundary states, waypoints, limits, durations, references and weights are numbers of a program and cost no building.
 Where a problem is of another structure (mechanism, kind, terms of the objective, mesh, which limits are finite), or
-where the warm solve does not lead to a motion that its certificate passes, it is planned from the beginning.
+where the warm solve does not lead to a plan that is optimal, judged as any other (certificate, contacts, tolerance), it is
+planned from the beginning.
 """
 
 from dataclasses import replace
@@ -17,10 +18,11 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.answer import finished
-from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of
+from linkplan.planner.closed_chain.transcribe import is_program_of, renumbered, trajectory_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.free_duration import bounded_by_guess
 from linkplan.planner.refinement.history import Say, Step, silent
 from linkplan.planner.search.presolve import plain_contradiction, start_pose_of
 from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
@@ -65,7 +67,7 @@ class Planner:
         if self._last is None or self._solver is None or structure(problem) != self._key:
             return None
         solution = run_solver(self._solver, renumbered(self._last, problem, self._last.start))
-        return solution if solution.converged and not _at_the_end_of_its_room(solution) else None
+        return solution if solution.converged and not _held_back(problem, solution) else None
 
     def _certified(self, problem: PlanningProblem, solution: Solution) -> Plan | None:
         """Return the plan of a warm solution, or None where it is to be planned from the beginning."""
@@ -76,8 +78,6 @@ class Planner:
             trajectory = trajectory_of(solution.transcribed, solution.x, problem.limits.effort)
             certificate = certify(problem, trajectory)
         except AssemblyError:
-            return None
-        if not certificate.passed:
             return None
         step = Step(
             what="solved again",
@@ -91,20 +91,31 @@ class Planner:
             build_s=solution.transcribed.build_s,
             solve_s=solution.solve_s,
         )
-        self._last = replace(solution.transcribed, start=solution.x)
         plan = finished(problem, trajectory, certificate, solution.objective, [step], None)
-        return plan if plan.status == "optimal" else None
+        if plan.status != "optimal":
+            return None
+        self._last = replace(solution.transcribed, start=solution.x)
+        return plan
 
     def _keep(self, problem: PlanningProblem, solved: Transcribed) -> None:
+        if not is_program_of(solved, problem):
+            return  # a motion kept clear of what was not asked for, say
         self._last, self._key = solved, structure(problem)
         if solved.program is not self._program:
             self._program = solved.program
             self._solver = build_solver(solved.program, problem.solver, warm=True)
 
 
-def _at_the_end_of_its_room(solution: Solution) -> bool:
-    """Return whether a cut would have moved further than it may: its segments are then not the new motion's."""
-    transcribed = solution.transcribed
+def _held_back(problem: PlanningProblem, solution: Solution) -> bool:
+    """Return whether the last motion is in the new one's way.
+
+    A duration would be longer than its guess allows, or a switch time have moved further than it may: its segments are then
+    not the new motion's.
+    """
+    motion, transcribed = problem.motion, solution.transcribed
+    shortest, longest = motion.min_duration_s or 0.0, motion.max_duration_s or np.inf
+    if motion.duration_s is None and bounded_by_guess(solution, shortest, longest) is not None:
+        return True
     place = transcribed.program.layout.durations()
     if len(place) == 1:
         return False

@@ -85,7 +85,7 @@ def lqr(
     n_s = mechanism.dof
     A, B = linearise(mechanism, reference.pose, reference.velocity, reference.effort)
     # A passive degree of freedom, as a rod's spin between two balls, cannot be controlled: it stays out of the state.
-    steered = np.array([int(i) not in mechanism.idle for i in mechanism.independent])
+    steered = np.array([int(i) not in mechanism.passive_dofs for i in mechanism.independent])
     kept = np.flatnonzero(np.tile(steered, 2))
     A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
     errors = [np.broadcast_to(weight, steered.shape)[steered] for weight in (position_weight, velocity_weight)]

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from linkplan.models.closure import newton
-from linkplan.models.closure.newton import Loop
+from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.rank import numerical_rank
 from linkplan.models.errors import AssemblyError, ModelError
 from linkplan.models.tree.joints import Joint, index_of, where
@@ -19,11 +19,11 @@ _FARTHEST = 1e3
 # the longer opens the loop, next to an end of the reach.
 _HOME_STEPS = (0.02, 0.002)
 # Poses sampled about home, and how far away they are [rad; on a slide, of the model's extent].
-_LOOKS = 4
-_LOOK_STEP = 0.15
+_NEARBY = 4
+_NEARBY_STEP = 0.15
 
 
-def asked_home(name: str, joints: tuple[Joint, ...], home: Mapping[str, float] | None) -> dict[int, float]:
+def home_positions(name: str, joints: tuple[Joint, ...], home: Mapping[str, float] | None) -> dict[int, float]:
     """Return the positions [rad or m] that `home` asks for, by joint index."""
     asked = {}
     for joint, value in (home or {}).items():
@@ -35,8 +35,8 @@ def asked_home(name: str, joints: tuple[Joint, ...], home: Mapping[str, float] |
     return asked
 
 
-def assemble_home(
-    name: str, joints: tuple[Joint, ...], loop: Loop, reference: np.ndarray, asked: dict[int, float]
+def assemble(
+    name: str, joints: tuple[Joint, ...], loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float]
 ) -> np.ndarray:
     """Return a pose that closes every loop, with the asked joints held as far as the loops leave them free.
 
@@ -90,7 +90,7 @@ def _turned(joints, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
     return turned
 
 
-def poses_about(loop: Loop, home: np.ndarray, unit: np.ndarray) -> list[np.ndarray]:
+def poses_about(loop: KinematicLoop, home: np.ndarray, unit: np.ndarray) -> list[np.ndarray]:
     """Return closed poses some way off the home pose, in directions that the loops leave free there.
 
     Args:
@@ -103,17 +103,17 @@ def poses_about(loop: Loop, home: np.ndarray, unit: np.ndarray) -> list[np.ndarr
     free = np.linalg.svd(jacobian)[2][rank:].T if jacobian.size else np.eye(len(home))
     rng = np.random.default_rng(0)
     found = []
-    for _ in range(_LOOKS if free.shape[1] else 0):
+    for _ in range(_NEARBY if free.shape[1] else 0):
         direction = free @ rng.normal(size=free.shape[1])
-        trial = home + _LOOK_STEP * unit * direction / np.abs(direction).max()
+        trial = home + _NEARBY_STEP * unit * direction / np.abs(direction).max()
         pose, gap = newton.close(loop, trial, list(range(len(home))))
         if gap <= newton.CLOSED_M:
             found.append(pose)
     return found
 
 
-def refuse_singular_home(
-    name: str, joints: tuple[Joint, ...], loop: Loop, pose: np.ndarray, rank: int, independent, extent: float, about
+def refuse_singular_assembly(
+    name: str, joints: tuple[Joint, ...], loop: KinematicLoop, pose: np.ndarray, rank: int, independent, extent: float, about
 ) -> None:
     """Refuse a home pose where the rank is not that of its neighbours, or from which nothing can move.
 

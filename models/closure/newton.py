@@ -18,7 +18,7 @@ _FOLLOW_STEP = 0.035
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Loop:
+class KinematicLoop:
     """The closure as numbers: `function` maps q to phi [m] and J, and `rows` are the rows that are one gap each."""
 
     function: ca.Function
@@ -34,7 +34,7 @@ class Loop:
         return max((float(np.linalg.norm(phi[rows])) for rows in self.rows), default=0.0)
 
 
-def close(loop: Loop, start: np.ndarray, free: list[int]) -> tuple[np.ndarray, float]:
+def close(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> tuple[np.ndarray, float]:
     """Return the pose that Newton reaches from `start` by moving the joints in `free`, and its largest gap [m].
 
     Minimum-norm steps, so that redundant rows and spare freedom do no harm; steps are shortened where they would be
@@ -64,7 +64,7 @@ def close(loop: Loop, start: np.ndarray, free: list[int]) -> tuple[np.ndarray, f
     return q, loop.gap(phi)
 
 
-def least_gap(loop: Loop, start: np.ndarray, free: list[int]) -> float:
+def least_gap(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> float:
     """Return the smallest gap [m] found near `start` where a loop does not close: what stays open at the best."""
 
     def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -81,7 +81,7 @@ def least_gap(loop: Loop, start: np.ndarray, free: list[int]) -> float:
     return loop.gap(found.fun)
 
 
-def follow(loop: Loop, start: np.ndarray, held: dict[int, float]) -> tuple[np.ndarray, float]:
+def follow(loop: KinematicLoop, start: np.ndarray, held: dict[int, float]) -> tuple[np.ndarray, float]:
     """Return the pose reached from the closed pose `start` by leading the joints in `held` to their values, and its gap.
 
     Straight in those joints, in steps short enough for Newton to stay on the branch; where the loop opens on the way,

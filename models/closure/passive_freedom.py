@@ -10,7 +10,7 @@ from linkplan.models.tree.coordinates import BALL, joint_label
 _NOTHING = 1e-9
 
 
-def idle_freedoms(
+def find_passive_dofs(
     model: mujoco.MjModel, jacobians: list[np.ndarray], moments: list[np.ndarray], weights: list[np.ndarray]
 ) -> tuple[tuple[int, ...], list[str]]:
     """Return the passive degrees of freedom, coordinates of bodies that spin in a closed loop, and a sentence on each body.
@@ -24,20 +24,20 @@ def idle_freedoms(
         moments: the actuators' (n_q, n_u) at the same poses.
         weights: gravity's generalised force (n_q,) at the same poses.
     """
-    idle: list[int] = []
+    passive_dofs: list[int] = []
     notes = []
     for body in range(1, model.nbody):
         start, n_dofs = int(model.body_dofadr[body]), int(model.body_dofnum[body])
         own = list(range(start, start + n_dofs))
         if n_dofs > 1 and all(_spins(own, *pose) for pose in zip(jacobians, moments, weights, strict=True)):
-            idle += own
+            passive_dofs += own
             joint = int(model.body_jntadr[body])
             ball = int(model.jnt_type[joint]) == BALL
             name = f"ball joint {joint_label(model, joint)}" if ball else f"body {model.body(body).name or body}"
             notes.append(
                 f"{name} can spin while all other joints rest: a passive degree of freedom, which no actuator drives"
             )
-    return tuple(idle), notes
+    return tuple(passive_dofs), notes
 
 
 def _spins(own: list[int], jacobian: np.ndarray, moments: np.ndarray, weight: np.ndarray) -> bool:

@@ -57,7 +57,7 @@ class Meeting:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Look:
+class _PoseSample:
     """What one pose shows: the clearances [m] of near pairs, anywhere and away from shared pins; where the geoms are."""
 
     clearance: dict[Pair, tuple[float, float]]
@@ -81,10 +81,10 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
     model = mechanism.model
     if not may_collide(model):
         return ()
-    look = _looker(mechanism, model)
+    sample = _pose_sampler(mechanism, model)
     found: dict[Pair, list[tuple[int, float]]] = {}
     for k, pose in enumerate(poses):
-        for pair, (clearance, _) in look(pose).clearance.items():
+        for pair, (clearance, _) in sample(pose).clearance.items():
             if clearance <= 0:
                 found.setdefault(pair, []).append((k, -clearance))
     return tuple(
@@ -114,19 +114,19 @@ def meetings(
     model = mechanism.model
     if not may_collide(model):
         return ()
-    size, look = _bounding_radii(mechanism), _looker(mechanism, model)
-    first = [look(pose) for pose in poses]
+    size, sample = _bounding_radii(mechanism), _pose_sampler(mechanism, model)
+    first = [sample(pose) for pose in poses]
     span = max((_travel(a, b, size).max() for a, b in pairwise(first)), default=0.0)
-    look = _looker(mechanism, _with_wider_gaps(model, 2 * float(span)))
-    at_home = look(mechanism.home)
-    seen = [(float(t), pose, look(pose)) for t, pose in zip(time, poses, strict=True)]
-    seen = _looked_between(mechanism, seen, look, position_at, size)
+    sample = _pose_sampler(mechanism, _with_wider_gaps(model, 2 * float(span)))
+    at_home = sample(mechanism.home)
+    seen = [(float(t), pose, sample(pose)) for t, pose in zip(time, poses, strict=True)]
+    seen = _sampled_between(mechanism, seen, sample, position_at, size)
     pairs = sorted({pair for _, _, one in seen for pair, (clearance, _) in one.clearance.items() if clearance <= 0})
-    found = [_meeting(mechanism, pair, at_home, seen, look, position_at) for pair in pairs]
+    found = [_meeting(mechanism, pair, at_home, seen, sample, position_at) for pair in pairs]
     return tuple(sorted(found, key=lambda meeting: np.inf if meeting.since is None else meeting.since))
 
 
-def _meeting(mechanism: Mechanism, pair: Pair, at_home: _Look, seen, look, position_at) -> Meeting:
+def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sample, position_at) -> Meeting:
     """Return a pair's meeting along what was seen of a motion."""
     model, extent = mechanism.model, mechanism.extent_m
     depth = np.array([-one.clearance.get(pair, (np.inf, np.inf))[0] for _, _, one in seen])
@@ -135,7 +135,7 @@ def _meeting(mechanism: Mechanism, pair: Pair, at_home: _Look, seen, look, posit
     deeper = np.flatnonzero(away > allowed)
     since, deepest = None, int(np.argmax(depth))
     if len(deeper):
-        since, deepest = _onset(mechanism, pair, allowed, int(deeper[0]), seen, look, position_at), int(np.argmax(away))
+        since, deepest = _onset(mechanism, pair, allowed, int(deeper[0]), seen, sample, position_at), int(np.argmax(away))
     return Meeting(
         first=geom_name(model, pair[0]),
         second=geom_name(model, pair[1]),
@@ -147,7 +147,7 @@ def _meeting(mechanism: Mechanism, pair: Pair, at_home: _Look, seen, look, posit
     )
 
 
-def _onset(mechanism: Mechanism, pair: Pair, allowed: float, k: int, seen, look, position_at) -> float:
+def _onset(mechanism: Mechanism, pair: Pair, allowed: float, k: int, seen, sample, position_at) -> float:
     """Return the instant between the k-th and the one before at which a pair's depth passes what is allowed."""
     if k == 0:
         return seen[0][0]
@@ -156,14 +156,14 @@ def _onset(mechanism: Mechanism, pair: Pair, allowed: float, k: int, seen, look,
     while after - before > least:
         middle = (before + after) / 2
         there = close_at(mechanism, position_at(np.array([middle]))[0], pose)
-        if -look(there).away(pair) > allowed:
+        if -sample(there).away(pair) > allowed:
             after = middle
         else:
             before, pose = middle, there
     return after
 
 
-def _looked_between(mechanism: Mechanism, seen, look, position_at, size: np.ndarray) -> list:
+def _sampled_between(mechanism: Mechanism, seen, sample, position_at, size: np.ndarray) -> list:
     """Return the samples of a motion, more of them where a contact could be missed between two."""
     least = _TRAVEL * mechanism.extent_m
     result, ahead = [seen[0]], list(reversed(seen[1:]))
@@ -180,13 +180,13 @@ def _looked_between(mechanism: Mechanism, seen, look, position_at, size: np.ndar
         if near and end - begin > _INSTANT * (seen[-1][0] - seen[0][0]):
             middle = (begin + end) / 2
             there = close_at(mechanism, position_at(np.array([middle]))[0], pose)
-            ahead.append((middle, there, look(there)))
+            ahead.append((middle, there, sample(there)))
         else:
             result.append(ahead.pop())
     return result
 
 
-def _looker(mechanism: Mechanism, model: mujoco.MjModel) -> Callable[[np.ndarray], _Look]:
+def _pose_sampler(mechanism: Mechanism, model: mujoco.MjModel) -> Callable[[np.ndarray], _PoseSample]:
     """Return a function from a pose (n_q,) to what collision detection with a model shows at it."""
     pins = shared_pins(mechanism.model, mechanism.qpos_of(mechanism.home), mechanism.extent_m)
     data = mujoco.MjData(model)
@@ -197,7 +197,7 @@ def _looker(mechanism: Mechanism, model: mujoco.MjModel) -> Callable[[np.ndarray
         places = (data.xpos[of] + data.xmat[of].reshape(3, 3) @ local for of, local in shared)
         return any(np.linalg.norm(place - pin) <= min(radius[list(pair)]) for pin in places)
 
-    def look(pose: np.ndarray) -> _Look:
+    def sample(pose: np.ndarray) -> _PoseSample:
         data.qpos[:] = mechanism.qpos_of(pose)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -211,9 +211,11 @@ def _looker(mechanism: Mechanism, model: mujoco.MjModel) -> Callable[[np.ndarray
             anywhere, away = clearance.get(pair, (np.inf, np.inf))
             away = away if on_a_pin(pair, place) else min(away, float(distance))
             clearance[pair] = (min(anywhere, float(distance)), away)
-        return _Look(clearance=clearance, centres=data.geom_xpos.copy(), frames=data.geom_xmat.reshape(-1, 3, 3).copy())
+        return _PoseSample(
+            clearance=clearance, centres=data.geom_xpos.copy(), frames=data.geom_xmat.reshape(-1, 3, 3).copy()
+        )
 
-    return look
+    return sample
 
 
 def _bounding_radii(mechanism: Mechanism) -> np.ndarray:
@@ -222,7 +224,7 @@ def _bounding_radii(mechanism: Mechanism) -> np.ndarray:
     return np.where(radius > 0, radius, mechanism.extent_m)
 
 
-def _travel(one: _Look, other: _Look, size: np.ndarray) -> np.ndarray:
+def _travel(one: _PoseSample, other: _PoseSample, size: np.ndarray) -> np.ndarray:
     """Return how far (n_geoms,) [m] any point of each geom goes between two looks, at least; arcs are little longer."""
     turned = np.einsum("gij,gij->g", one.frames, other.frames)
     angle = np.arccos(np.clip((turned - 1) / 2, -1.0, 1.0))

@@ -29,7 +29,9 @@ def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
     return tuple(
         column
         for column, index in enumerate(mechanism.independent.tolist())
-        if index not in driven and index not in mechanism.idle and stiffness[column] > _SPRING * stiffness.max(initial=0.0)
+        if index not in driven
+        and index not in mechanism.passive_dofs
+        and stiffness[column] > _SPRING * stiffness.max(initial=0.0)
     )
 
 

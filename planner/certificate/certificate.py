@@ -21,8 +21,8 @@ from linkplan.planner.certificate.margins import (
     actuator_speeds,
     closure_forces,
     least_between,
-    look_points,
     margins,
+    sample_points,
     singularity_ratios,
 )
 from linkplan.planner.problem.motion import Waypoint
@@ -99,7 +99,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         AssemblyError: when the motion leaves what the loops allow.
     """
     mechanism, limits = problem.mechanism, problem.limits
-    points = look_points(trajectory.velocity.shape[0] - 1)
+    points = sample_points(trajectory.velocity.shape[0] - 1)
     time = trajectory.times_at(points)
     s, v, a = (f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
     u = trajectory.effort_at(time)
@@ -241,7 +241,7 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
         wanted = np.stack([rest if x is None else x for x in (motion.start_speed, motion.goal_speed)])
         free = np.zeros_like(ends, dtype=bool)
         free[1] = np.isin(
-            problem.mechanism.independent, problem.mechanism.idle
+            problem.mechanism.independent, problem.mechanism.passive_dofs
         )  # a passive degree of freedom may end anywhere
     elif trajectory.periodic:
         asked, wanted, free = ends[::-1], speeds[::-1], np.zeros_like(ends, dtype=bool)

@@ -14,7 +14,7 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 
 # Poses checked on an interval, and on a fine mesh in all; between them more are checked where geoms come near.
-_PER_INTERVAL, _LOOKS = 12, 5000
+_PER_INTERVAL, _SAMPLES = 12, 5000
 
 
 def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
@@ -25,7 +25,7 @@ def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate:
     if not may_collide(problem.mechanism.model):
         return certificate
     n = len(trajectory.breaks_s) - 1
-    time = np.unique(trajectory.dense_times(max(1, min(_PER_INTERVAL, _LOOKS // n))))
+    time = np.unique(trajectory.dense_times(max(1, min(_PER_INTERVAL, _SAMPLES // n))))
     poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
     found = meetings(problem.mechanism, time, poses, trajectory.position_at)
     if problem.contacts == "refuse" and new_meetings(found):

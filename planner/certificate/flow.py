@@ -21,7 +21,7 @@ class _CrawlsError(Exception):
 
 
 def flow(rate: Rate, width_s: float, state: np.ndarray, looks: np.ndarray) -> np.ndarray | None:
-    """Return the states (n_looks, n) at shares (n_looks,) of an interval, from one at its beginning; None where it fails."""
+    """Return the states (m, n) at shares (m,) of an interval, from one at its beginning; None where it fails."""
     atol = _ATOL * np.maximum(1.0, np.abs(state))
     # A motion that is none may diverge: that shows in the outcome, and needs no warnings.
     with np.errstate(all="ignore"):
@@ -38,7 +38,7 @@ def flow(rate: Rate, width_s: float, state: np.ndarray, looks: np.ndarray) -> np
 def flows(
     rate_on: Callable[[int], Rate], breaks_s: np.ndarray, state: np.ndarray, looks: np.ndarray
 ) -> Iterator[np.ndarray | None]:
-    """Yield the states (n_looks, n) on one interval after the other, each from where the last ended; None where one fails.
+    """Yield the states (m, n) on one interval after the other, each from where the last ended; None where one fails.
 
     Args:
         rate_on: an interval's right-hand side, by its number.

@@ -12,7 +12,7 @@ from linkplan.planner.transcription.schemes import bernstein_matrix
 # A limit is kept where it is overrun by no more than this share of itself: rounding.
 SLACK = 1e-9
 # At how many instants of an interval limits are checked: at least, and for each node.
-_LOOKS, _LOOKS_A_NODE = 12, 3
+_SAMPLES, _SAMPLES_A_NODE = 12, 3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -58,12 +58,12 @@ class Margin:
         return f"{self.title} {verb} {amount} at t = {self.time_s:.4g} s, {off} {beyond} its limit of {abs(self.limit):.4g}"
 
 
-def look_points(n_nodes: int) -> np.ndarray:
+def sample_points(n_nodes: int) -> np.ndarray:
     """Return the shares (n,) of an interval at which motions of so many nodes are sampled: close together at its ends.
 
     There the nodes of high degrees stand close, and what a polynomial does between them.
     """
-    n = max(_LOOKS, _LOOKS_A_NODE * n_nodes)
+    n = max(_SAMPLES, _SAMPLES_A_NODE * n_nodes)
     points = 0.5 - 0.5 * np.cos(np.pi * np.arange(n + 1) / n)
     points[-1] = 1.0 - 1e-12  # the interval's own side of its end
     return points

@@ -66,6 +66,7 @@ def _failure(plan: Plan) -> str | None:
     if tolerance is None or is_exact(plan.problem, certificate):
         return None
     return (
-        f"the integrated model ends {certificate.integration_error_deg:.3g} deg from the plan on {plan.intervals} intervals,"
+        f"the state integrated under the planned effort ends {certificate.integration_error_deg:.3g} deg from the"
+        f" planned state on {plan.intervals} intervals,"
         f" more than mesh.tolerance_deg = {tolerance:g}"
     )

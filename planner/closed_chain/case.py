@@ -12,7 +12,7 @@ from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import INTEGRATION_DEG
 from linkplan.planner.refinement.case import Aims, Findings
-from linkplan.planner.refinement.tightening import AT_NODES, Inset, insets_of
+from linkplan.planner.refinement.tightening import AT_NODES, Tightening, tightenings_of
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
@@ -22,7 +22,7 @@ from linkplan.planner.transcription.mesh import Mesh
 _TARGET_DEG = 1e-6
 # What the objective is to change by from mesh to mesh at the most where that is looked at, relative.
 _OBJECTIVE = 1e-7
-# Speed limits are drawn in where they were overrun so many times, then everywhere: what is left moves about, and is little.
+# Speed limits are tightened where they were overrun so many times, then everywhere: what is left moves about, and is little.
 _LOCAL = 1
 
 
@@ -32,17 +32,17 @@ class MechanismCase:
 
     problem: PlanningProblem
     asked: PlanningProblem
-    insets: tuple[Inset, ...] = ()
-    tightenings: int = 0
-    bends: bool = True  # whether to look for bends of efforts that do not jump
+    tightenings: tuple[Tightening, ...] = ()
+    n_tightenings: int = 0
+    kinks: bool = True  # whether to look for kinks of efforts that do not jump
     aims: Aims = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "aims", _aims(self.asked, bends=self.bends))
+        object.__setattr__(self, "aims", _aims(self.asked, kinks=self.kinks))
 
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""
-        return transcribe(self.problem, start, mesh, durations, insets=self.insets, **options)
+        return transcribe(self.problem, start, mesh, durations, tightenings=self.tightenings, **options)
 
     def motion(self, solution: Solution) -> Trajectory | None:
         """Return a solution's trajectory; None where the solver took it to another branch."""
@@ -77,23 +77,23 @@ class MechanismCase:
         )
 
     def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
-        """Return the case with limits drawn in by what the motion overran them."""
-        further = insets_of(certificate.margins, certificate.speed_overrun, motion.breaks_s)
-        everywhere = self.tightenings >= _LOCAL
+        """Return the case with limits tightened by what the motion overran them."""
+        further = tightenings_of(certificate.margins, certificate.speed_overrun, motion.breaks_s)
+        everywhere = self.n_tightenings >= _LOCAL
         problem = _tightened(self.problem, certificate, speeds=everywhere)
-        return replace(self, problem=problem, insets=self.insets + further, tightenings=self.tightenings + 1)
+        return replace(self, problem=problem, tightenings=self.tightenings + further, n_tightenings=self.n_tightenings + 1)
 
     def with_scheme(self, name: str) -> "MechanismCase":
         """Return the case with another transcription."""
         return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
 
 
-def case_of(problem: PlanningProblem, *, bends: bool = True) -> MechanismCase:
-    """Return the case of a problem; `bends` says whether bends of efforts that do not jump are looked for."""
-    return MechanismCase(problem, problem, bends=bends)
+def case_of(problem: PlanningProblem, *, kinks: bool = True) -> MechanismCase:
+    """Return the case of a problem; `kinks` says whether kinks of efforts that do not jump are looked for."""
+    return MechanismCase(problem, problem, kinks=kinks)
 
 
-def _aims(problem: PlanningProblem, *, bends: bool) -> Aims:
+def _aims(problem: PlanningProblem, *, kinks: bool) -> Aims:
     """Return what the best motion of a problem looks like, and how exact it is to be.
 
     Efforts jump between limits, none and arcs where time or work count; where their squares do, they bend where they reach a
@@ -101,16 +101,16 @@ def _aims(problem: PlanningProblem, *, bends: bool) -> Aims:
     change is looked at where limits on coefficients cost what a motion does not show.
     """
     objective = problem.objective
-    ramps = objective.has("effort", "copper_loss")
-    bending = bends and ramps and not objective.has("tracking")
+    continuous_efforts = objective.has("effort", "copper_loss")
+    bending = kinks and continuous_efforts and not objective.has("tracking")
     switches = (objective.has("time", "work") or bending) and not objective.has("effort_rate")
     lines = any(motor is not None and motor.has_line for motor in problem.motors)
-    bent = ramps and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
+    bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     return Aims(
         effort_limit=problem.limits.effort,
         switches=switches,
-        bangs=list(objective.weights) == ["time"],
-        ramps=ramps,
+        bang_bang=list(objective.weights) == ["time"],
+        continuous_efforts=continuous_efforts,
         strictness=_strictness(problem),
         tolerance_given=problem.mesh.tolerance_deg is not None,
         objective_tolerance=_OBJECTIVE if switches and (lines or bent) else None,
@@ -131,7 +131,7 @@ def is_exact(problem: PlanningProblem, certificate: Certificate) -> bool:
 
 
 def _tightened(problem: PlanningProblem, certificate: Certificate, *, speeds: bool) -> PlanningProblem:
-    """Return a problem with ranges, effort rates and maybe speeds drawn in by what a motion overran, and a tenth more."""
+    """Return a problem with ranges, effort rates and maybe speeds tightened by what a motion overran, and a tenth more."""
     limits = problem.limits
     changed: dict = {}
     inward = 1.1 * np.maximum(0.0, -certificate.position_margin)[:, None] * np.array([1.0, -1.0])

@@ -3,11 +3,11 @@
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.closed_chain.mechanics import RUNNING, WITH_EFFORT, Asked, Scales, mechanism_system, node_numbers
+from linkplan.planner.closed_chain.mechanics import RUNNING, WITH_EFFORT, NodeTerms, Scales, mechanism_system, node_numbers
 from linkplan.planner.problem.objective import QUADRATIC
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.tightening import Inset, drawn_in
-from linkplan.planner.transcription.formulation import Formulation, Knot, Units
+from linkplan.planner.refinement.tightening import Tightening, tightening_over
+from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Units
 from linkplan.planner.transcription.interval import IntervalRows
 
 # Weight of the squared effort rate where no other term makes the effort smooth (tracking, work), all in scaled units. Where
@@ -22,7 +22,7 @@ def formulate(
     *,
     position_rows: bool = False,
     least_limit: bool = False,
-    insets: tuple[Inset, ...] = (),
+    tightenings: tuple[Tightening, ...] = (),
 ) -> Formulation:
     """Return a problem's formulation.
 
@@ -31,7 +31,7 @@ def formulate(
         scales: units of its unknowns.
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
         least_limit: leave the objective out: only a motion is sought.
-        insets: how far limits are drawn in over the motion, where it overran them between nodes.
+        tightenings: how far limits are tightened over the motion, where it overran them between nodes.
     """
     mechanism, limits, objective = problem.mechanism, problem.limits, problem.objective
     n_s, n_u = mechanism.dof, mechanism.n_u
@@ -41,7 +41,7 @@ def formulate(
     smoothed = objective.has("tracking", "work") and not objective.has(*QUADRATIC)
     rated = tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.effort_rate).any(axis=1)))
     costs = () if least_limit else _costs(problem, smoothed)
-    asked = Asked(
+    asked = NodeTerms(
         running=running,
         speed_joints=speed_joints,
         motors=motors,
@@ -55,7 +55,7 @@ def formulate(
         position_columns=tuple(range(n_s)) if position_rows else (),
         rate_columns=rated,
         motor_columns=motor_columns,
-        looked=tuple(i for i, kind in enumerate(asked.kinds) if kind in WITH_EFFORT),
+        open_end_path=tuple(i for i, kind in enumerate(asked.kinds) if kind in WITH_EFFORT),
     )
     unit = _term_units(problem, scales)
     value = sum(weight * unit[term] for term, weight in objective.weights.items())
@@ -114,12 +114,12 @@ def formulate(
         effort=limits.effort,
         path=path,
         own=own,
-        knots=knots_of(problem, scales),
+        boundaries=phase_boundaries_of(problem, scales),
         returns=tuple(range(2 * n_s)) if problem.motion.kind == "periodic" else (),
         smooth=smoothed or objective.has("effort_rate") or bool(rated),
         eta=_eta(problem, scales, rows, value, smoothed, lines=_own_lines(problem, motor_columns, scales)),
         theta=theta,
-        inset=drawn_in(insets, limited, path),
+        tightening=tightening_over(tightenings, limited, path),
     )
 
 
@@ -205,22 +205,22 @@ def _eta(
     return np.concatenate([*(numbers[cost] / value for cost in rows.costs), lines])
 
 
-def knots_of(problem: PlanningProblem, scales: Scales) -> tuple[Knot, ...]:
-    """Return a problem's knots, scaled: start, the middle of a periodic motion between two poses, waypoints, goal."""
+def phase_boundaries_of(problem: PlanningProblem, scales: Scales) -> tuple[PhaseBoundary, ...]:
+    """Return the phase boundaries, scaled: start, the middle of a periodic motion between two poses, waypoints, goal."""
     motion, mechanism, n_s = problem.motion, problem.mechanism, problem.mechanism.dof
     unit = np.concatenate([scales.position, scales.position / scales.time_s])
 
     # A passive degree of freedom, as of a rod between two balls, is left free: where it ends has no effect.
-    idle = np.isin(mechanism.independent, mechanism.idle)
+    passive = np.isin(mechanism.independent, mechanism.passive_dofs)
 
-    def knot(s, v, time: tuple[float, float], share: float | None = None) -> Knot:
+    def boundary(s, v, time: tuple[float, float], share: float | None = None) -> PhaseBoundary:
         state = np.full((2 * n_s, 2), [-np.inf, np.inf])
         for value, place in ((s, slice(0, n_s)), (v, slice(n_s, None))):
             if value is not None:
                 asked = np.asarray(value, dtype=float) / unit[place]
-                given = ~np.isnan(asked) & ~(idle & (time[1] > 0))
+                given = ~np.isnan(asked) & ~(passive & (time[1] > 0))
                 state[place][given] = asked[given, None]
-        return Knot(state=state, time=(time[0] / scales.time_s, time[1] / scales.time_s), share=share)
+        return PhaseBoundary(state=state, time=(time[0] / scales.time_s, time[1] / scales.time_s), share=share)
 
     if motion.duration_s is not None:
         last = (motion.duration_s, motion.duration_s)
@@ -229,13 +229,13 @@ def knots_of(problem: PlanningProblem, scales: Scales) -> tuple[Knot, ...]:
     via = []
     for waypoint in motion.waypoints:
         time = (0.0, np.inf) if waypoint.time_s is None else (waypoint.time_s, waypoint.time_s)
-        via.append(knot(waypoint.position, waypoint.speed, time))
+        via.append(boundary(waypoint.position, waypoint.speed, time))
     if motion.kind == "reach":
         rest = np.zeros(n_s)
-        start = knot(motion.start, rest if motion.start_speed is None else motion.start_speed, (0.0, 0.0))
-        goal = knot(motion.goal, rest if motion.goal_speed is None else motion.goal_speed, last)
+        start = boundary(motion.start, rest if motion.start_speed is None else motion.start_speed, (0.0, 0.0))
+        goal = boundary(motion.goal, rest if motion.goal_speed is None else motion.goal_speed, last)
         return (start, *via, goal)
-    start, goal = knot(motion.start, None, (0.0, 0.0)), knot(None, None, last)
+    start, goal = boundary(motion.start, None, (0.0, 0.0)), boundary(None, None, last)
     if motion.start is not None and not via:
-        via = [knot(motion.goal, None, (0.0, np.inf), share=0.5)]
+        via = [boundary(motion.goal, None, (0.0, np.inf), share=0.5)]
     return (start, *via, goal)

@@ -11,8 +11,8 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.problem.planning_problem import PlanningProblem, Sketch
-from linkplan.planner.refinement.bends import bend
+from linkplan.planner.problem.planning_problem import GuessedPath, PlanningProblem
+from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.trajectory import Trajectory
 
 # Samples along a guess at which its effort is evaluated: enough for a path of a few radians.
@@ -29,7 +29,8 @@ _LEAST_SPAN = 0.1
 class Guess:
     """A motion to start from: functions of time (n,) giving (n, n_s) and efforts (n, n_u), and its duration.
 
-    `knots_s` (n_knots,) are its instants at start, waypoints and goal; None where there are no waypoints.
+    `boundaries_s` (n_boundaries,) are its phase boundaries, the instants at start, waypoints and goal; None where there are
+    no waypoints.
     """
 
     position: Callable[[np.ndarray], np.ndarray]
@@ -38,10 +39,11 @@ class Guess:
     effort: Callable[[np.ndarray], np.ndarray] | None
     duration_s: float
     start_pose: np.ndarray
-    knots_s: np.ndarray | None = None
-    legs: int = 1  # swings that it is made of: each wants intervals of its own
-    cuts_s: np.ndarray | None = None  # (n_cuts,) instants between its knots at which its efforts switch
-    held: np.ndarray | None = None  # (n_segments, n_u) efforts between those and the knots
+    boundaries_s: np.ndarray | None = None
+    swings: int = 1  # swings that it is made of: each wants intervals of its own
+    # (n_switches,) instants between its phase boundaries at which its efforts switch
+    switch_times_s: np.ndarray | None = None
+    bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts between those and the phase boundaries
 
 
 def motion_of(trajectory: Trajectory) -> Guess:
@@ -57,7 +59,7 @@ def motion_of(trajectory: Trajectory) -> Guess:
 
 
 def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
-    """Return a motion to start from: the reference itself, or the smoothest path through the knots.
+    """Return a motion to start from: the reference itself, or the smoothest path through the phase boundaries.
 
     A free duration is the shortest that the effort limits allow on that path.
     """
@@ -73,14 +75,16 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
             start_pose=start_pose,
         )
     duration = motion.duration_s or _within(problem, _shortest_duration(problem, start_pose))
-    knots = knot_times(problem, duration)
-    guess = replace(_guess_along(_smooth_path(problem, duration), duration, start_pose), knots_s=knots)
+    boundaries = boundary_times(problem, duration)
+    guess = replace(_guess_along(_smooth_path(problem, duration), duration, start_pose), boundaries_s=boundaries)
     if motion.waypoints and not closes(problem.mechanism, guess):
-        return replace(_guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose), knots_s=knots)
+        return replace(
+            _guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose), boundaries_s=boundaries
+        )
     return guess
 
 
-def bent_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
+def perturbed_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
     """Yield endless further starts: the first guess bent by a few half waves of random size, the same in every run."""
     base = first_guess(problem, start_pose)
     times = np.linspace(0.0, base.duration_s, _SAMPLES)
@@ -88,8 +92,8 @@ def bent_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[t
     unit = np.array([1.0 if j.kind == "hinge" else problem.mechanism.extent_m for j in problem.mechanism.independent_joints])
     span = np.maximum(np.ptp(s, axis=0), _LEAST_SPAN * unit)
     for number in itertools.count(1):
-        offset = bend(number, times / base.duration_s, span).offset
-        yield f"bend {number}", _splined(times, s + offset, base.start_pose, base.knots_s)
+        offset = perturbation(number, times / base.duration_s, span).offset
+        yield f"perturbed guess {number}", _splined(times, s + offset, base.start_pose, base.boundaries_s)
 
 
 def closes(mechanism: Mechanism, guess: Guess) -> bool:
@@ -101,15 +105,15 @@ def closes(mechanism: Mechanism, guess: Guess) -> bool:
     return True
 
 
-def knot_times(problem: PlanningProblem, duration: float) -> np.ndarray | None:
-    """Return the instants (n_knots,) [s] of start, waypoints and goal in a guess, free ones shared out by distance.
+def boundary_times(problem: PlanningProblem, duration: float) -> np.ndarray | None:
+    """Return the instants (n_boundaries,) [s] of start, waypoints and goal in a guess, free ones shared out by distance.
 
-    None where there are no knots on the way.
+    None where there are no phase boundaries on the way.
     """
     motion = problem.motion
     if not motion.waypoints:
         return np.array([0.0, 0.5, 1.0]) * duration if motion.kind == "periodic" and motion.goal is not None else None
-    states = _knot_positions(problem)
+    states = _boundary_positions(problem)
     steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
     steps = np.maximum(steps, 0.05 * max(float(steps.max()), 1e-9))
     along = np.concatenate([[0.0], np.cumsum(steps)])
@@ -120,8 +124,8 @@ def knot_times(problem: PlanningProblem, duration: float) -> np.ndarray | None:
     return np.interp(along, along[index], at)
 
 
-def _knot_positions(problem: PlanningProblem) -> np.ndarray:
-    """Return positions (n_knots, n_s) of start, waypoints and goal, what is free put in between."""
+def _boundary_positions(problem: PlanningProblem) -> np.ndarray:
+    """Return positions (n_boundaries, n_s) of start, waypoints and goal, what is free put in between."""
     motion = problem.motion
     first = motion.start
     if first is None:
@@ -145,10 +149,10 @@ def users_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
     given, motion = problem.guess, problem.motion
     if given is None:
         return None
-    if isinstance(given, Sketch):
+    if isinstance(given, GuessedPath):
         duration = motion.duration_s or given.duration_s or _within(problem, _shortest_duration(problem, start_pose))
         times = np.linspace(0.0, duration, len(given.path))
-        guess = _splined(times, given.path, start_pose, knot_times(problem, duration))
+        guess = _splined(times, given.path, start_pose, boundary_times(problem, duration))
     else:
         duration = motion.duration_s or given.duration_s
         stretch = given.duration_s / duration
@@ -159,16 +163,16 @@ def users_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
             effort=lambda t: given.effort_at(stretch * t),
             duration_s=duration,
             start_pose=given.start_pose,
-            knots_s=knot_times(problem, duration),
+            boundaries_s=boundary_times(problem, duration),
         )
     return guess if closes(problem.mechanism, guess) else None
 
 
-def _splined(times: np.ndarray, s: np.ndarray, start_pose: np.ndarray, knots_s: np.ndarray | None) -> Guess:
+def _splined(times: np.ndarray, s: np.ndarray, start_pose: np.ndarray, boundaries_s: np.ndarray | None) -> Guess:
     """Return the cubic spline through positions (n, n_s) at times (n,) as a guess."""
     spline = CubicSpline(times, s)
     guess = _guess_along(spline, float(times[-1]), start_pose)
-    return replace(guess, knots_s=knots_s)
+    return replace(guess, boundaries_s=boundaries_s)
 
 
 def _guess_along(path: BPoly | CubicSpline, duration: float, start_pose: np.ndarray) -> Guess:
@@ -184,7 +188,7 @@ def _guess_along(path: BPoly | CubicSpline, duration: float, start_pose: np.ndar
 
 
 def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterator[Guess]:
-    """Yield motions for a reach that gather way first: back from the goal before it, or beyond it and back.
+    """Yield motions for a reach that build up energy by swinging first: back from the goal before it, or beyond it and back.
 
     Where effort is short of gravity's, the way straight there is not open, and a solver that starts on it finds none.
     """
@@ -202,10 +206,10 @@ def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterat
 
 
 def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False) -> BPoly:
-    """Return quintics through the knots, with no acceleration at them (Flash & Hogan 1985), at rest at each where asked."""
+    """Return quintics through the phase boundaries, with no acceleration there (Flash & Hogan 1985), at rest where asked."""
     motion = problem.motion
     if motion.waypoints:
-        times, s = knot_times(problem, duration), _knot_positions(problem)
+        times, s = boundary_times(problem, duration), _boundary_positions(problem)
         v = np.zeros_like(s)
         v[1:-1] = (s[2:] - s[:-2]) / (times[2:] - times[:-2])[:, None]
         turning = (s[2:] - s[1:-1]) * (s[1:-1] - s[:-2]) <= 0

@@ -53,7 +53,7 @@ class Scales:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class NodeTerms:
     """What is looked at in a node, the structure of its functions: running costs out of `RUNNING`, and path quantities.
 
     `speed_joints` are dependent joints, `motors` and `powers` actuators, `closures` those whose force is limited; `singular`
@@ -75,7 +75,7 @@ class Asked:
 
 
 @functools.lru_cache(maxsize=16)
-def mechanism_system(mechanism: Mechanism, asked: Asked) -> System:
+def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     """Return a mechanism's system.
 
     A node's parameters are, in this order: the weights of the running costs; the reference (n_s,), scaled, where it is
@@ -128,7 +128,9 @@ def _caller(mechanism: Mechanism, payload: ca.SX) -> Callable[..., ca.SX]:
     return lambda name, *arguments: getattr(dynamics, name)(*arguments, payload)
 
 
-def _path(mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], call: Callable[..., ca.SX], motion) -> list[ca.SX]:
+def _path(
+    mechanism: Mechanism, asked: NodeTerms, given: dict[str, ca.SX], call: Callable[..., ca.SX], motion
+) -> list[ca.SX]:
     """Return the path quantities that limits ask for: speeds in units of 1 / time, powers in theirs, the rest as shares."""
     q, v, _, u = motion
     path = [given["time"] * (call("velocity_map", q)[joint, :] @ v) for joint in asked.speed_joints]
@@ -147,7 +149,7 @@ def _path(mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], call: Cal
 
 
 def _running(
-    mechanism: Mechanism, asked: Asked, given: dict[str, ca.SX], node: NodeSymbols, call: Callable[..., ca.SX], motion
+    mechanism: Mechanism, asked: NodeTerms, given: dict[str, ca.SX], node: NodeSymbols, call: Callable[..., ca.SX], motion
 ) -> ca.SX:
     """Return the weighted running costs, each in its own unit."""
     total = ca.SX(0)
@@ -164,7 +166,7 @@ def _running(
 
 
 def node_numbers(
-    mechanism: Mechanism, asked: Asked, scales: Scales, weights, lines, ratings
+    mechanism: Mechanism, asked: NodeTerms, scales: Scales, weights, lines, ratings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of a node's parameters before and after the reference, in the order of `mechanism_system`.
 

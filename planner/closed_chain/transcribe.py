@@ -11,10 +11,10 @@ from linkplan.planner.closed_chain.formulate import formulate
 from linkplan.planner.closed_chain.guess import Guess, poses_along
 from linkplan.planner.closed_chain.mechanics import Scales
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.tightening import Inset
+from linkplan.planner.refinement.tightening import Tightening
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with
-from linkplan.planner.transcription.formulation import Start
+from linkplan.planner.transcription.formulation import Formulation, Start
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import scheme
 
@@ -76,9 +76,9 @@ def transcribe(
     scales: Scales | None = None,
     position_rows: bool = False,
     least_limit: bool = False,
-    pinned: np.ndarray | None = None,
-    held: np.ndarray | None = None,
-    insets: tuple[Inset, ...] = (),
+    bang_efforts: np.ndarray | None = None,
+    constrained_paths: np.ndarray | None = None,
+    tightenings: tuple[Tightening, ...] = (),
 ) -> Transcribed:
     """Return the program of a problem on a mesh, with bounds and a starting point.
 
@@ -90,12 +90,13 @@ def transcribe(
         scales: units; chosen from the guess by default.
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
-        pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
-        held: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole segments.
-        insets: how far limits are drawn in, where a motion overran them between nodes.
+        bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
+        constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole
+            segments.
+        tightenings: how far limits are tightened, where a motion overran them between nodes.
     """
     scales = scales or choose_scales(problem, guess)
-    formulation = formulate(problem, scales, position_rows=position_rows, least_limit=least_limit, insets=insets)
+    formulation = formulate(problem, scales, position_rows=position_rows, least_limit=least_limit, tightenings=tightenings)
     transcribed = collocate(
         formulation,
         scheme(problem.mesh.scheme, problem.mesh.effort),
@@ -104,8 +105,8 @@ def transcribe(
         _start(problem, guess, scales, formulation.n_z),
         compile_mode=problem.solver.compile,
         least_limit=least_limit,
-        pinned=pinned,
-        held=held,
+        bang_efforts=bang_efforts,
+        constrained_paths=constrained_paths,
     )
     origin = Origin(mechanism=problem.mechanism, scales=scales, start_pose=np.array(guess.start_pose))
     return replace(transcribed, origin=origin)
@@ -119,9 +120,23 @@ def renumbered(transcribed: Transcribed, problem: PlanningProblem, x: np.ndarray
         problem: whose numbers to take.
         x: unknowns to start from, as a rule the last solution; a fixed duration is the new problem's.
     """
-    positions = bool(transcribed.formulation.rows.position_columns)
-    again = renumbered_with(transcribed, formulate(problem, transcribed.origin.scales, position_rows=positions), x)
+    again = renumbered_with(transcribed, _with_numbers_of(problem, transcribed), x)
     return replace(again, origin=replace(transcribed.origin, mechanism=problem.mechanism))
+
+
+def is_program_of(transcribed: Transcribed, problem: PlanningProblem) -> bool:
+    """Return whether a program has the rows that a problem asks for: one that was solved with another limit has more."""
+    own, asked = transcribed.formulation, _with_numbers_of(problem, transcribed)
+    return (
+        repr(own.rows) == repr(asked.rows)
+        and own.path.shape == asked.path.shape
+        and len(own.boundaries) == len(asked.boundaries)
+    )
+
+
+def _with_numbers_of(problem: PlanningProblem, transcribed: Transcribed) -> Formulation:
+    positions = bool(transcribed.formulation.rows.position_columns)
+    return formulate(problem, transcribed.origin.scales, position_rows=positions)
 
 
 def _start(problem: PlanningProblem, guess: Guess, scales: Scales, n_z: int) -> Start:

@@ -99,7 +99,7 @@ def ranges(search: Search) -> Plan | None:
 
 def nothing_found(search: Search) -> Plan:
     """Return the plan that says that neither a motion nor a reason was found."""
-    status = search.history[-1].solver_status if search.history else "no start closes the loop"
+    status = search.history[-1].solver_status if search.history else "no initial guess closes the kinematic loops"
     return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status})")
 
 
@@ -120,7 +120,7 @@ def _without(search: Search, what: str) -> Plan | None:
         return None
     motion = found.motion
     if what in RELAXABLE and violated_sentence(problem, motion, what) is not None:
-        search.say(f"looking for the least that {what} has to be")
+        search.say(f"looking for the least limit on {what} that admits a motion")
         durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
         motion = least_of(problem, what, motion, mesh, durations, search.history)
     sentence = violated_sentence(problem, motion, what)

@@ -67,7 +67,7 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
         values = _with_rests(values, f"{where}.{key}", mechanism)
     for index in mechanism.independent:
         joint = mechanism.joints[index]
-        if index not in values and default is None and int(index) not in mechanism.idle:
+        if index not in values and default is None and int(index) not in mechanism.passive_dofs:
             named = sorted(mechanism.joints[i].name for i in values)
             others = len(values) == mechanism.dof and not {int(i) for i in values} <= {int(i) for i in mechanism.independent}
             hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if others else ""
@@ -76,7 +76,7 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
             )
         value = values.get(int(index), default)
         # a passive degree of freedom stays where it is, unless it is named
-        if value is None and int(index) in mechanism.idle:
+        if value is None and int(index) in mechanism.passive_dofs:
             value = joint.shown(mechanism.home[index])
         result.append(joint.read(number(value, f"{where}.{key} of joint {joint.name}")))
     if key.endswith("_s"):

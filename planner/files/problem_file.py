@@ -26,7 +26,7 @@ from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.files.trajectory_file import read_trajectory
 from linkplan.planner.files.values import word
 from linkplan.planner.problem.objective import TERMS, Objective, objective_from
-from linkplan.planner.problem.planning_problem import CONTACTS, KINDS, PlanningProblem, Sketch
+from linkplan.planner.problem.planning_problem import CONTACTS, KINDS, GuessedPath, PlanningProblem
 from linkplan.planner.problem.reference import Sine
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.values import number
@@ -221,7 +221,7 @@ def _objective(section: dict, default: str) -> Objective:
     return objective_from(word(section, "objective.minimize", tuple(TERMS), default))
 
 
-def _guess(section: dict, mechanism: Mechanism, folder: Path | None) -> Sketch | Trajectory | None:
+def _guess(section: dict, mechanism: Mechanism, folder: Path | None) -> GuessedPath | Trajectory | None:
     """Return the user's own start: a saved plan's motion, or positions at equal times."""
     plan, duration = section.get("plan"), section.get("duration_s")
     duration = None if duration is None else number(duration, "guess.duration_s", positive=True)
@@ -247,7 +247,7 @@ def _guess(section: dict, mechanism: Mechanism, folder: Path | None) -> Sketch |
         columns.append([joint.read(number(value, f"guess.path_{joint.unit}.{joint.name}")) for value in values])
     if len({len(column) for column in columns}) > 1:
         raise ProblemError("guess.path_deg has equally many positions for every independent joint")
-    return Sketch(path=np.array(columns).T, duration_s=duration)
+    return GuessedPath(path=np.array(columns).T, duration_s=duration)
 
 
 def _mesh(section: dict, objective: Objective) -> MeshSettings:

@@ -1,4 +1,4 @@
-"""A user's problem as refinement sees it: solved within limits that may be drawn in, certified against what was asked."""
+"""A user's problem as refinement sees it: solved within limits that may be tightened, certified against what was asked."""
 
 from dataclasses import dataclass, field, replace
 
@@ -17,14 +17,14 @@ from linkplan.planner.ode.formulation import formulate_ode, start_from
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Aims, Findings
-from linkplan.planner.refinement.tightening import Inset, drawn
+from linkplan.planner.refinement.tightening import Tightening, tightened_share
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of
 from linkplan.planner.transcription.formulation import Start, Units
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import scheme
 
-# A bound drawn in takes a little more than what was overrun.
+# A bound tightened takes a little more than what was overrun.
 _MORE = 1.1
 
 
@@ -35,9 +35,9 @@ class OdeCase:
     problem: OdeProblem
     asked: OdeProblem
     units: Units
-    insets: tuple[Inset, ...] = ()
-    cut: bool = False  # whether the mesh has its cuts already, where the costates put them
-    held: np.ndarray | None = None  # (n_segments, n_u) efforts held between those cuts
+    tightenings: tuple[Tightening, ...] = ()
+    has_switch_times: bool = False  # whether the mesh has its switch times already, where the costates put them
+    bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts held between those switch times
 
     aims: Aims = field(init=False)
 
@@ -46,9 +46,9 @@ class OdeCase:
         aims = Aims(
             effort_limit=asked.effort_limit,
             # Wherever an effort has two limits to jump between.
-            switches=not self.cut and bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
-            bangs=False,  # a differential equation's efforts may take a singular arc anywhere
-            ramps=False,  # nothing is known of its costs
+            switches=not self.has_switch_times and bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
+            bang_bang=False,  # a differential equation's efforts may take a singular arc anywhere
+            continuous_efforts=False,  # nothing is known of its costs
             strictness=INTEGRATION / asked.tolerance,
             tolerance_given=True,  # the mesh may grow beyond what is comfortable
             objective_tolerance=asked.objective_tolerance,
@@ -62,15 +62,15 @@ class OdeCase:
         durations: np.ndarray,
         *,
         position_rows: bool = False,
-        pinned: np.ndarray | None = None,
-        held: np.ndarray | None = None,
+        bang_efforts: np.ndarray | None = None,
+        constrained_paths: np.ndarray | None = None,
         least_limit: bool = False,
     ) -> Transcribed:
         """Return the program from a start."""
-        if pinned is None and self.held is not None and mesh.n_segments == len(self.held):
-            pinned = self.held
+        if bang_efforts is None and self.bang_efforts is not None and mesh.n_segments == len(self.bang_efforts):
+            bang_efforts = self.bang_efforts
         formulation = formulate_ode(
-            self.problem, self.units, state_rows=position_rows, least_limit=least_limit, insets=self.insets
+            self.problem, self.units, state_rows=position_rows, least_limit=least_limit, tightenings=self.tightenings
         )
         return collocate(
             formulation,
@@ -80,8 +80,8 @@ class OdeCase:
             start,
             compile_mode=self.problem.solver.compile,
             least_limit=least_limit,
-            pinned=pinned,
-            held=held,
+            bang_efforts=bang_efforts,
+            constrained_paths=constrained_paths,
         )
 
     def motion(self, solution: Solution) -> OdeTrajectory:
@@ -117,17 +117,17 @@ class OdeCase:
         )
 
     def tightened(self, certificate: OdeCertificate, motion: OdeTrajectory) -> "OdeCase":
-        """Return the case with limits drawn in by what the solution overran them."""
+        """Return the case with limits tightened by what the solution overran them."""
         breaks = (motion.breaks_s - motion.breaks_s[0]) / motion.duration_s
         further = []
         for k, (overrun, limit) in enumerate(zip(certificate.path_overrun, self.asked.path_limit, strict=True)):
             if overrun.max() > 0:
                 upper = bool(np.isfinite(limit[1]) and (limit[1] or not np.isfinite(limit[0])))
-                share = drawn(overrun / (abs(limit[int(upper)]) or 1.0))
-                further.append(Inset(what="path", item=k, breaks=breaks, share=share, upper=upper))
+                share = tightened_share(overrun / (abs(limit[int(upper)]) or 1.0))
+                further.append(Tightening(what="path", item=k, breaks=breaks, share=share, upper=upper))
         inward = np.array([1.0, -1.0])
         state = self.problem.state_limit + _MORE * np.maximum(0.0, -certificate.state_margin)[:, None] * inward
-        return replace(self, problem=replace(self.problem, state_limit=state), insets=(*self.insets, *further))
+        return replace(self, problem=replace(self.problem, state_limit=state), tightenings=(*self.tightenings, *further))
 
     def with_scheme(self, name: str) -> "OdeCase":
         """Return the case with another transcription."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.planner.certificate.boundary import missed
 from linkplan.planner.certificate.flow import Rate, flows
-from linkplan.planner.certificate.margins import least_between, look_points
+from linkplan.planner.certificate.margins import least_between, sample_points
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.transcription.schemes import Scheme, bernstein_value
@@ -54,7 +54,7 @@ class OdeCertificate:
 
 def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificate:
     """Return the certificate of a solution against its problem."""
-    points = look_points(trajectory.state.shape[0] - 1)
+    points = sample_points(trajectory.state.shape[0] - 1)
     n_x, time = problem.n_x, trajectory.times_at(points)
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
     size = np.maximum(np.abs(x).max(axis=0), np.ptp(x, axis=0))

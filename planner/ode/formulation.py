@@ -7,8 +7,8 @@ from scipy.interpolate import PchipInterpolator
 from linkplan.models.errors import ProblemError
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.tightening import Inset, drawn_in
-from linkplan.planner.transcription.formulation import Formulation, Knot, Start, Units
+from linkplan.planner.refinement.tightening import Tightening, tightening_over
+from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Start, Units
 from linkplan.planner.transcription.interval import IntervalRows
 from linkplan.planner.transcription.system import Endpoint, System, node_symbols
 
@@ -67,7 +67,7 @@ def formulate_ode(
     *,
     state_rows: bool = False,
     least_limit: bool = False,
-    insets: tuple[Inset, ...] = (),
+    tightenings: tuple[Tightening, ...] = (),
 ) -> Formulation:
     """Return a problem's formulation.
 
@@ -76,7 +76,7 @@ def formulate_ode(
         units: of its unknowns.
         state_rows: whether limited states are kept between the nodes by constraint rows.
         least_limit: leave the objective out: only a motion is sought.
-        insets: how far path limits are drawn in over the motion, where it overran them between nodes.
+        tightenings: how far path limits are tightened over the motion, where it overran them between nodes.
     """
     timed = depends_on_time(problem)
     n_x, X = problem.n_x + timed, units.state
@@ -87,7 +87,7 @@ def formulate_ode(
     low, high = problem.duration
     p = problem.parameters
     endpoint = _endpoint(problem, units, timed, least_limit)
-    inset = drawn_in(insets, [("path", k) for k in range(len(problem.path_limit))], problem.path_limit)
+    tightening = tightening_over(tightenings, [("path", k) for k in range(len(problem.path_limit))], problem.path_limit)
 
     def theta(times: np.ndarray) -> np.ndarray:
         return np.broadcast_to(p, (*times.shape, len(p)))
@@ -98,29 +98,29 @@ def formulate_ode(
         n_x=n_x,
         n_z=0,
         n_u=problem.n_u,
-        rows=IntervalRows(state_columns=limited if state_rows else (), looked=_looked(problem)),
+        rows=IntervalRows(state_columns=limited if state_rows else (), open_end_path=_open_end_path(problem)),
         units=units,
         state=state / X[:, None],
         algebraic=np.zeros((0, 2)),
         effort=problem.effort_limit,
         path=problem.path_limit,
         own={"state": (state / X[:, None])[list(limited)]},
-        knots=(
-            Knot(state=start / X[:, None], time=(0.0, 0.0)),
-            Knot(state=goal / X[:, None], time=(low / units.time_s, high / units.time_s)),
+        boundaries=(
+            PhaseBoundary(state=start / X[:, None], time=(0.0, 0.0)),
+            PhaseBoundary(state=goal / X[:, None], time=(low / units.time_s, high / units.time_s)),
         ),
         returns=tuple(problem.returns),
         smooth=False,
         eta=np.zeros(0),
         theta=theta,
-        inset=inset,
+        tightening=tightening,
         endpoint=endpoint,
         endpoint_bounds=np.array(problem.ends_limit),
         endpoint_parameters=p if endpoint is not None else np.zeros(0),
     )
 
 
-def _looked(problem: OdeProblem) -> tuple[int, ...]:
+def _open_end_path(problem: OdeProblem) -> tuple[int, ...]:
     """Return the path quantities with effort in them, but for equalities: of those the nodes bear as many as they can."""
     path, limit = problem.at_instant("path"), problem.path_limit
     if not len(limit):

@@ -17,8 +17,16 @@ from linkplan.planner.ode.costates import is_affine
 from linkplan.planner.ode.first_solution import FirstSolution
 from linkplan.planner.ode.formulation import completed, start_of, straight_guess, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.starts import bent, endless, held, is_open, of_least_effort, of_other_durations, sampled_guess
-from linkplan.planner.ode.switches import cut_by_costates, has_arcs
+from linkplan.planner.ode.starts import (
+    is_open,
+    of_least_effort,
+    of_other_durations,
+    perturbed,
+    piecewise_constant,
+    sampled_guess,
+    unbounded_duration,
+)
+from linkplan.planner.ode.switches import has_arcs, switch_by_costates
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, Step, silent, step_of
@@ -32,10 +40,10 @@ _WILD = 1e-3
 # Efforts linear over intervals bring the integrated state so much nearer where polynomials swing between their nodes.
 _SWINGS = 0.01
 # Bends tried where a motion's duration is open, or where no other start leads to a solution.
-_BENDS = 4
+_PERTURBATIONS = 4
 # Objectives within this share of one another are of the same motion, as a mesh knows it.
 _ALIKE = 1e-4
-# Times that a motion is begun anew whose duration ended where the first guess held it: each is a factor of up to 100.
+# Times that a motion is restarted whose duration ended where the first guess held it: each is a factor of up to 100.
 _FURTHER = 3
 # What is left of an objective by one of them where it only falls and falls.
 _FALLS = 0.5
@@ -73,9 +81,9 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     """Return the solution of a problem; one without an answer says why in `message`.
 
     The guesses are tried in turn, the first where none is given being a straight line, at several durations where nothing
-    says how long a motion takes; where none leads to a solution, from a motion of least effort and from bends. With
-    `solver.starts` above 1 as many starts are solved, bent from the guesses at random but the same in every run. The best
-    is refined.
+    says how long a motion takes; where none leads to a solution, from a motion of least effort and from perturbed guesses.
+    With `solver.starts` above 1 as many starts are solved, bent from the guesses at random but the same in every run. The
+    best is refined.
     """
     contradiction = _contradiction(problem)
     if contradiction is not None:
@@ -83,7 +91,7 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     history: list[Step] = []
     given = [completed(problem, guess) for guess in problem.guesses] or [straight_guess(problem)]
     if problem.solver.starts > 1:
-        found = _first_solutions(problem, bent(problem, given, problem.solver.starts), history, say)
+        found = _first_solutions(problem, perturbed(problem, given, problem.solver.starts), history, say)
     else:
         found = _in_turn(problem, given, history, say)
     failed, tried = None, np.zeros(0)
@@ -108,7 +116,7 @@ def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], 
     patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * history[-1].solve_s))
     patient = replace(problem, solver=replace(problem.solver, max_iterations=_ITERATIONS, max_time_s=patience))
     others = of_other_durations(problem, given[0]) if is_open(problem) else []
-    others += list(bent(problem, given, len(given) + _BENDS))[len(given) :]
+    others += list(perturbed(problem, given, len(given) + _PERTURBATIONS))[len(given) :]
     if np.all(np.isfinite(problem.effort_limit)):
         # With limits a motion of no duration's solves may be another local one; what forbids one is found by the efforts.
         return found + _first_solutions(patient, others if is_open(problem) else [], history, say, first=len(given))
@@ -140,13 +148,13 @@ def _first_solutions(
         solved = attempt(case, start_of(guess, case.units), mesh, np.array([guess.duration_s]), word, history, say)
         away, times = None, 0
         while solved is not None and times < _FURTHER:
-            held_at, before = endless(problem, solved), solved.solution.objective
+            held_at, before = unbounded_duration(problem, solved), solved.solution.objective
             if held_at is None:
                 break
             # Guessed too short or too long by far: from what was found, with time in its own units.
             rescaled = sampled_guess(solved.motion)
             case = OdeCase(problem, problem, units_of(problem, rescaled))
-            durations, what = np.array([rescaled.duration_s]), f"{word}, from where time was held"
+            durations, what = np.array([rescaled.duration_s]), f"{word}, restarted from the bound on its duration"
             solved, times = attempt(case, start_of(rescaled, case.units), mesh, durations, what, history, say), times + 1
             # Still a fraction of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
             falls = solved is not None and times > 1 and solved.solution.objective < _FALLS * before
@@ -164,8 +172,8 @@ def _calmed(first: FirstSolution, history: list[Step], say: Say) -> FirstSolutio
     before = case.certify(motion).integration_error
     if before <= _WILD:
         return first
-    durations, what = np.diff(motion.breaks_s[[0, -1]]), "efforts calmed between the nodes"
-    solved = attempt(case, held(case, motion), first.found.mesh, durations, what, history, say, warm=True)
+    durations, what = np.diff(motion.breaks_s[[0, -1]]), "efforts piecewise constant at first"
+    solved = attempt(case, piecewise_constant(case, motion), first.found.mesh, durations, what, history, say, warm=True)
     if solved is None or case.certify(solved.motion).integration_error >= before:
         return first
     return replace(first, found=solved)
@@ -191,11 +199,11 @@ def _eased(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution
 
 def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say: Say) -> OdePlan:
     first = replace(first, case=OdeCase(problem, problem, first.case.units))
-    first = cut_by_costates(_eased(_calmed(first, history, say), history, say), history, say)
+    first = switch_by_costates(_eased(_calmed(first, history, say), history, say), history, say)
     refined = refine(first.case, first.found, history, say)
     assert refined is not None  # a user's solution always has a certificate
     trajectory, certificate, objective = refined.motion, refined.certificate, refined.solution.objective
-    away = first.away or endless(problem, refined)
+    away = first.away or unbounded_duration(problem, refined)
     status, message = "optimal", f"optimum {objective:.10g} in {trajectory.duration_s:.8g} s"
     if away is not None:
         status, message = "failed", f"failed: {away}"
@@ -252,7 +260,8 @@ def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: S
         if solution.converged and factor > 1:
             found = f"efforts of {factor:.4g} times their limits are the least with which a motion was found"
             fixed = problem.duration[0] == problem.duration[1]
-            # Where time is free a motion may gather way that no start has tried: what was found is no proof then.
+            # Where time is free a motion may build up energy by swings that no start has tried: what was found is no proof
+            # then.
             message = f"infeasible: {found}" if fixed else f"failed: no solution was found; {found}, which is no proof"
             status = "infeasible" if fixed else "failed"
             return OdePlan(problem=problem, status=status, message=message, history=tuple(history))

@@ -1,4 +1,4 @@
-"""Where to start from on a user's problem: given guesses, other durations, bends, and what mends one that leads astray."""
+"""Initial guesses of a user's problem: given ones, other durations, perturbed ones, and repairs of bad solutions."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,9 +11,9 @@ from linkplan.planner.ode.certificate import OdeCertificate
 from linkplan.planner.ode.formulation import completed, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.bends import bend
 from linkplan.planner.refinement.case import Found
-from linkplan.planner.refinement.free_duration import LONGER, SHORTER, held_by_guess
+from linkplan.planner.refinement.free_duration import LONGER, SHORTER, bounded_by_guess
+from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.refinement.refine import Refined
 from linkplan.planner.transcription.formulation import Start
 
@@ -29,8 +29,8 @@ _SAMPLES = 101
 _READ_AT = 0.155
 
 
-def bent(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[StateGuess]:
-    """Yield n starts: the guesses, then the guesses bent at random, but the same in every run."""
+def perturbed(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[StateGuess]:
+    """Yield n starts: the guesses, then the guesses perturbed at random, but the same in every run."""
     limit = problem.state_limit
     for number in range(n):
         guess = given[number % len(given)]
@@ -41,10 +41,10 @@ def bent(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[State
         tau = np.linspace(0.0, 1.0, max(_ROWS, len(guess.state)))
         at = np.linspace(0.0, 1.0, len(guess.state))
         state = np.column_stack([np.interp(tau, at, column) for column in guess.state.T])
-        drawn = bend(number, tau, size)
-        state = np.clip(state + drawn.offset, limit[:, 0], limit[:, 1])
+        tightened_share = perturbation(number, tau, size)
+        state = np.clip(state + tightened_share.offset, limit[:, 0], limit[:, 1])
         low, high = problem.duration
-        duration = float(np.clip(guess.duration_s * drawn.stretch, low, high))
+        duration = float(np.clip(guess.duration_s * tightened_share.stretch, low, high))
         yield completed(problem, StateGuess(state=state, effort=guess.effort, duration_s=duration))
 
 
@@ -85,13 +85,21 @@ def of_least_effort(problem: OdeProblem) -> OdeProblem:
     return replace(problem, running_cost=running_cost, final_cost=final_cost if free else None, objective_tolerance=None)
 
 
-def endless(problem: OdeProblem, found: Found[OdeTrajectory] | Refined[OdeTrajectory, OdeCertificate]) -> str | None:
+def unbounded_duration(
+    problem: OdeProblem, found: Found[OdeTrajectory] | Refined[OdeTrajectory, OdeCertificate]
+) -> str | None:
     """Return the words on a duration that ended at a bound which is not the user's but that of its guess; None elsewhere."""
-    held, T = held_by_guess(found.solution, *problem.duration), found.motion.duration_s
+    held, T = bounded_by_guess(found.solution, *problem.duration), found.motion.duration_s
     if held == LONGER:
-        return f"the longer the motion the better, without end, still at {T:.4g} s: bound duration_s from above"
+        return (
+            f"the objective is unbounded in the duration, the longer the motion the better, still at {T:.4g} s: bound"
+            " duration_s from above"
+        )
     if held == SHORTER:
-        return f"the shorter the motion the better, down to nothing, still at {T:.4g} s: bound duration_s from below"
+        return (
+            f"the duration has no least value, the shorter the motion the better, still at {T:.4g} s: bound"
+            " duration_s from below"
+        )
     return None
 
 
@@ -101,7 +109,7 @@ def sampled_guess(motion: OdeTrajectory) -> StateGuess:
     return StateGuess(state=motion.state_at(time), effort=motion.effort_at(time), duration_s=motion.duration_s)
 
 
-def held(case: OdeCase, motion: OdeTrajectory) -> Start:
+def piecewise_constant(case: OdeCase, motion: OdeTrajectory) -> Start:
     """Return a solution as a start with each effort held over an interval.
 
     An effort that acts through its sine and cosine alone may leap by whole turns from node to node: the rows are kept there,

@@ -1,4 +1,4 @@
-"""Switches where Pontryagin's conditions have them: mesh cuts at the zeros of the switching functions.
+"""Switches where Pontryagin's conditions have them: switch times at the zeros of the switching functions.
 
 A solution on a mesh shows its switches as smeared intervals. Arcs shorter than an interval do not show at all, and the
 solver rests where the mesh has no room for them; the costates know of them all the same.
@@ -15,11 +15,11 @@ from linkplan.planner.ode.first_solution import FirstSolution
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.refinement.switch_search import NO_WORSE, cut_mesh
+from linkplan.planner.refinement.switch_search import NO_WORSE, mesh_with_switches
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.solvers.solve import Solution
 
-# Times that cuts are put anew: an arc that is to vanish shrinks from one to the next.
+# Times that switch times are put anew: an arc that is to vanish shrinks from one to the next.
 _TURNS = 8
 # A switching function within this share of its largest value says nothing.
 _FAINT = 1e-6
@@ -27,18 +27,18 @@ _FAINT = 1e-6
 _AT_LIMIT = 1e-3
 # Intervals in a row with an effort within its limits that are an arc of their own and no smeared switch.
 _ARC = 3
-# More cuts than this are no switches but a solution that chatters.
+# More switch times than this are no switches but a solution that chatters.
 _MOST = 40
-# Cuts nearer to one another or to an end than this share of the duration are one.
+# Switch times nearer to one another or to an end than this share of the duration are one.
 _APART = 1e-7
-# A solution replaces another with cuts where it is better by this, relative: next to an arc that vanishes the duration goes
-# with the root of what the solver leaves of its rows, 1e-10.
+# A solution replaces another with switch times where it is better by this, relative: next to an arc that vanishes the
+# duration goes with the root of what the solver leaves of its rows, 1e-10.
 _BETTER = 1e-6
 # And by so many times what its states' errors are worth.
 _SURE = 10.0
 
 
-def cut_by_costates(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution:
+def switch_by_costates(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution:
     """Return a first solution with its efforts at the limits that their switching functions ask for, on a mesh cut there.
 
     Where an effort enters otherwise than affinely, has no two limits, or has an arc within them, the solution is returned
@@ -54,20 +54,23 @@ def cut_by_costates(first: FirstSolution, history: list[Step], say: Say) -> Firs
         switching = switching_of(problem, motion, solution)
         if switching is None or not np.all(np.isfinite(switching.value)):
             return first
-        cuts = _cuts(switching)
+        switch_times = _switch_times(switching)
         promised = _promised(motion, switching, limit)
-        if promised <= _BETTER * abs(solution.objective) or len(cuts) > _MOST:
+        if promised <= _BETTER * abs(solution.objective) or len(switch_times) > _MOST:
             return first
-        knots = motion.breaks_s[[0, -1]]
-        finer, durations = cut_mesh(knots, cuts, asked.problem.mesh.intervals)
-        ends = np.concatenate([knots[:1], cuts, knots[1:]])
-        pinned, start = _pinned(switching, ends, limit), asked.start_from(motion)
+        boundaries = motion.breaks_s[[0, -1]]
+        finer, durations = mesh_with_switches(boundaries, switch_times, asked.problem.mesh.intervals)
+        ends = np.concatenate([boundaries[:1], switch_times, boundaries[1:]])
+        bang_efforts, start = _bang_efforts(switching, ends, limit), asked.start_from(motion)
         better = None
-        for efforts, what in ((pinned, "cuts by the costates"), (None, "cuts by the costates, efforts free")):
-            tried = attempt(asked, start, finer, durations, what, history, say, pinned=efforts, warm=True)
+        for efforts, what in (
+            (bang_efforts, "switch times from the costates"),
+            (None, "switch times from the costates, efforts free"),
+        ):
+            tried = attempt(asked, start, finer, durations, what, history, say, bang_efforts=efforts, warm=True)
             replaces = tried is not None and tried.solution.status == SUCCEEDED
-            if replaces and _replaces(asked, tried, solution, uncut=not first.case.cut):
-                better = replace(first, found=tried, case=replace(asked, cut=True, held=efforts))
+            if replaces and _replaces(asked, tried, solution, uncut=not first.case.has_switch_times):
+                better = replace(first, found=tried, case=replace(asked, has_switch_times=True, bang_efforts=efforts))
                 break
         if better is None:
             return first
@@ -78,8 +81,8 @@ def cut_by_costates(first: FirstSolution, history: list[Step], say: Say) -> Firs
 def _replaces(case: OdeCase, tried: Found[OdeTrajectory], before: Solution, *, uncut: bool) -> bool:
     """Return whether a solution replaces the one before.
 
-    The first with cuts does where it is no worse than a mesh without cuts is wrong, later ones where they gain more than
-    what their states' errors are worth by their own costates.
+    The first with switch times does where it is no worse than a mesh without switch times is wrong, later ones where they
+    gain more than what their states' errors are worth by their own costates.
     """
     solution, allowed = tried.solution, NO_WORSE * abs(before.objective)
     if uncut:
@@ -119,24 +122,24 @@ def _promised(motion: OdeTrajectory, switching: Switching, limit: np.ndarray) ->
     return float(np.sum(np.trapezoid(gain, switching.time_s, axis=1)))
 
 
-def _cuts(switching: Switching) -> np.ndarray:
+def _switch_times(switching: Switching) -> np.ndarray:
     """Return the instants (n,) [s] at which a switching function changes its sign, in order."""
     time, signs = switching.time_s.ravel(), _signs(switching)
-    flat, cuts = switching.value.reshape(signs.shape), []
+    flat, switch_times = switching.value.reshape(signs.shape), []
     for j in range(signs.shape[1]):
         known = np.flatnonzero(signs[:, j])
         for a, b in itertools.pairwise(known):
             if signs[a, j] != signs[b, j]:
                 share = flat[a, j] / (flat[a, j] - flat[b, j])
-                cuts.append(float(time[a] + share * (time[b] - time[a])))
+                switch_times.append(float(time[a] + share * (time[b] - time[a])))
     apart, kept = _APART * (time[-1] - time[0]), []
-    for at in sorted(cuts):
+    for at in sorted(switch_times):
         if min(at - time[0], time[-1] - at) > apart and (not kept or at - kept[-1] > apart):
             kept.append(at)
     return np.array(kept)
 
 
-def _pinned(switching: Switching, ends: np.ndarray, limit: np.ndarray) -> np.ndarray:
+def _bang_efforts(switching: Switching, ends: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return the limits (n_segments, n_u) that efforts are held at between ends (n_segments + 1,) [s]."""
     time, n_u = switching.time_s.ravel(), switching.value.shape[2]
     flat = switching.value.reshape(-1, n_u)

@@ -15,14 +15,14 @@ from linkplan.planner.problem.reference import Sine
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.trajectory import Trajectory
 
-__all__ = ["CONTACTS", "KINDS", "Limits", "Motion", "Motor", "PlanningProblem", "Sketch", "Waypoint"]
+__all__ = ["CONTACTS", "KINDS", "GuessedPath", "Limits", "Motion", "Motor", "PlanningProblem", "Waypoint"]
 
 
 CONTACTS = ("refuse", "note")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Sketch:
+class GuessedPath:
     """A user's guess of a motion: independent positions (n, n_s) [rad or m] at equal times, and its duration or None."""
 
     path: np.ndarray
@@ -49,7 +49,7 @@ class PlanningProblem:
     limits: Limits
     motors: tuple[Motor | None, ...] = ()
     reference: Sine | None = None
-    guess: Sketch | Trajectory | None = None
+    guess: GuessedPath | Trajectory | None = None
     contacts: str = "refuse"  # a plan whose geoms meet on the way, or "note" them and plan without their forces
     mesh: MeshSettings = field(default_factory=MeshSettings)
     solver: SolverSettings = field(default_factory=SolverSettings)
@@ -145,7 +145,7 @@ class PlanningProblem:
         for name, n_rows in rows.items():
             if len(getattr(self.limits, name)) != n_rows:
                 raise ProblemError(f"limits.{name} needs {n_rows} rows, got {len(getattr(self.limits, name))}")
-        guessed = self.guess.path.shape[1] if isinstance(self.guess, Sketch) else getattr(self.guess, "n_s", n_s)
+        guessed = self.guess.path.shape[1] if isinstance(self.guess, GuessedPath) else getattr(self.guess, "n_s", n_s)
         if guessed != n_s:
             raise ProblemError(f"the guess moves {guessed} joints, '{mechanism.name}' has {n_s} independent ones")
         if len(self.motors) != mechanism.n_u:

@@ -11,7 +11,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
-from linkplan.planner.refinement.constrained_arcs import Held
+from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import Say, Step, step_of
 from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.solvers.solve import Solution, solve
@@ -47,16 +47,17 @@ class Aims:
     """What the best motion looks like as far as that is known beforehand, and how exact it is to be.
 
     `switches` says whether efforts may jump between their limits, `effort_limit` (n_u, 2): switch times are then looked for;
-    `bangs` whether they are at their limits wherever no other limit binds: such arcs may be as short as may be; `ramps`
-    whether efforts pass from one limit to the other without a jump, be it in less than an interval. `strictness` is how many
-    times more exact than a certificate demands the integrated state is to be, `tolerance_given` whether the user asked for
-    that, `objective_tolerance` what the objective may change by from mesh to mesh, relative, None where it is not looked at.
+    `bang_bang` whether they are at their limits wherever no other limit binds: such arcs may be as short as may be;
+    `continuous_efforts` whether efforts pass from one limit to the other without a jump, be it in less than an interval.
+    `strictness` is how many times more exact than a certificate demands the integrated state is to be, `tolerance_given`
+    whether the user asked for that, `objective_tolerance` what the objective may change by from mesh to mesh, relative, None
+    where it is not looked at.
     """
 
     effort_limit: np.ndarray
     switches: bool
-    bangs: bool
-    ramps: bool
+    bang_bang: bool
+    continuous_efforts: bool
     strictness: float
     tolerance_given: bool
     objective_tolerance: float | None
@@ -115,8 +116,8 @@ class Case(Protocol[MotionT, CertificateT]):
         durations: np.ndarray,
         *,
         position_rows: bool = False,
-        pinned: np.ndarray | None = None,
-        held: np.ndarray | None = None,
+        bang_efforts: np.ndarray | None = None,
+        constrained_paths: np.ndarray | None = None,
     ) -> Transcribed:
         """Return the program from a start; the options are those of the clients' `transcribe`."""
         ...
@@ -138,7 +139,7 @@ class Case(Protocol[MotionT, CertificateT]):
         ...
 
     def tightened(self, certificate: CertificateT, motion: MotionT) -> Self:
-        """Return the case with limits drawn in by what a motion overran them (constraint tightening)."""
+        """Return the case with limits tightened by what a motion overran them (constraint tightening)."""
         ...
 
     def with_scheme(self, name: str) -> Self:
@@ -148,11 +149,11 @@ class Case(Protocol[MotionT, CertificateT]):
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Found(Generic[MotionT]):
-    """A motion that a solve led to, and the solution; `held` is what refinement holds along its arcs, None for nothing."""
+    """A motion that a solve led to, and the solution; `fixed` is what refinement holds along its arcs, None for nothing."""
 
     motion: MotionT
     solution: Solution
-    held: Held | None = None
+    fixed: FixedArcs | None = None
 
     @property
     def mesh(self) -> Mesh:
@@ -172,8 +173,8 @@ def attempt(
     warm: bool = False,
     close: bool = False,
     position_rows: bool = False,
-    pinned: np.ndarray | None = None,
-    held: Held | None = None,
+    bang_efforts: np.ndarray | None = None,
+    fixed: FixedArcs | None = None,
 ) -> Found[MotionT] | None:
     """Return what one solve leads to, noted in the history; None where it found no motion.
 
@@ -188,14 +189,16 @@ def attempt(
         warm: as of `linkplan.planner.solvers.solve.build_solver`.
         close: likewise.
         position_rows: whether ranges are kept between the nodes by constraint rows.
-        pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
-        held: what refinement holds along arcs; in place of `pinned`.
+        bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
+        fixed: what refinement holds along arcs; in place of `bang_efforts`.
     """
     settings = case.problem
     say(f"{what}: {settings.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
-    efforts, paths = (pinned, None) if held is None else (held.efforts, held.paths)
+    efforts, paths = (bang_efforts, None) if fixed is None else (fixed.efforts, fixed.paths)
     try:
-        transcribed = case.transcribe(start, mesh, durations, position_rows=position_rows, pinned=efforts, held=paths)
+        transcribed = case.transcribe(
+            start, mesh, durations, position_rows=position_rows, bang_efforts=efforts, constrained_paths=paths
+        )
     except AssemblyError:  # a start whose loops open between the instants at which it was looked at
         return None
     solution = solve(transcribed, settings.solver, warm=warm, close=close)
@@ -203,4 +206,4 @@ def attempt(
     if not solution.converged:
         return None
     motion = case.motion(solution)
-    return None if motion is None else Found(motion=motion, solution=solution, held=held)
+    return None if motion is None else Found(motion=motion, solution=solution, fixed=fixed)

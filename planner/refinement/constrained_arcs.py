@@ -1,8 +1,9 @@
-"""Arcs of a motion along path limits: where they begin and end, and which segments between cuts are held on them.
+"""Constrained arcs: where a motion along path limits enters and leaves them, and which segments are held on them.
 
-An effort that follows a limit on power or on a dependent joint's speed is no more at its own limit, and a program with rows
-at nodes alone gains from leaving the limit between them, most of all next to a switch. Held on the limit at every node of a
-segment, as efforts at their limits are, the motion has nothing to gain there, and its cuts settle where they belong.
+On a constrained arc, at a limit on power or on a dependent joint's speed, the effort is no more at its own limit, and a
+program with rows at nodes alone gains from leaving the limit between them, most of all next to a switch. Held on the limit
+at every node of a segment, as efforts at their limits are, the motion has nothing to gain there, and the switch times
+converge.
 """
 
 import itertools
@@ -14,17 +15,18 @@ import numpy as np
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.schemes import bernstein_matrix
 
-# A path quantity within this share of its limit is at it; next to cuts (this share of a segment) nothing is looked at.
+# A path quantity within this share of its limit is at it; next to switch times (this share of a segment) nothing is looked
+# at.
 _AT_LIMIT = 1e-3
-_BESIDE_CUTS = 0.15
-# Ends of an arc within so many intervals of a cut are that cut.
+_BESIDE_SWITCHES = 0.15
+# Ends of an arc within so many intervals of a switch time are that switch time.
 _NEAR = 2.5
 # A curve further from a limit than this share of it, whose coefficients are at it, is kept away; looked at so many instants.
 _STANDS_OFF, _SAMPLES = 1e-7, 33
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Held:
+class FixedArcs:
     """What is held over whole segments along arcs.
 
     `efforts` (n_segments, n_u) at their limits, NaN where they are free; `paths` (n_segments, n_path): path quantities at
@@ -111,9 +113,9 @@ def _coefficients(transcribed: Transcribed, x: np.ndarray) -> Iterator[tuple[str
         yield kind, rows[:, columns], transcribed.formulation.own[kind][item]
 
 
-def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, cuts_s: np.ndarray, knots_s: np.ndarray) -> np.ndarray:
-    """Return the instants (n,) [s] at which arcs (n_intervals, n_path) begin or end and no cut or knot is near."""
-    known = cuts_s
+def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, switch_times_s: np.ndarray, boundaries_s: np.ndarray) -> np.ndarray:
+    """Return the instants (n,) [s] at which arcs (n_intervals, n_path) begin or end away from known switches and phases."""
+    known = switch_times_s
     widths = np.diff(breaks_s)
     found = []
     for k in range(1, len(arcs)):
@@ -121,47 +123,50 @@ def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, cuts_s: np.ndarray, knots_s
         if (
             np.any(arcs[k] != arcs[k - 1])
             and np.abs(known - breaks_s[k]).min(initial=np.inf) > near
-            and np.all(np.abs(knots_s - breaks_s[k]) > 0.5 * min(widths[k - 1], widths[k]))
+            and np.all(np.abs(boundaries_s - breaks_s[k]) > 0.5 * min(widths[k - 1], widths[k]))
         ):
             found.append(float(breaks_s[k]))
             known = np.append(known, breaks_s[k])
     return np.array(found)
 
 
-def held_paths(arcs: np.ndarray, breaks_s: np.ndarray, ends_s: np.ndarray, pinned: np.ndarray) -> np.ndarray:
+def find_constrained_paths(
+    arcs: np.ndarray, breaks_s: np.ndarray, ends_s: np.ndarray, bang_efforts: np.ndarray
+) -> np.ndarray:
     """Return which path quantities (n_segments, n_path) segments hold at their upper limit (1) or lower one (-1).
 
     Args:
         arcs: (n_intervals, n_path) from `path_arcs`.
         breaks_s: (n_intervals + 1,) of that motion [s].
         ends_s: (n_segments + 1,) [s] of the segments to be.
-        pinned: (n_segments, n_u) efforts that are held, NaN where they are free: no more paths are held than efforts free.
+        bang_efforts: (n_segments, n_u) efforts that are held, NaN where they are free: no more paths are held than efforts
+            free.
     """
-    held = np.zeros((len(ends_s) - 1, arcs.shape[1]), dtype=int)
+    constrained_paths = np.zeros((len(ends_s) - 1, arcs.shape[1]), dtype=int)
     for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
-        beside = _BESIDE_CUTS * (end - begin)
+        beside = _BESIDE_SWITCHES * (end - begin)
         inside = (breaks_s[1:] > begin + beside) & (breaks_s[:-1] < end - beside)
         inner = inside & (breaks_s[:-1] >= begin) & (breaks_s[1:] <= end)
         chosen = arcs[inner if inner.any() else inside]
         if len(chosen):
-            held[k] = np.where(np.all(chosen == chosen[0], axis=0), chosen[0], 0)
-        free = int(np.isnan(pinned[k]).sum())
-        held[k, np.flatnonzero(held[k])[free:]] = 0
-    return held
+            constrained_paths[k] = np.where(np.all(chosen == chosen[0], axis=0), chosen[0], 0)
+        free = int(np.isnan(bang_efforts[k]).sum())
+        constrained_paths[k, np.flatnonzero(constrained_paths[k])[free:]] = 0
+    return constrained_paths
 
 
-def free_ends(ends_s: np.ndarray, held: Held) -> tuple[np.ndarray, Held]:
-    """Return cuts (n,) [s] that split the ends off held arcs, and what is held then: no paths on those ends.
+def free_ends(ends_s: np.ndarray, fixed: FixedArcs) -> tuple[np.ndarray, FixedArcs]:
+    """Return switch times (n,) [s] that split the ends off held arcs, and what is held then: no paths on those ends.
 
     An effort may come to its limit on the way along an arc, in less than an interval, and end it there.
     """
-    cuts, efforts, paths = [], [], []
+    switch_times, efforts, paths = [], [], []
     for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
-        on_path = held.paths[k]
+        on_path = fixed.paths[k]
         if on_path.any():
-            beside = _BESIDE_CUTS * (end - begin)
-            cuts += [begin + beside, end - beside]
+            beside = _BESIDE_SWITCHES * (end - begin)
+            switch_times += [begin + beside, end - beside]
         parts = [0 * on_path, on_path, 0 * on_path] if on_path.any() else [on_path]
-        efforts += [held.efforts[k]] * len(parts)
+        efforts += [fixed.efforts[k]] * len(parts)
         paths += parts
-    return np.array(cuts), Held(efforts=np.array(efforts), paths=np.array(paths))
+    return np.array(switch_times), FixedArcs(efforts=np.array(efforts), paths=np.array(paths))

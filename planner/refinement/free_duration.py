@@ -10,7 +10,7 @@ _AT_END = 0.01
 LONGER, SHORTER = "longer", "shorter"
 
 
-def held_by_guess(solution: Solution, shortest_s: float, longest_s: float) -> str | None:
+def bounded_by_guess(solution: Solution, shortest_s: float, longest_s: float) -> str | None:
     """Return `LONGER` or `SHORTER`, as the motion would be, where a bound is in its way that is not the user's; else None.
 
     A free duration is sought between a fiftieth and a hundred times its guess. Motions with switch times of their own have
@@ -23,10 +23,10 @@ def held_by_guess(solution: Solution, shortest_s: float, longest_s: float) -> st
     """
     transcribed = solution.transcribed
     place, mesh = transcribed.program.layout.durations(), transcribed.program.mesh
-    if shortest_s == longest_s or np.any(np.bincount(mesh.leg) > 1):
+    if shortest_s == longest_s or np.any(np.bincount(mesh.phase) > 1):
         return None
     at, lower, upper = solution.x[place], transcribed.lower[place], transcribed.upper[place]
-    free, duration = lower < upper, float(at.sum()) * transcribed.units.time_s  # legs to given instants are not free
+    free, duration = lower < upper, float(at.sum()) * transcribed.units.time_s  # phases to given instants are not free
     if duration < (1 - _AT_END) * longest_s and np.any(free & (at >= (1 - _AT_END) * upper)):
         return LONGER
     if duration > (1 + _AT_END) * shortest_s and np.any(free & (at <= (1 + _AT_END) * lower)):

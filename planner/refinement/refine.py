@@ -1,4 +1,4 @@
-"""From a first solution to a certified one: cuts at its switches, finer meshes and higher degrees until it passes."""
+"""From a first solution to a certified one: switch times as unknowns, finer meshes, higher degrees until it passes."""
 
 import re
 from dataclasses import dataclass, replace
@@ -7,9 +7,9 @@ from typing import Any, Generic
 import numpy as np
 
 from linkplan.planner.refinement.case import Case, CertificateT, Findings, Found, MotionT, attempt
-from linkplan.planner.refinement.constrained_arcs import Held, standing_off
+from linkplan.planner.refinement.constrained_arcs import FixedArcs, standing_off
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.refinement.switch_search import at_bounds, bangs_alone, settle_switches
+from linkplan.planner.refinement.switch_search import at_bounds, is_bang_bang, settle_switch_times
 from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.solvers.solve import Solution
@@ -18,7 +18,7 @@ from linkplan.planner.transcription.schemes import MAX_DEGREE
 
 # Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
 _ROUNDS = 12
-# From this round on limits are drawn in while the mesh still grows; from the later one on even those that it could mend.
+# From this round on limits are tightened while the mesh still grows; from the later one on even those that it could mend.
 _MERGED, _MERGED_ALL = 4, 8
 # How often switches are looked for again where limits are overrun next to ends of arcs that a finer mesh shows.
 _AGAIN = 2
@@ -29,8 +29,8 @@ _MOST = 120
 _COMFORTABLE = 100
 _WORST = 0.01
 _MARK = 0.5
-# A limit overrun between the nodes by more than this share of itself is a matter for the mesh; less is drawn in, which costs
-# the objective about as much.
+# A limit overrun between the nodes by more than this share of itself is a matter for the mesh; for less the limit is
+# tightened, which costs the objective about as much.
 _FINE = 1e-7
 # The degree is raised where at least this share of the intervals asks for more, and none stands out by more than this
 # factor: the motion is smooth there, and nodes are worth more than intervals.
@@ -93,28 +93,29 @@ def refine(
     aims, kept, position_rows = case.aims, case, False
     finest = _MOST * case.problem.mesh.intervals
     comfortable = finest if aims.tolerance_given else _COMFORTABLE
-    found = replace(found, held=None)
+    found = replace(found, fixed=None)
     if aims.switches:
-        found = settle_switches(case, found, history, say)
+        found = settle_switch_times(case, found, history, say)
     at = _judged(case, found, history)
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
     settled, again, polished = True, 0, 0
     for turn in range(_ROUNDS):
         if at.findings is not None and not at.passed and not at.findings.mendable:
             break
-        motion, solution, held = at.found.motion, at.found.solution, at.found.held
-        off = standing_off(solution.transcribed, solution.x) if aims.bangs else np.zeros(at.n_intervals, dtype=bool)
+        motion, solution, fixed = at.found.motion, at.found.solution, at.found.fixed
+        off = standing_off(solution.transcribed, solution.x) if aims.bang_bang else np.zeros(at.n_intervals, dtype=bool)
         if at.passed:
             passed = at
             change = abs(solution.objective - before)
             settled = aims.objective_tolerance is None or change <= aims.objective_tolerance * abs(solution.objective)
             if at.findings.exact and settled and (not off.any() or change <= _TOUCHED * abs(solution.objective)):
-                known = held is not None and held.everything and not at_bounds(solution)
-                if polished == _POLISHED or known or not bangs_alone(case, solution.transcribed):
+                known = fixed is not None and fixed.everything and not at_bounds(solution)
+                if polished == _POLISHED or known or not is_bang_bang(case, solution.transcribed):
                     break
-                # Efforts were left free, or cuts have further to go: switches are read again, from a motion that is right.
+                # Efforts were left free, or switch times have further to go: switches are read again, from a motion that is
+                # right.
                 polished += 1
-                better = settle_switches(kept, at.found, history, say, position_rows=position_rows)
+                better = settle_switch_times(kept, at.found, history, say, position_rows=position_rows)
                 if better.solution is solution:
                     break
                 at = _judged(case, better, history)
@@ -123,10 +124,10 @@ def refine(
         begun = position_rows
         position_rows = position_rows or at.findings is None or at.findings.leaves_positions
         marked, over = _marked(at, aims.strictness) | off, _overrunning(at)
-        loose = aims.switches and not (held is not None and held.everything)
+        loose = aims.switches and not (fixed is not None and fixed.everything)
         if over.any() and loose and turn and turn % 2 == 0 and again < _AGAIN:
             again += 1
-            better = settle_switches(kept, at.found, history, say, position_rows=position_rows)
+            better = settle_switch_times(kept, at.found, history, say, position_rows=position_rows)
             if better.solution is not solution:
                 at = _judged(case, better, history)
                 continue
@@ -141,16 +142,16 @@ def refine(
             marked = marked | over
         what = "finer mesh"
         if position_rows and not begun and at.certificate is not None:
-            what, marked = "states kept within their limits at every instant", np.zeros(at.n_intervals, dtype=bool)
+            what, marked = "state limits imposed at every instant", np.zeros(at.n_intervals, dtype=bool)
         elif higher is not None:
             kept, what, marked = kept.with_scheme(higher), f"higher degree, {higher}", np.zeros(at.n_intervals, dtype=bool)
         elif not marked.any() and at.overruns:
             # Only a limit is left, between the nodes: ask the solver for a little less than it.
-            kept, what = kept.tightened(at.certificate, motion), "limits kept between the nodes"
+            kept, what = kept.tightened(at.certificate, motion), "constraints tightened between the nodes"
         elif not marked.any():
             marked[:] = True
         elif turn >= (_MERGED_ALL if over.any() else _MERGED) and at.overruns:
-            kept, what = kept.tightened(at.certificate, motion), "finer mesh, limits kept between the nodes"
+            kept, what = kept.tightened(at.certificate, motion), "finer mesh, constraints tightened between the nodes"
         n_finer = _grown(at.found.mesh, marked)
         if n_finer > finest or (passed is not None and not aims.tolerance_given and n_finer > _COMFORTABLE):
             break
@@ -160,7 +161,7 @@ def refine(
         if finer is None:
             break
         if position_rows and not begun and aims.switches:
-            finer = settle_switches(kept, replace(finer, held=None), history, say, position_rows=True)
+            finer = settle_switch_times(kept, replace(finer, fixed=None), history, say, position_rows=True)
         at = _judged(case, finer, history)
     if passed is not None and not at.passed:
         at = passed
@@ -178,25 +179,25 @@ def _finer(
     Where one passed before, it is looked for `again` where it is lost, in the end with nothing held; one of bangs is looked
     for right at the coarser one's, and from afar too where that gives another.
     """
-    mesh, start, bangs = halved(coarse.mesh, marked), case.start_from(coarse.motion), case.aims.bangs
+    mesh, start, bang_bang = halved(coarse.mesh, marked), case.start_from(coarse.motion), case.aims.bang_bang
     durations = np.bincount(mesh.segment, weights=_widths(coarse.motion, marked))
 
-    def tried(word: str, held: Held | None, **how: bool) -> Found[MotionT] | None:
+    def tried(word: str, fixed: FixedArcs | None, **how: bool) -> Found[MotionT] | None:
         return attempt(
-            case, start, mesh, durations, what + word, history, say, position_rows=position_rows, held=held, **how
+            case, start, mesh, durations, what + word, history, say, position_rows=position_rows, fixed=fixed, **how
         )
 
-    ways = [("", {"warm": warm}), (", from next to it", {"close": True})][: 2 if again else 1]
+    ways = [("", {"warm": warm}), (", warm start", {"close": True})][: 2 if again else 1]
     found: list[Found[MotionT]] = []
-    for word, how in reversed(ways) if bangs else ways:
-        finer = tried(word, coarse.held, **how)
+    for word, how in reversed(ways) if bang_bang else ways:
+        finer = tried(word, coarse.fixed, **how)
         if finer is not None:
             found.append(finer)
             changed = abs(finer.solution.objective - coarse.solution.objective) > _SAME * abs(coarse.solution.objective)
-            if finer.solution.status == SUCCEEDED and not (bangs and changed):
+            if finer.solution.status == SUCCEEDED and not (bang_bang and changed):
                 break
-    if again and coarse.held is not None and all(finer.solution.status != SUCCEEDED for finer in found):
-        loose = tried(", nothing held", None, close=True)
+    if again and coarse.fixed is not None and all(finer.solution.status != SUCCEEDED for finer in found):
+        loose = tried(", efforts and paths free", None, close=True)
         if loose is not None:
             return loose
     return min(found, key=lambda finer: (finer.solution.status != SUCCEEDED, finer.solution.objective), default=None)
@@ -230,7 +231,7 @@ def _marked(at: _Judged[Any, Any], strictness: float) -> np.ndarray:
 
 
 def _overrunning(at: _Judged[Any, Any]) -> np.ndarray:
-    """Return on which intervals (n,) a limit is overrun between the nodes by more than should be drawn in."""
+    """Return on which intervals (n,) a limit is overrun between the nodes by more than should be tightened."""
     if at.findings is None:
         return np.zeros(at.n_intervals, dtype=bool)
     overrun = at.findings.overrun
@@ -263,8 +264,8 @@ def _higher_on_arcs(case: Case[MotionT, CertificateT], at: _Judged[MotionT, Cert
     """Return the transcription of higher degree where motions along limits overrun them evenly: the arcs are smooth."""
     if at.findings is None or not over.any():
         return None
-    held = at.found.held
-    if case.aims.switches and (held is None or not np.all(held.paths[at.found.mesh.segment[over]].any(axis=1))):
+    fixed = at.found.fixed
+    if case.aims.switches and (fixed is None or not np.all(fixed.paths[at.found.mesh.segment[over]].any(axis=1))):
         return None  # an arc that is not held may end inside an interval, which wants to be cut
     overrun = at.findings.overrun[over]
     even = len(overrun) >= _AN_ARC and overrun.max() <= _STANDS_OUT * float(np.median(overrun))

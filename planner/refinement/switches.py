@@ -1,4 +1,4 @@
-"""Where a least-time motion switches: cuts for a mesh whose segments then settle on them."""
+"""Where the efforts of a least-time motion switch: times for a mesh whose segments then end there."""
 
 import itertools
 from typing import Protocol
@@ -9,7 +9,8 @@ import numpy as np
 _AT_LIMIT = 1e-3
 # Up to this many intervals between two arcs at limits are one smeared switch; more are an arc of their own.
 _SMEARED = 3
-# Cuts within this share of half an interval of a knot are that knot, where arcs may be short and where not.
+# Switch times within this share of half an interval of a phase boundary are that phase boundary, where arcs may be short and
+# where not.
 _BESIDE = {True: 1e-3, False: 0.1}
 
 
@@ -31,34 +32,34 @@ class Motion(Protocol):
         ...
 
 
-def find_cuts(
+def find_switch_times(
     trajectory: Motion,
     limit: np.ndarray,
-    knots_s: np.ndarray | None = None,
+    boundaries_s: np.ndarray | None = None,
     on_path: np.ndarray | None = None,
     *,
     short: bool = False,
-    ramps: bool = False,
+    continuous_efforts: bool = False,
 ) -> np.ndarray:
     """Return the times (n,) [s] at which efforts jump between their limits or leave them, increasing.
 
     Args:
         trajectory: a solution on a fixed mesh.
         limit: (n_u, 2) of the efforts.
-        knots_s: instants [s] at which the mesh is cut already; its ends by default.
+        boundaries_s: instants [s] at which the mesh is cut already; its ends by default.
         on_path: intervals (n,) that follow a path limit: never a smeared switch, however few.
         short: whether arcs at limits may be shorter than an interval. Where there are limits other than those of effort,
             what leaves its limit so shortly follows one of them.
-        ramps: whether efforts have no jumps: what lies between two limits is then an arc, however short.
+        continuous_efforts: whether efforts have no jumps: what lies between two limits is then an arc, however short.
 
     A switch inside an interval shows as one smeared interval; its time follows from the impulse, which the smeared
     interval keeps: u_before (t - t_0) + u_after (t_1 - t) = int u dt. So do the two of an arc that is shorter than that.
     """
     breaks = trajectory.breaks_s
-    knots = breaks[[0, -1]] if knots_s is None else knots_s
-    cut_already = np.searchsorted(breaks, knots[1:-1] - 1e-12 * breaks[-1]) if short else np.empty(0, dtype=int)
-    at_knots = {0, len(breaks) - 1, *cut_already.tolist()}
-    cuts: list[float] = []
+    boundaries = breaks[[0, -1]] if boundaries_s is None else boundaries_s
+    known_boundaries = np.searchsorted(breaks, boundaries[1:-1] - 1e-12 * breaks[-1]) if short else np.empty(0, dtype=int)
+    at_boundaries = {0, len(breaks) - 1, *known_boundaries.tolist()}
+    switch_times: list[float] = []
     pulses: list[list[float]] = []
     for j, (low, high) in enumerate(limit):
         if not (np.isfinite(low) and np.isfinite(high) and high > low):
@@ -66,35 +67,38 @@ def find_cuts(
         coefficients = trajectory.effort[:, :, j]
         slack = _AT_LIMIT * (high - low)
         arc = np.where(coefficients.min(axis=0) > high - slack, 1, np.where(coefficients.max(axis=0) < low + slack, -1, 0))
-        edges = np.union1d(np.flatnonzero(np.diff(arc)) + 1, cut_already)
+        edges = np.union1d(np.flatnonzero(np.diff(arc)) + 1, known_boundaries)
         starts, ends = np.concatenate([[0], edges]), np.concatenate([edges, [len(arc)]])
         for a, b in zip(starts, ends, strict=True):
-            before = 0 if a in at_knots else arc[a - 1]
-            after = 0 if b in at_knots else arc[b]
+            before = 0 if a in at_boundaries else arc[a - 1]
+            after = 0 if b in at_boundaries else arc[b]
             if arc[a] != 0:
                 if before != 0:
-                    cuts.append(float(breaks[a]))
+                    switch_times.append(float(breaks[a]))
             elif on_path is not None and on_path[a:b].any() and b - a <= 2:
-                cuts += [float(breaks[k]) for k, neighbour in ((a, before), (b, after)) if neighbour != 0]
+                switch_times += [float(breaks[k]) for k, neighbour in ((a, before), (b, after)) if neighbour != 0]
             elif b - a > _SMEARED or (on_path is not None and on_path[a:b].any()):
                 # An arc of its own: its first and last interval may hold the rest of the arcs at limits beside it.
                 for k, inner, neighbour in ((a, a + 1, before), (b - 1, b - 2, after)):
                     if neighbour != 0:
                         at_limit, within = (high if neighbour > 0 else low), coefficients[:, inner].mean()
                         u_before, u_after = (at_limit, within) if k == a else (within, at_limit)
-                        cuts.append(_cut_in(breaks[k : k + 2], coefficients[:, k : k + 1], u_before, u_after))
+                        switch_times.append(
+                            _switch_time_in(breaks[k : k + 2], coefficients[:, k : k + 1], u_before, u_after)
+                        )
             elif before * after > 0 and short:
                 pulses.append(_pulse_in(breaks[a : b + 1], coefficients[:, a:b], (low, high) if before < 0 else (high, low)))
-            elif before * after < 0 and ramps:
+            elif before * after < 0 and continuous_efforts:
                 pulses.append([float(breaks[a]), float(breaks[b])])
             elif before * after < 0 or (short and before + after):
-                # Next to a knot or an end the arc on the other side is shorter than an interval: at the other limit.
+                # Next to a phase boundary or an end the arc on the other side is shorter than an interval: at the other
+                # limit.
                 u_before, u_after = (high, low) if before > 0 or after < 0 else (low, high)
-                cuts.append(_cut_in(breaks[a : b + 1], coefficients[:, a:b], u_before, u_after))
-    return _spread([[cut] for cut in cuts] + pulses, breaks, knots, _BESIDE[short])
+                switch_times.append(_switch_time_in(breaks[a : b + 1], coefficients[:, a:b], u_before, u_after))
+    return _spread([[switch_time] for switch_time in switch_times] + pulses, breaks, boundaries, _BESIDE[short])
 
 
-def _cut_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:
+def _switch_time_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:
     """Return the time in smeared intervals at which a jump between two efforts gives the impulse that they hold."""
     impulse = float(np.sum(coefficients.mean(axis=0) * np.diff(breaks)))
     jump = u_before - u_after
@@ -113,29 +117,29 @@ def _pulse_in(breaks: np.ndarray, coefficients: np.ndarray, limits: tuple[float,
     return [middle - length / 2, middle + length / 2]
 
 
-def pinned_efforts(trajectory: Motion, limit: np.ndarray, cuts: np.ndarray) -> np.ndarray:
-    """Return the efforts (n_cuts + 1, n_u) that segments between cuts hold throughout: a limit, or NaN where they vary.
+def find_bang_efforts(trajectory: Motion, limit: np.ndarray, switch_times: np.ndarray) -> np.ndarray:
+    """Return the efforts (n_switches + 1, n_u) of bang arcs between switch times: a limit, or NaN where they vary.
 
-    Looked at away from the cuts, next to which the fixed mesh smears the switch.
+    Looked at away from the switch times, next to which the fixed mesh smears the switch.
     """
-    ends = np.concatenate([trajectory.breaks_s[:1], cuts, trajectory.breaks_s[-1:]])
-    pinned = np.full((len(ends) - 1, trajectory.effort.shape[2]), np.nan)
+    ends = np.concatenate([trajectory.breaks_s[:1], switch_times, trajectory.breaks_s[-1:]])
+    bang_efforts = np.full((len(ends) - 1, trajectory.effort.shape[2]), np.nan)
     for k, (begin, end) in enumerate(itertools.pairwise(ends)):
         effort = trajectory.effort_at(begin + np.linspace(0.15, 0.85, 50) * (end - begin))
         for j, (low, high) in enumerate(limit):
             slack = _AT_LIMIT * (high - low) if np.isfinite(high - low) else 0.0
             for bound in (low, high):
                 if slack and np.all(np.abs(effort[:, j] - bound) < slack):
-                    pinned[k, j] = bound
-    return pinned
+                    bang_efforts[k, j] = bound
+    return bang_efforts
 
 
-def _spread(cuts: list[list[float]], breaks: np.ndarray, knots: np.ndarray, share: float) -> np.ndarray:
-    """Return cuts in order, a pulse's together, but for those within half an interval of others or next to a knot."""
+def _spread(switch_times: list[list[float]], breaks: np.ndarray, boundaries: np.ndarray, share: float) -> np.ndarray:
+    """Return switch times in order, a pulse's together, but for those next to others or to a phase boundary."""
     apart = 0.5 * float(np.diff(breaks).min())
     kept: list[float] = []
-    for together in sorted(cuts):
-        beside = min(float(np.abs(cut - knots).min()) for cut in together)
+    for together in sorted(switch_times):
+        beside = min(float(np.abs(switch_time - boundaries).min()) for switch_time in together)
         if beside > share * apart and (not kept or together[0] - kept[-1] > apart):
             kept += together
     return np.array(kept)

@@ -1,4 +1,4 @@
-"""Limits drawn in where a motion overran them between the nodes: there, and by that much, not everywhere."""
+"""Constraint tightening: limits that a motion overran between the nodes, tightened there and by that much."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ from linkplan.planner.certificate.margins import Margin
 # A little more than the overrun is taken off, so that the next motion keeps the limit and does not creep towards it.
 _MORE = 1.1
 _FLOOR = 1e-7
-# Bounds are never drawn in beyond this share of what lies between them.
+# Bounds are never tightened beyond this share of what lies between them.
 _MOST = 0.45
 # The limits that are rows of nodes, and so can be overrun between them.
 AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Inset:
-    """How far one limit is drawn in, as a share (n,) of itself; `breaks` (n + 1,) are shares of the duration."""
+class Tightening:
+    """By how much one limit is tightened, as a share (n,) of itself; `breaks` (n + 1,) are shares of the duration."""
 
     what: str
     item: int
@@ -27,13 +27,13 @@ class Inset:
     upper: bool = True  # of which of the limit's two ends the share is
 
 
-def drawn(overrun: np.ndarray) -> np.ndarray:
-    """Return by how much of itself (n,) a limit is drawn in on intervals where it is overrun by so much."""
+def tightened_share(overrun: np.ndarray) -> np.ndarray:
+    """Return the share of itself (n,) by which a limit is tightened on intervals where it is overrun by so much."""
     return np.where(overrun > 0, _MORE * overrun + _FLOOR, 0.0)
 
 
-def insets_of(margins: tuple[Margin, ...], speed_overrun: np.ndarray, breaks_s: np.ndarray) -> tuple[Inset, ...]:
-    """Return what limits are to be drawn in by after a motion.
+def tightenings_of(margins: tuple[Margin, ...], speed_overrun: np.ndarray, breaks_s: np.ndarray) -> tuple[Tightening, ...]:
+    """Return the tightening of each limit after a motion.
 
     Args:
         margins: what is left of the limits.
@@ -42,38 +42,44 @@ def insets_of(margins: tuple[Margin, ...], speed_overrun: np.ndarray, breaks_s: 
     """
     relative = (breaks_s - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
     found = [
-        Inset(what="speed", item=joint, breaks=relative, share=drawn(overrun))
+        Tightening(what="speed", item=joint, breaks=relative, share=tightened_share(overrun))
         for joint, overrun in enumerate(speed_overrun)
         if overrun.max(initial=0.0) > 0
     ]
     for margin in margins:
         if margin.what in AT_NODES and not margin.kept:
             found.append(
-                Inset(what=margin.what, item=margin.item, breaks=relative, share=drawn(margin.overrun), upper=margin.upper)
+                Tightening(
+                    what=margin.what,
+                    item=margin.item,
+                    breaks=relative,
+                    share=tightened_share(margin.overrun),
+                    upper=margin.upper,
+                )
             )
     return tuple(found)
 
 
-def drawn_in(
-    insets: tuple[Inset, ...], rows: list[tuple[str, int]], path: np.ndarray
+def tightening_over(
+    tightenings: tuple[Tightening, ...], rows: list[tuple[str, int]], path: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Return a function from breaks (n + 1,) [s] to how far (n, n_path) the bounds `path` (n_path, 2) are drawn in.
+    """Return a function from breaks (n + 1,) [s] to how much (n, n_path) the bounds `path` (n_path, 2) are tightened.
 
     `rows` say for each path quantity which limit it is; the row of a closure's force is the force squared.
     """
-    if not insets:
+    if not tightenings:
         return None
     size = np.where(np.isfinite(path), np.where(path == 0, 1.0, np.abs(path)), 0.0)
     most = np.where(np.all(np.isfinite(path), axis=1), _MOST * (path[:, 1] - path[:, 0]), np.inf)
 
-    def inset(breaks_s: np.ndarray) -> np.ndarray:
+    def tightening(breaks_s: np.ndarray) -> np.ndarray:
         middle = (0.5 * (breaks_s[1:] + breaks_s[:-1]) - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
         amount = np.zeros((len(middle), len(path)))
-        for one in insets:
+        for one in tightenings:
             if (one.what, one.item) in rows:
                 column = rows.index((one.what, one.item))
                 share = one.share[np.clip(np.searchsorted(one.breaks, middle, side="right") - 1, 0, len(one.share) - 1)]
                 amount[:, column] += size[column, int(one.upper)] * (2 * share if one.what == "closure_force" else share)
         return np.minimum(amount, most)
 
-    return inset
+    return tightening

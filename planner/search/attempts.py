@@ -14,7 +14,7 @@ from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search.durations import with_longer_durations
-from linkplan.planner.search.first_mesh import PER_LEG, first_mesh, graded_mesh
+from linkplan.planner.search.first_mesh import PER_SWING, first_mesh, graded_mesh
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 
 
@@ -56,13 +56,13 @@ def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -
     """Return solutions from a start, the better first."""
     mesh, durations = first_mesh(problem, guess)
     found = [attempt(case_of(problem), guess, mesh, durations, word, search.history, search.say)]
-    if guess.cuts_s is not None and search.only_time_counts:
-        # Its switches are known: with cuts there and efforts held between them, the instants alone are to be found.
-        cut, lengths = graded_mesh(guess, guess.cuts_s, max(problem.mesh.intervals, PER_LEG * guess.legs))
-        for warm, how in ((False, "efforts held"), (True, "efforts held, next to it")):
+    if guess.switch_times_s is not None and search.only_time_counts:
+        # Its switches are known: with switch times there and efforts held between them, the instants alone are to be found.
+        cut, lengths = graded_mesh(guess, guess.switch_times_s, max(problem.mesh.intervals, PER_SWING * guess.swings))
+        for warm, how in ((False, "bang efforts fixed"), (True, "bang efforts fixed, warm start")):
             held = attempt(
                 case_of(problem), guess, cut, lengths, f"{word}, {how}", search.history, search.say,
-                pinned=guess.held, warm=warm,
+                bang_efforts=guess.bang_efforts, warm=warm,
             )  # fmt: skip
             found.append(held)
             if held is not None:
@@ -80,10 +80,10 @@ def refined(search: Search, problem: PlanningProblem, found: Found, *, mended: b
 
 
 def certified(
-    problem: PlanningProblem, found: Found, history: list[Step], say: Say, *, warm: bool = False, bends: bool = True
+    problem: PlanningProblem, found: Found, history: list[Step], say: Say, *, warm: bool = False, kinks: bool = True
 ) -> Plan:
-    """Return the plan of a solution, refined until its certificate passes; `bends` as of `case_of`."""
-    better = refine(case_of(problem, bends=bends), found, history, say, warm=warm)
+    """Return the plan of a solution, refined until its certificate passes; `kinks` as of `case_of`."""
+    better = refine(case_of(problem, kinks=kinks), found, history, say, warm=warm)
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
         return Plan(problem=problem, status="failed", message=message, history=tuple(history))
@@ -97,20 +97,20 @@ def unsound(plan: Plan) -> bool:
     return plan.certificate is not None and plan.certificate.mendable
 
 
-def lost_at_bends(problem: PlanningProblem) -> bool:
-    """Return whether the only switches looked for are bends of efforts that do not jump: worth a thousandth at the most."""
-    return case_of(problem).aims.switches and not case_of(problem, bends=False).aims.switches
+def lost_at_kinks(problem: PlanningProblem) -> bool:
+    """Return whether the only switches looked for are kinks of efforts that do not jump: worth a thousandth at the most."""
+    return case_of(problem).aims.switches and not case_of(problem, kinks=False).aims.switches
 
 
-def without_bends(search: Search, problem: PlanningProblem, found: Found) -> Plan:
-    """Return the plan of a motion whose efforts' bends are not looked for."""
-    return certified(problem, found, search.history, search.say, bends=False)
+def without_kinks(search: Search, problem: PlanningProblem, found: Found) -> Plan:
+    """Return the plan of a motion whose efforts' kinks are not looked for."""
+    return certified(problem, found, search.history, search.say, kinks=False)
 
 
 def from_next_to_it(search: Search, problem: PlanningProblem, found: Found) -> Plan | None:
     """Return the plan whose finer meshes begin next to the coarser one's answer; None where it does not pass."""
-    bends = not lost_at_bends(problem)
-    plan = certified(problem, found, search.history, search.say, warm=True, bends=bends)
+    kinks = not lost_at_kinks(problem)
+    plan = certified(problem, found, search.history, search.say, warm=True, kinks=kinks)
     return plan if plan.status == "optimal" else None
 
 

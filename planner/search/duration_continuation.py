@@ -19,26 +19,26 @@ from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search.attempts import certified
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.durations import longest
-from linkplan.planner.search.first_mesh import PER_LEG, graded_mesh
+from linkplan.planner.search.first_mesh import PER_SWING, graded_mesh
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.margin_continuation import nears_singular
 from linkplan.planner.search.phase_plane import stretched
 from linkplan.planner.search.starts import least_time_motion
 from linkplan.planner.transcription.mesh import Mesh, uniform
 
-# By how much a motion is lengthened at a time, the least that is tried where that is too much, and how often at the most.
-LENGTHENING, _LEAST, _STEPS = 1.15, 1.03, 40
+# By how much a motion is continued at a time, the least that is tried where that is too much, and how often at the most.
+DURATION_FACTOR, _LEAST, _STEPS = 1.15, 1.03, 40
 # A step that was lost is tried again on twice as many intervals, up to so many.
 _FINEST = 320
 # Accuracy of the motions on the way [deg].
 _ON_THE_WAY_DEG = 0.01
-# A free duration is long enough once lengthening it so saves less than this share of the objective, or once the motion ends
+# A free duration is long enough once continuation it so saves less than this share of the objective, or once the motion ends
 # before what it is allowed by more than this share.
 SAVED, _BEFORE = 1e-3, 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Lengthened:
+class Continued:
     """A motion on the way: a start, its mesh and transcription, and the longest duration it was allowed [s]."""
 
     start: Guess
@@ -53,8 +53,8 @@ def from_lengthening(search: Search, budget: Budget) -> Plan | None:
     """Return a plan reached from the motion of least time step by step; None where that is lost on the way."""
     problem = search.within(budget)
     swung = least_time_motion(search, budget)
-    n_intervals = max(2 * problem.mesh.intervals, PER_LEG * search.quickest.legs)
-    at = None if swung is None else lengthened(problem, swung, n_intervals, search.history, search.say)
+    n_intervals = max(2 * problem.mesh.intervals, PER_SWING * search.quickest.swings)
+    at = None if swung is None else continued(problem, swung, n_intervals, search.history, search.say)
     if at is None:
         return None
     final = replace(problem, mesh=replace(problem.mesh, scheme=at.scheme), guess=None)
@@ -65,13 +65,17 @@ def from_lengthening(search: Search, budget: Budget) -> Plan | None:
     plan = None if found is None else certified(final, found, search.history, search.say, warm=True)
     if plan is None or plan.status != "optimal":
         return None
-    said = f"; its last {LENGTHENING - 1:.0%} of time saved less than {SAVED:.1%}, more was not tried" if at.enough else ""
+    said = (
+        f"; its last {DURATION_FACTOR - 1:.0%} of duration saved less than {SAVED:.1%}, longer motions were not tried"
+        if at.enough
+        else ""
+    )
     return replace(plan, message=plan.message + said)
 
 
-def lengthened(
+def continued(
     problem: PlanningProblem, quickest: Guess, n_intervals: int, history: list[Step], say: Say
-) -> Lengthened | None:
+) -> Continued | None:
     """Return the motion that a problem's objective prefers, reached from one of least time; None where it is lost.
 
     Args:
@@ -83,22 +87,22 @@ def lengthened(
     """
     fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s or 0.0
 
-    def solve(at: Lengthened, allowed: float) -> Lengthened | None:
+    def solve(at: Continued, allowed: float) -> Continued | None:
         return _step(problem, at, allowed, history, say)
 
-    def enough(before: Lengthened, after: Lengthened, whole: bool) -> bool:
+    def enough(before: Continued, after: Continued, whole: bool) -> bool:
         if fixed or after.longest_s < least:
             return False
         return after.start.duration_s < (1 - _BEFORE) * after.longest_s or (whole and _saved_little(before, after))
 
-    def finer(at: Lengthened) -> Lengthened | None:
+    def finer(at: Continued) -> Continued | None:
         if nears_singular(problem, at.start):
             return None  # it goes on there, where no mesh is fine enough
         mesh, _ = graded_mesh(at.start, np.empty(0), min(2 * at.mesh.n_intervals, _FINEST))
         return replace(at, mesh=mesh)
 
-    begin = Lengthened(start=quickest, mesh=uniform(n_intervals), scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
-    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=LENGTHENING, least=_LEAST, most=_STEPS)
+    begin = Continued(start=quickest, mesh=uniform(n_intervals), scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
+    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=DURATION_FACTOR, least=_LEAST, most=_STEPS)
     path = followed(begin, steps, solve, enough=enough, after_loss=finer)
     if not path.arrived:
         return None
@@ -107,11 +111,11 @@ def lengthened(
     return replace(at, enough=not fixed and to_the_full and len(path.stages) > 1 and _saved_little(path.stages[-2], at))
 
 
-def _saved_little(before: Lengthened, after: Lengthened) -> bool:
+def _saved_little(before: Continued, after: Continued) -> bool:
     return before.objective - after.objective < SAVED * abs(after.objective)
 
 
-def _step(problem: PlanningProblem, at: Lengthened, allowed: float, history: list[Step], say: Say) -> Lengthened | None:
+def _step(problem: PlanningProblem, at: Continued, allowed: float, history: list[Step], say: Say) -> Continued | None:
     """Return the best motion within a duration from one of a shorter; None where it is lost."""
     fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s
     motion = replace(problem.motion, min_duration_s=least if least is not None and least <= allowed else None)
@@ -120,13 +124,13 @@ def _step(problem: PlanningProblem, at: Lengthened, allowed: float, history: lis
     case = case_of(replace(problem, motion=motion, mesh=mesh, guess=None))
     start = stretched(at.start, allowed) if fixed else at.start
     durations = np.bincount(at.mesh.segment, weights=at.mesh.fraction) * start.duration_s
-    what = f"the least-time motion lengthened to {allowed:.4g} s"
+    what = f"the least-time motion continued to {allowed:.4g} s"
     found = attempt(case, start, at.mesh, durations, what, history, say, warm=True)
     better = None if found is None else refine(case, found, history, say, warm=True)
     if better is None or not better.certificate.passed:
         return None
     transcribed = better.solution.transcribed
-    return Lengthened(
+    return Continued(
         start=motion_of(better.motion),
         mesh=transcribed.program.mesh,
         scheme=transcribed.scheme.name,

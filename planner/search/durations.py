@@ -1,4 +1,4 @@
-"""How long motions may take: those held back by their guess are begun again longer, what has no end is said."""
+"""Free durations: motions bounded by their guess are solved again with longer ones, unbounded ones are reported."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import Found, attempt
-from linkplan.planner.refinement.free_duration import LONGER, held_by_guess
+from linkplan.planner.refinement.free_duration import LONGER, bounded_by_guess
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.phase_plane import stretched
@@ -25,7 +25,7 @@ _LONGER, _LONGER_BY, _FALLS = 2, 30.0, 1e-3
 def with_longer_durations(problem: PlanningProblem, found: Found, history: list[Step], say: Say) -> tuple[Found, str | None]:
     """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
 
-    def solve(at: _Held, longer: float) -> _Held | None:
+    def solve(at: _BoundedByGuess, longer: float) -> _BoundedByGuess | None:
         if at.unbounded is None:
             return None
         duration = min(longer, problem.motion.max_duration_s or np.inf)
@@ -36,9 +36,11 @@ def with_longer_durations(problem: PlanningProblem, found: Found, history: list[
         if further is None:
             return None
         falls = further.solution.objective < _FALLS * at.found.solution.objective and problem.motion.max_duration_s is None
-        return _Held(found=further, unbounded=at.unbounded if falls else runs_away(problem, further.solution))
+        return _BoundedByGuess(
+            found=further, unbounded=at.unbounded if falls else unbounded_duration(problem, further.solution)
+        )
 
-    begin = _Held(found=found, unbounded=runs_away(problem, found.solution))
+    begin = _BoundedByGuess(found=found, unbounded=unbounded_duration(problem, found.solution))
     duration = found.motion.duration_s
     steps = Steps(begin=duration, end=np.inf, factor=_LONGER_BY, least=_LONGER_BY, most=_LONGER)
     at = followed(begin, steps, solve).stages[-1]
@@ -46,24 +48,24 @@ def with_longer_durations(problem: PlanningProblem, found: Found, history: list[
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Held:
+class _BoundedByGuess:
     """A solution, and the sentence on its free duration where that grew to the end of what its guess allows."""
 
     found: Found
     unbounded: str | None
 
 
-def runs_away(problem: PlanningProblem, solution: Solution) -> str | None:
+def unbounded_duration(problem: PlanningProblem, solution: Solution) -> str | None:
     """Return the sentence on a free duration that grew to the end of what its guess allows; None elsewhere.
 
     That end is a hundred times the guess and not the user's: there the objective still falls, and no best motion is found.
     """
     motion, transcribed = problem.motion, solution.transcribed
-    if motion.duration_s is not None or held_by_guess(solution, 0.0, motion.max_duration_s or np.inf) != LONGER:
+    if motion.duration_s is not None or bounded_by_guess(solution, 0.0, motion.max_duration_s or np.inf) != LONGER:
         return None
     duration = float(solution.x[transcribed.program.layout.durations()].sum()) * transcribed.units.time_s
     what = problem.objective.name.replace("_", " ")
-    without = f"failed: the longer the motion the less its {what}, without end"
+    without = f"failed: the objective is unbounded in the duration, the longer the motion the less its {what}"
     return f"{without}: still at {duration:.4g} s; set motion.max_duration_s"
 
 
@@ -73,7 +75,7 @@ def longest(problem: PlanningProblem) -> float:
 
 
 def may_swing(problem: PlanningProblem) -> bool:
-    """Return whether a motion may gather way over a time without end, by ways that no start has tried.
+    """Return whether a motion may build up energy by swinging for an unbounded time, by ways that no start has tried.
 
     With one degree of freedom the phase plane has tried them all.
     """

@@ -11,30 +11,30 @@ from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 # Samples of a guess at which its pace is looked at.
 _SAMPLES = 4001
 # Intervals that each swing of a start is given at least.
-PER_LEG = 40
-# And each segment between cuts.
+PER_SWING = 40
+# And each segment between switch times.
 _LEAST_IN_SEGMENT = 3
 
 
 def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
     """Return the first mesh of a problem and its segments' durations [s] in a guess."""
-    n = n_intervals or max(problem.mesh.intervals, PER_LEG * guess.legs if guess.legs > 1 else 0)
-    if guess.knots_s is not None:
-        durations = np.diff(guess.knots_s)
-        return segmented(durations, n, leg=np.arange(len(durations))), durations
+    n = n_intervals or max(problem.mesh.intervals, PER_SWING * guess.swings if guess.swings > 1 else 0)
+    if guess.boundaries_s is not None:
+        durations = np.diff(guess.boundaries_s)
+        return segmented(durations, n, phase=np.arange(len(durations))), durations
     if problem.mesh.breaks is not None and n_intervals is None:
         return broken(problem.mesh.breaks), np.array([guess.duration_s])
     return uniform(n), np.array([guess.duration_s])
 
 
-def graded_mesh(guess: Guess, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
-    """Return a mesh with movable cuts (n_cuts,) [s] between a guess's knots, and its segments' durations [s].
+def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh with switch times (n_switches,) [s] within a guess's phases, and its segments' durations [s].
 
     It is finer where the guess is quick: next to a singular pose a motion does in a hundredth of its time what elsewhere
     takes a half. Every interval has an equal share of time, way and change of speed together.
     """
-    knots = np.array([0.0, guess.duration_s]) if guess.knots_s is None else guess.knots_s
-    ends = np.sort(np.concatenate([knots, cuts_s]))
+    boundaries = np.array([0.0, guess.duration_s]) if guess.boundaries_s is None else guess.boundaries_s
+    ends = np.sort(np.concatenate([boundaries, switch_times_s]))
     times = np.linspace(0.0, guess.duration_s, _SAMPLES)
     position, velocity = guess.position(times), guess.velocity(times)
     pace = np.diff(times)[:, None] / guess.duration_s
@@ -50,5 +50,5 @@ def graded_mesh(guess: Guess, cuts_s: np.ndarray, n_intervals: int) -> tuple[Mes
         breaks[[0, -1]] = ends[k], ends[k + 1]
         fraction.append(np.diff(breaks) / (ends[k + 1] - ends[k]))
         segment += [k] * count
-    leg = np.searchsorted(knots, ends[:-1], side="right") - 1
-    return Mesh(fraction=np.concatenate(fraction), segment=np.array(segment), leg=leg), np.diff(ends)
+    phase = np.searchsorted(boundaries, ends[:-1], side="right") - 1
+    return Mesh(fraction=np.concatenate(fraction), segment=np.array(segment), phase=phase), np.diff(ends)

@@ -5,19 +5,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.planner.closed_chain.guess import Guess, bent_guesses, closes, motion_of
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Step, step_of
-from linkplan.planner.refinement.switch_search import NO_WORSE, cut_mesh
-from linkplan.planner.refinement.switches import find_cuts, pinned_efforts
+from linkplan.planner.refinement.switch_search import NO_WORSE, mesh_with_switches
+from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
 # Starts looked at: what one finds may be a local answer. Bends looked at for one that closes the loops.
-_STARTS, _LOOKED_AT = 3, 20
+_STARTS, _MOST_TRIED = 3, 20
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -35,8 +35,8 @@ def least_limit_of_starts(problem: PlanningProblem, guess: Guess, history: list[
 
     Further starts are tried while the factor is above 1.
     """
-    bends = itertools.islice(bent_guesses(problem, guess.start_pose), _LOOKED_AT)
-    others = (start for _, start in bends if closes(problem.mechanism, start))
+    perturbed = itertools.islice(perturbed_guesses(problem, guess.start_pose), _MOST_TRIED)
+    others = (start for _, start in perturbed if closes(problem.mechanism, start))
     best = None
     for start in (guess, *itertools.islice(others, _STARTS - 1)):
         found = least_limit(problem, start, *first_mesh(problem, start), history)
@@ -52,14 +52,15 @@ def least_limit(
 ) -> LeastLimit | None:
     """Return the least factor on the effort limits that admits a motion, or None where none was found.
 
-    Solved twice: on the mesh as given, then with cuts at the switches that it showed, where the factor is exact.
+    Solved twice: on the mesh as given, then with phase boundaries at the switch times that it showed, where the factor is
+    exact.
     """
     limit = problem.limits.effort
     if not np.all(np.isfinite(limit)):
         return None
-    best, pinned = None, None
+    best, bang_efforts = None, None
     for _ in range(2):
-        transcribed = transcribe(problem, guess, mesh, durations, least_limit=True, pinned=pinned)
+        transcribed = transcribe(problem, guess, mesh, durations, least_limit=True, bang_efforts=bang_efforts)
         solution = solve(transcribed, problem.solver)
         history.append(step_of("least effort limit", transcribed, solution))
         if not solution.converged:
@@ -73,13 +74,13 @@ def least_limit(
             mesh=mesh,
             durations=solution.x[transcribed.program.layout.durations()] * transcribed.units.time_s,
         )
-        knots = best.trajectory.breaks_s[mesh.knots()]
-        cuts = find_cuts(best.trajectory, factor * limit, knots)
-        if len(cuts) == 0:
+        boundaries = best.trajectory.breaks_s[mesh.boundaries()]
+        switch_times = find_switch_times(best.trajectory, factor * limit, boundaries)
+        if len(switch_times) == 0:
             break
-        mesh, durations = cut_mesh(knots, cuts, mesh.n_intervals)
-        pinned = pinned_efforts(best.trajectory, factor * limit, np.cumsum(durations)[:-1]) / factor
+        mesh, durations = mesh_with_switches(boundaries, switch_times, mesh.n_intervals)
+        bang_efforts = find_bang_efforts(best.trajectory, factor * limit, np.cumsum(durations)[:-1]) / factor
         for bound in limit.T:  # as the limits' own numbers, free of rounding
-            pinned = np.where(np.isclose(pinned, bound, rtol=1e-9), bound, pinned)
+            bang_efforts = np.where(np.isclose(bang_efforts, bound, rtol=1e-9), bound, bang_efforts)
         guess = motion_of(best.trajectory)
     return best

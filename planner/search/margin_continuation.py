@@ -71,7 +71,7 @@ def kept_clear(problem: PlanningProblem, what: str, guess: Guess, history: list[
         say: called with a line of progress now and then.
     """
     mesh, durations = first_mesh(problem, guess)
-    room = min(_room(problem, guess, np.array([0.0, guess.duration_s])), 1.0)
+    room = min(_singular_margin(problem, guess, np.array([0.0, guess.duration_s])), 1.0)
 
     def solve(at: _Clear, share: float) -> _Clear | None:
         return _with_margin(problem, mesh, at, share * room, what, history, say)
@@ -105,11 +105,11 @@ def _with_margin(
 
 def nears_singular(problem: PlanningProblem, guess: Guess) -> bool:
     """Return whether a motion comes much nearer to a singular pose than its ends are."""
-    nearest = _room(problem, guess, np.linspace(0.0, guess.duration_s, _SAMPLES))
-    return nearest < _NEAR * _room(problem, guess, np.array([0.0, guess.duration_s]))
+    nearest = _singular_margin(problem, guess, np.linspace(0.0, guess.duration_s, _SAMPLES))
+    return nearest < _NEAR * _singular_margin(problem, guess, np.array([0.0, guess.duration_s]))
 
 
-def _room(problem: PlanningProblem, guess: Guess, times: np.ndarray) -> float:
+def _singular_margin(problem: PlanningProblem, guess: Guess, times: np.ndarray) -> float:
     """Return the least |det J_z| of a kinematic loop at times (n,) [s] of a guess, as a share of home's; else infinite."""
     singularity = problem.mechanism.dynamics.block_singularity
     poses = poses_along(problem.mechanism, guess, times)

@@ -1,4 +1,4 @@
-"""Motions of one degree of freedom by the phase plane: full effort, swings that gather way, and a braking last leg.
+"""Motions of one degree of freedom by the phase plane: full effort, swings that build up energy, and a braking last leg.
 
 Along s the energy w = v^2 / 2 obeys dw/ds = a(s, v, u) (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985): a leg
 that pushes with full effort from rest, another that brakes to rest at the goal, and where they cross the switch. With the
@@ -161,7 +161,7 @@ def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: i
 
 def _guess(plane: Plane, parts: list[_Part], ways: list, start_pose: np.ndarray) -> Guess:
     """Return parts' legs as a guess: position and velocity by Hermite cubics over time, efforts as they push."""
-    visited, times, v, pushes, knots = [plane.at(parts[0].places[0])], [0.0], [parts[0].speeds[0]], [], [0]
+    visited, times, v, pushes, boundaries = [plane.at(parts[0].places[0])], [0.0], [parts[0].speeds[0]], [], [0]
     for part, legs in zip(parts, ways, strict=True):
         for index, w, effort in legs:
             speed = int(np.sign(index[-1] - index[0])) * np.sqrt(2 * w)
@@ -171,8 +171,8 @@ def _guess(plane: Plane, parts: list[_Part], ways: list, start_pose: np.ndarray)
             v += list(speed[1:])
             pushes += list(effort[:-1] * 1.0)
         for place in part.places[1:-1]:
-            knots.append(knots[-1] + 1 + visited[knots[-1] + 1 :].index(plane.at(place)))
-        knots.append(len(visited) - 1)
+            boundaries.append(boundaries[-1] + 1 + visited[boundaries[-1] + 1 :].index(plane.at(place)))
+        boundaries.append(len(visited) - 1)
     t, pushed, place = np.array(times), np.array(pushes), plane.s[visited]
     path = CubicHermiteSpline(t, place[:, None], np.array(v)[:, None])
 
@@ -188,16 +188,16 @@ def _guess(plane: Plane, parts: list[_Part], ways: list, start_pose: np.ndarray)
         effort=None,
         duration_s=float(t[-1]),
         start_pose=start_pose,
-        knots_s=t[knots] if len(knots) > 2 else None,
-        legs=sum(len(legs) for legs in ways),
+        boundaries_s=t[boundaries] if len(boundaries) > 2 else None,
+        swings=sum(len(legs) for legs in ways),
     )
     top = np.where(np.array(v) > 0, np.array(plane.top[+1])[visited], np.array(plane.top[-1])[visited])
     if np.any((0.5 * np.square(v) >= (1 - _SAME) * top) & (top > 0)):
         return guess  # along speed limits efforts are what these ask for
-    switched = np.setdiff1d(np.flatnonzero(np.diff(pushed)) + 1, knots)
-    ends = np.sort(np.concatenate([t[switched], t[knots]]))
-    held = effort_at(0.5 * (ends[1:] + ends[:-1]))
-    return replace(guess, effort=effort_at, cuts_s=t[switched], held=held)
+    switched = np.setdiff1d(np.flatnonzero(np.diff(pushed)) + 1, boundaries)
+    ends = np.sort(np.concatenate([t[switched], t[boundaries]]))
+    bang_efforts = effort_at(0.5 * (ends[1:] + ends[:-1]))
+    return replace(guess, effort=effort_at, switch_times_s=t[switched], bang_efforts=bang_efforts)
 
 
 def stretched(guess: Guess, duration: float) -> Guess:
@@ -210,6 +210,6 @@ def stretched(guess: Guess, duration: float) -> Guess:
         effort=None,
         duration_s=duration,
         start_pose=guess.start_pose,
-        knots_s=None if guess.knots_s is None else guess.knots_s / factor,
-        legs=guess.legs,
+        boundaries_s=None if guess.boundaries_s is None else guess.boundaries_s / factor,
+        swings=guess.swings,
     )

@@ -1,11 +1,11 @@
-"""Rungs that begin anew: the user's guess, the smooth path, the phase plane, swings, random bends, or several at once."""
+"""Rungs that begin anew: the user's guess, the smooth path, the phase plane, swings, perturbed paths, several at once."""
 
 import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import Guess, bent_guesses, closes, motion_of, swinging_guesses, users_guess
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses, users_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.search.attempts import certified, plan_from
@@ -15,9 +15,9 @@ from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.phase_plane import phase_plane_guess, stretched
 
 # Bends tried after the first failure, where the user asks for no further starts.
-_BENDS = 3
+_PERTURBATIONS = 3
 # Bends looked at for one that closes the loops, per one that is wanted.
-_LOOKED_AT = 20
+_MOST_TRIED = 20
 # A least time beyond so many times that of the phase plane's motion is a local one.
 _SLOW = 1.002
 # A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
@@ -27,9 +27,9 @@ _WORTH = 0.999
 def no_time(search: Search) -> bool:
     """Return whether the phase plane knows that the time given is too short: no start leads to a motion then."""
     quickest = search.quickest
-    if quickest is None or quickest.knots_s is not None:
+    if quickest is None or quickest.boundaries_s is not None:
         return False
-    surely = SURELY if quickest.cuts_s is not None else SURELY_LIMITED
+    surely = SURELY if quickest.switch_times_s is not None else SURELY_LIMITED
     return longest(search.problem) * surely < quickest.duration_s
 
 
@@ -56,11 +56,11 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
 
 def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
     problem, quickest = search.problem, search.quickest
-    if quickest.legs > 1 and quickest.knots_s is None and not search.only_time_counts:
+    if quickest.swings > 1 and quickest.boundaries_s is None and not search.only_time_counts:
         swung = least_time_motion(search, budget)
         if swung is not None:
             duration = problem.motion.duration_s or max(swung.duration_s, problem.motion.min_duration_s or 0.0)
-            yield "the least-time motion", replace(stretched(swung, duration), legs=quickest.legs)
+            yield "the least-time motion", replace(stretched(swung, duration), swings=quickest.swings)
     yield "the phase plane", phase_plane_guess(problem, search.start_pose, quickest)
 
 
@@ -70,9 +70,9 @@ def from_swings(search: Search, budget: Budget) -> Plan | None:
     return _first_of(search, budget, (("a swing", swing) for swing in swings))
 
 
-def from_random_bends(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the smooth path leads to, bent at random."""
-    return _first_of(search, budget, itertools.islice(bent_guesses(search.problem, search.start_pose), _BENDS))
+def from_perturbed_guesses(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan that the smooth path leads to, perturbed at random."""
+    return _first_of(search, budget, itertools.islice(perturbed_guesses(search.problem, search.start_pose), _PERTURBATIONS))
 
 
 def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]]) -> Plan | None:
@@ -116,9 +116,9 @@ def least_time_motion(search: Search, budget: Budget) -> Guess | None:
 def best_of_several(search: Search, budget: Budget) -> Plan | None:
     """Return the best plan of as many starts as the problem asks for (multistart)."""
     problem, wanted = search.within(budget), search.problem.solver.starts
-    bends = bent_guesses(problem, search.start_pose)
+    perturbed = perturbed_guesses(problem, search.start_pose)
     few = itertools.islice(_every_start(search, budget), wanted)
-    more = itertools.islice(bends, _BENDS, _LOOKED_AT * wanted)
+    more = itertools.islice(perturbed, _PERTURBATIONS, _MOST_TRIED * wanted)
     closed = (start for start in itertools.chain(few, more) if closes(problem.mechanism, start[1]))
     found = []
     for number, (what, guess) in enumerate(itertools.islice(closed, wanted), start=1):
@@ -150,4 +150,4 @@ def _every_start(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
     if search.quickest is not None:
         yield from _of_the_phase_plane(search, budget)
     yield from (("a swing", swing) for swing in swinging_guesses(search.problem, search.start_pose))
-    yield from itertools.islice(bent_guesses(search.problem, search.start_pose), _BENDS)
+    yield from itertools.islice(perturbed_guesses(search.problem, search.start_pose), _PERTURBATIONS)

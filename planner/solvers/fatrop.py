@@ -79,7 +79,7 @@ class FatropSolver:
         equal = np.zeros(len(order) - len(g_lower))  # a copy less what it copies
         low, high = _narrowed(lower, upper)
         g_low, g_high = _narrowed(g_lower, g_upper)
-        x, f, g = self._looked_at(x0, p, lower, upper)
+        x, f, g = self._checked(x0, p, lower, upper)
         if not (np.isfinite(f) and np.all(np.isfinite(g))):  # FATROP does not recover from there
             return self._answer(x, f, INVALID, {"iter_count": 0})
         self._clock.start()
@@ -97,7 +97,7 @@ class FatropSolver:
             if not self._clock.stopped:
                 raise
             return self._answer(x, f, OUT_OF_TIME, {"iter_count": 0})
-        x, f, g = self._looked_at(np.array(result["x"]).ravel()[home], p, lower, upper)
+        x, f, g = self._checked(np.array(result["x"]).ravel()[home], p, lower, upper)
         slopes = [np.array(self._functions[name](x, p)[1].nz[:]) for name in ("grad_f", "jac_g")]
         said = self._solver.stats()
         if self._clock.stopped:
@@ -115,7 +115,7 @@ class FatropSolver:
         """Stop the next solve when there is something in a list."""
         self._clock.interrupted = interrupted
 
-    def _looked_at(self, x, p, lower, upper) -> tuple[np.ndarray, float, np.ndarray]:
+    def _checked(self, x, p, lower, upper) -> tuple[np.ndarray, float, np.ndarray]:
         """Return unknowns within their bounds, their objective and their rows."""
         x = np.clip(x, lower, upper)
         f, g = self._functions["nlp"](x, p)
@@ -153,7 +153,7 @@ class _Clock(ca.Callback):
 
 
 def _narrowed(lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return bounds drawn in by what FATROP relaxes them by: limits are promises."""
+    """Return bounds tightened by what FATROP relaxes them by: limits are promises."""
     low, high = (
         bound + sign * _RELAXED * np.maximum(1.0, np.abs(np.where(np.isfinite(bound), bound, 0.0)))
         for bound, sign in ((lower, 1.0), (upper, -1.0))

@@ -1,4 +1,4 @@
-"""Bounds and linear rows of a program: what a formulation's limits and knots are on a mesh."""
+"""Bounds and linear rows of a program: what a formulation's limits and phase boundaries are on a mesh."""
 
 from dataclasses import dataclass, field
 
@@ -13,15 +13,15 @@ from linkplan.planner.transcription.mesh import Mesh
 # Free segments may shrink to this share of their guessed duration, or grow by that factor of the whole, and no further.
 _SHORTEST_SEGMENT = 0.02
 _LONGEST = 100.0
-# A segment between cuts may shrink or stretch by this factor, and by half a mean interval beyond it.
-_CUT_ROOM = 1.1
+# A segment between switch times may shrink or stretch by this factor, and by half a mean interval beyond it.
+_SWITCH_MARGIN = 1.1
 
 
-def held_efforts(pinned: np.ndarray | None, mesh: Mesh, layout: Layout) -> np.ndarray | None:
+def bang_coefficients(bang_efforts: np.ndarray | None, mesh: Mesh, layout: Layout) -> np.ndarray | None:
     """Return what efforts are held at (n_intervals, n_coefficients, n_u), NaN where they are free."""
-    if pinned is None:
+    if bang_efforts is None:
         return None
-    return np.repeat(pinned[mesh.segment][:, None, :], layout.effort_coefficients, axis=1)
+    return np.repeat(bang_efforts[mesh.segment][:, None, :], layout.effort_coefficients, axis=1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,11 +49,11 @@ class _Rows:
         return sp.vstack(matrices).tocsr(), np.concatenate(self.lower), np.concatenate(self.upper)
 
 
-def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, held: np.ndarray | None):
+def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, bang: np.ndarray | None):
     """Return rows (n, size) with their lower and upper values.
 
-    States that return, efforts without jumps, the instants of knots where several segments lead to them, and efforts
-    within a factor of their limits where that factor is sought.
+    States that return, efforts without jumps, the instants of phase boundaries where several segments lead to them, and
+    efforts within a factor of their limits where that factor is sought.
     """
     rows, effort = _Rows(), layout.effort()
     if formulation.returns:
@@ -64,7 +64,7 @@ def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, held: np.n
         following = effort[(np.arange(layout.n_intervals) + 1) % layout.n_intervals, 0]
         pairs = np.stack([effort[:, -1], following], axis=-1)[: None if formulation.periodic else -1].reshape(-1, 2)
         rows.add(pairs, np.tile([1.0, -1.0], (len(pairs), 1)), 0.0, 0.0)
-    for group, low, high, weight in _knot_groups(formulation, mesh):
+    for group, low, high, weight in _boundary_groups(formulation, mesh):
         if len(group) > 1:
             rows.add(layout.durations()[group][None, :], weight[None, :], low, high)
     if layout.n_extra:
@@ -75,28 +75,28 @@ def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, held: np.n
             for bound, low, high in ((limit[j, 0], 0.0, np.inf), (limit[j, 1], -np.inf, 0.0)):
                 if np.isfinite(bound):
                     factor = np.tile([1.0, -bound / unit[j]], (len(place), 1))
-                    at = np.zeros(len(place), dtype=bool) if held is None else held[:, :, j].ravel() == bound
+                    at = np.zeros(len(place), dtype=bool) if bang is None else bang[:, :, j].ravel() == bound
                     rows.add(columns[~at], factor[~at], low, high)
                     rows.add(columns[at], factor[at], 0.0, 0.0)  # held at the limit, whatever its factor
     return rows.stacked(layout.size)
 
 
-def _knot_groups(formulation: Formulation, mesh: Mesh):
-    """Yield what knots ask of segments: which of them, the bounds on their weighted sum, the weights; all scaled."""
+def _boundary_groups(formulation: Formulation, mesh: Mesh):
+    """Yield what phase boundaries ask of segments: which, the bounds on their weighted sum, the weights; all scaled."""
     begun, at = 0, 0.0
-    for k, knot in enumerate(formulation.knots[1:]):
-        if knot.share is not None:
-            before = np.flatnonzero(mesh.leg <= k)
-            weight = np.full(mesh.n_segments, -knot.share)
+    for k, boundary in enumerate(formulation.boundaries[1:]):
+        if boundary.share is not None:
+            before = np.flatnonzero(mesh.phase <= k)
+            weight = np.full(mesh.n_segments, -boundary.share)
             weight[before] += 1.0
             yield np.arange(mesh.n_segments), 0.0, 0.0, weight
-        elif knot.fixed:
-            group = np.flatnonzero((mesh.leg >= begun) & (mesh.leg <= k))
-            yield group, knot.time[0] - at, knot.time[0] - at, np.ones(len(group))
-            begun, at = k + 1, knot.time[0]
-        elif knot.time[0] > 0 or np.isfinite(knot.time[1]):
-            group = np.flatnonzero((mesh.leg >= begun) & (mesh.leg <= k))
-            yield group, knot.time[0] - at, knot.time[1] - at, np.ones(len(group))
+        elif boundary.fixed:
+            group = np.flatnonzero((mesh.phase >= begun) & (mesh.phase <= k))
+            yield group, boundary.time[0] - at, boundary.time[0] - at, np.ones(len(group))
+            begun, at = k + 1, boundary.time[0]
+        elif boundary.time[0] > 0 or np.isfinite(boundary.time[1]):
+            group = np.flatnonzero((mesh.phase >= begun) & (mesh.phase <= k))
+            yield group, boundary.time[0] - at, boundary.time[1] - at, np.ones(len(group))
 
 
 def bounds(
@@ -104,40 +104,43 @@ def bounds(
     layout: Layout,
     mesh: Mesh,
     durations: np.ndarray,
-    pinned: np.ndarray | None,
-    look_z: tuple[int, ...] = (),
+    bang_efforts: np.ndarray | None,
+    open_end_z: tuple[int, ...] = (),
 ):
-    """Return the unknowns' bounds: limits, knots, durations guessed at (n_segments,) [s], efforts that are held.
+    """Return the unknowns' bounds: limits, phase boundaries, durations guessed at (n_segments,) [s], efforts that are held.
 
-    `look_z` are the algebraic unknowns of ends that are looked at.
+    `open_end_z` are the algebraic unknowns of open ends.
     """
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     states = layout.states()
     lower[states], upper[states] = formulation.state.T
     lower[layout.dependent()], upper[layout.dependent()] = formulation.algebraic.T
-    lower[layout.looked()], upper[layout.looked()] = formulation.algebraic[list(look_z)].T
+    lower[layout.open_end_dependent()], upper[layout.open_end_dependent()] = formulation.algebraic[list(open_end_z)].T
     unit = formulation.units.effort
     if not layout.n_extra:
         lower[layout.effort()] = formulation.effort[:, 0] / unit
         upper[layout.effort()] = formulation.effort[:, 1] / unit
     lower[layout.extra()] = 0.0
-    held = held_efforts(pinned, mesh, layout)
-    if held is not None:
-        place = layout.effort()[~np.isnan(held)]
-        lower[place] = upper[place] = (held / unit)[~np.isnan(held)]
-    for k, knot in zip(mesh.knots(), formulation.knots, strict=True):
-        lower[states[k]] = np.maximum(lower[states[k]], knot.state[:, 0])
-        upper[states[k]] = np.minimum(upper[states[k]], knot.state[:, 1])
-        fixed = knot.state[:, 0] == knot.state[:, 1]  # what is asked exactly is asked, whatever a limit says
-        lower[states[k][fixed]] = upper[states[k][fixed]] = knot.state[fixed, 0]
+    bang = bang_coefficients(bang_efforts, mesh, layout)
+    if bang is not None:
+        place = layout.effort()[~np.isnan(bang)]
+        lower[place] = upper[place] = (bang / unit)[~np.isnan(bang)]
+    for k, boundary in zip(mesh.boundaries(), formulation.boundaries, strict=True):
+        lower[states[k]] = np.maximum(lower[states[k]], boundary.state[:, 0])
+        upper[states[k]] = np.minimum(upper[states[k]], boundary.state[:, 1])
+        fixed = boundary.state[:, 0] == boundary.state[:, 1]  # what is asked exactly is asked, whatever a limit says
+        lower[states[k][fixed]] = upper[states[k][fixed]] = boundary.state[fixed, 0]
     scaled = np.asarray(durations) / formulation.units.time_s
     place = layout.durations()
     lower[place], upper[place] = _SHORTEST_SEGMENT * scaled, _LONGEST * scaled.sum()
-    cut = np.bincount(mesh.leg)[mesh.leg] > 1
-    # Cuts begin next to their switches: kept from wandering off, they settle there.
-    room = _CUT_ROOM + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
-    lower[place[cut]], upper[place[cut]] = (scaled / room)[cut], (room * scaled)[cut]
-    for group, low, high, _ in _knot_groups(formulation, mesh):
+    between_switches = np.bincount(mesh.phase)[mesh.phase] > 1
+    # Switch times begin near their solution: bounded, they converge to it.
+    room = _SWITCH_MARGIN + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
+    lower[place[between_switches]], upper[place[between_switches]] = (
+        (scaled / room)[between_switches],
+        (room * scaled)[between_switches],
+    )
+    for group, low, high, _ in _boundary_groups(formulation, mesh):
         if len(group) == 1:
             one = place[group[0]]
             lower[one], upper[one] = (low, high) if low == high else (max(lower[one], low), min(upper[one], high))
@@ -148,17 +151,17 @@ def row_bounds(
     formulation: Formulation,
     interval: IntervalFunctions,
     breaks_s: np.ndarray,
-    held: np.ndarray | None = None,
+    constrained_paths: np.ndarray | None = None,
     *,
     node_at_end: bool = False,
 ):
-    """Return the bounds of the intervals' rows in turn: an interval's own, each node's, those of ends looked at.
+    """Return the bounds of the intervals' rows in turn: an interval's own, each node's, those of open ends.
 
     Args:
         formulation: whose limits.
         interval: the rows.
         breaks_s: (n + 1,) of the mesh [s].
-        held: which path quantities (n, n_path) nodes hold at their upper limit (1) or lower one (-1).
+        constrained_paths: which path quantities (n, n_path) nodes hold at their upper limit (1) or lower one (-1).
         node_at_end: whether a node stands at an interval's end.
     """
     n, m = len(breaks_s) - 1, interval.n_nodes
@@ -167,20 +170,20 @@ def row_bounds(
         if kind != "continuity":
             own[row] = formulation.own[kind][item]
     path = np.broadcast_to(formulation.path.reshape(-1, 2), (n, interval.n_path, 2))
-    if formulation.inset is not None:
-        path = path + formulation.inset(breaks_s)[:, :, None] * np.array([1.0, -1.0])
-    looked, at_nodes = np.array(path), np.repeat(path[:, None], m, axis=1)
-    if held is not None:
-        for k, i in zip(*np.nonzero(held), strict=True):
-            # Drawn in evenly, and as far as anywhere: an arc is smooth, and what follows it begins where it ends.
-            limit = path[:, i, 1].min() if held[k, i] > 0 else path[:, i, 0].max()
+    if formulation.tightening is not None:
+        path = path + formulation.tightening(breaks_s)[:, :, None] * np.array([1.0, -1.0])
+    at_open_ends, at_nodes = np.array(path), np.repeat(path[:, None], m, axis=1)
+    if constrained_paths is not None:
+        for k, i in zip(*np.nonzero(constrained_paths), strict=True):
+            # Tightened evenly, by the most of any interval: an arc is smooth, and what follows it begins where it ends.
+            limit = path[:, i, 1].min() if constrained_paths[k, i] > 0 else path[:, i, 0].max()
             at_nodes[k, :, i] = limit
-            looked[k, i] = -np.inf, np.inf  # the nodes say all there is to say
-            if k and held[k - 1, i] == 0 and node_at_end and i not in formulation.rows.looked:
+            at_open_ends[k, i] = -np.inf, np.inf  # the nodes say all there is to say
+            if k and constrained_paths[k - 1, i] == 0 and node_at_end and i not in formulation.rows.open_end_path:
                 at_nodes[k - 1, -1, i] = limit  # what does not jump is at its limit when the arc begins
     equations = np.zeros((n, m, interval.n_equations, 2))
     at_nodes = np.concatenate([equations, at_nodes], axis=2).reshape(n, -1, 2)
-    looked = np.concatenate([equations[:, 0], looked], axis=1)[:, list(interval.look_rows)]
+    at_open_ends = np.concatenate([equations[:, 0], at_open_ends], axis=1)[:, list(interval.open_end_rows)]
     own = np.broadcast_to(own, (n, *own.shape))
-    both = np.concatenate([own, at_nodes, np.tile(looked, (1, interval.n_looks, 1))], axis=1)
+    both = np.concatenate([own, at_nodes, np.tile(at_open_ends, (1, interval.n_open_ends, 1))], axis=1)
     return both[:, :, 0].ravel(), both[:, :, 1].ravel()

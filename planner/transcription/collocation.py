@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from linkplan.planner.transcription.bounds import bounds, held_efforts, linear_rows, row_bounds
+from linkplan.planner.transcription.bounds import bang_coefficients, bounds, linear_rows, row_bounds
 from linkplan.planner.transcription.compiled import cached, compiled, key_of
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, fitted
 from linkplan.planner.transcription.interval import IntervalFunctions, build_interval
@@ -20,16 +20,16 @@ _ROUNDING = 4e-15
 # From this many intervals on, compiling (about a second) costs less than a dozen interpreted iterations.
 _WORTH_COMPILING = 400
 # Share of a limit that a guessed effort may use: interior-point methods want room.
-_GUESS_ROOM = 0.95
+_GUESS_MARGIN = 0.95
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Transcribed:
     """A program with the numbers that one problem puts into it.
 
-    `pinned` (n_segments, n_u) are efforts held over whole segments, `held` (n_segments, n_path) path quantities held at
-    their upper limit (1) or lower one (-1); `least_limit` says that the smallest common factor
-    on the effort limits is sought in place of the objective. `origin` is what a client
+    `bang_efforts` (n_segments, n_u) are efforts constrained_paths over whole segments, `constrained_paths` (n_segments,
+    n_path) path quantities held at their upper limit (1) or lower one (-1); `least_limit` says that the smallest common
+    factor on the effort limits is sought in place of the objective. `origin` is what a client
     wants to find again beside its program.
     """
 
@@ -42,8 +42,8 @@ class Transcribed:
     row_lower: np.ndarray
     row_upper: np.ndarray
     start: np.ndarray
-    pinned: np.ndarray | None
-    held: np.ndarray | None
+    bang_efforts: np.ndarray | None
+    constrained_paths: np.ndarray | None
     least_limit: bool
     build_s: float  # time that building took [s]
     origin: Any = None
@@ -83,21 +83,22 @@ def collocate(
     *,
     compile_mode: str = "auto",
     least_limit: bool = False,
-    pinned: np.ndarray | None = None,
-    held: np.ndarray | None = None,
+    bang_efforts: np.ndarray | None = None,
+    constrained_paths: np.ndarray | None = None,
 ) -> Transcribed:
     """Return the program of a formulation on a mesh, with bounds and a starting point.
 
     Args:
         formulation: the continuous problem.
         chosen: the transcription.
-        mesh: intervals; its legs lie between the formulation's knots.
+        mesh: intervals; its phases lie between the formulation's phase boundaries.
         durations: guessed durations (n_segments,) [s] of its segments.
         start: the motion to start from.
         compile_mode: "auto", "always" or "never".
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
-        pinned: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
-        held: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole segments.
+        bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
+        constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole
+            segments.
     """
     begin = time.perf_counter()
     interval = _interval(formulation, chosen, mesh.n_intervals, compile_mode)
@@ -111,30 +112,30 @@ def collocate(
         n_intervals=mesh.n_intervals,
         n_segments=mesh.n_segments,
         n_extra=int(least_limit),
-        n_looks=interval.n_looks,
-        n_z_looked=len(interval.look_z),
+        n_open_ends=interval.n_open_ends,
+        n_z_open_end=len(interval.open_end_z),
     )
-    durations = fitted(durations, formulation.knots, mesh.leg, formulation.units.time_s)
+    durations = fitted(durations, formulation.boundaries, mesh.phase, formulation.units.time_s)
     linear, linear_lower, linear_upper = linear_rows(
-        formulation, layout, mesh, held_efforts(pinned, mesh, layout) if least_limit else None
+        formulation, layout, mesh, bang_coefficients(bang_efforts, mesh, layout) if least_limit else None
     )
     cost = np.zeros(layout.size)
     cost[layout.extra()] = 1.0
-    lower, upper = bounds(formulation, layout, mesh, durations, None if least_limit else pinned, interval.look_z)
+    lower, upper = bounds(formulation, layout, mesh, durations, None if least_limit else bang_efforts, interval.open_end_z)
     breaks = mesh.breaks(durations)
-    row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, held)
+    row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, constrained_paths)
     return Transcribed(
         program=build_program(layout, mesh, interval, linear, cost, formulation.endpoint),
         scheme=chosen,
         formulation=formulation,
-        parameters=_parameters(formulation, chosen, interval.n_looks, mesh, breaks),
+        parameters=_parameters(formulation, chosen, interval.n_open_ends, mesh, breaks),
         lower=lower,
         upper=upper,
         row_lower=np.concatenate([row_lower, linear_lower, formulation.endpoint_bounds[:, 0]]),
         row_upper=np.concatenate([row_upper, linear_upper, formulation.endpoint_bounds[:, 1]]),
         start=_start(formulation, start, chosen, interval, layout, breaks, durations),
-        pinned=pinned,
-        held=held,
+        bang_efforts=bang_efforts,
+        constrained_paths=constrained_paths,
         least_limit=least_limit,
         build_s=time.perf_counter() - begin,
     )
@@ -151,17 +152,19 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
     begin = time.perf_counter()
     program = transcribed.program
     layout, mesh, unit = program.layout, program.mesh, formulation.units.time_s
-    durations = fitted(x[layout.durations()] * unit, formulation.knots, mesh.leg, unit)
+    durations = fitted(x[layout.durations()] * unit, formulation.boundaries, mesh.phase, unit)
     start = np.array(x)
     start[layout.durations()] = durations / unit
-    lower, upper = bounds(formulation, layout, mesh, durations, transcribed.pinned, program.interval.look_z)
+    lower, upper = bounds(formulation, layout, mesh, durations, transcribed.bang_efforts, program.interval.open_end_z)
     _, linear_lower, linear_upper = linear_rows(formulation, layout, mesh, None)
     breaks = mesh.breaks(durations)
-    row_lower, row_upper = _row_bounds(formulation, transcribed.scheme, program.interval, mesh, breaks, transcribed.held)
+    row_lower, row_upper = _row_bounds(
+        formulation, transcribed.scheme, program.interval, mesh, breaks, transcribed.constrained_paths
+    )
     return replace(
         transcribed,
         formulation=formulation,
-        parameters=_parameters(formulation, transcribed.scheme, program.interval.n_looks, mesh, mesh.breaks(durations)),
+        parameters=_parameters(formulation, transcribed.scheme, program.interval.n_open_ends, mesh, mesh.breaks(durations)),
         lower=lower,
         upper=upper,
         row_lower=np.concatenate([row_lower, linear_lower, formulation.endpoint_bounds[:, 0]]),
@@ -186,14 +189,16 @@ def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: 
     return cached(key) or build()
 
 
-def _row_bounds(formulation: Formulation, chosen: Scheme, interval: IntervalFunctions, mesh: Mesh, breaks, held):
-    of_intervals = None if held is None else held[mesh.segment]
+def _row_bounds(
+    formulation: Formulation, chosen: Scheme, interval: IntervalFunctions, mesh: Mesh, breaks, constrained_paths
+):
+    of_intervals = None if constrained_paths is None else constrained_paths[mesh.segment]
     return row_bounds(formulation, interval, breaks, of_intervals, node_at_end=1 not in chosen.open_ends)
 
 
-def _parameters(formulation: Formulation, chosen: Scheme, n_looks: int, mesh: Mesh, breaks: np.ndarray) -> np.ndarray:
-    """Return the parameter vector: per interval its share, its own parameters, those of nodes and looks; the endpoint's."""
-    at = np.concatenate([chosen.nodes, chosen.open_ends[:n_looks]])
+def _parameters(formulation: Formulation, chosen: Scheme, n_open_ends: int, mesh: Mesh, breaks: np.ndarray) -> np.ndarray:
+    """Return the parameters: per interval its share, its own, those of nodes and open ends; the endpoint's."""
+    at = np.concatenate([chosen.nodes, chosen.open_ends[:n_open_ends]])
     times = breaks[:-1, None] + np.diff(breaks)[:, None] * at
     n = mesh.n_intervals
     theta = formulation.theta(times).reshape(n, -1)
@@ -221,10 +226,10 @@ def _start(
     x[layout.acceleration().ravel()] = acceleration.ravel()
     x[layout.rate().ravel()] = rate.ravel()
     x[layout.dependent().ravel()] = algebraic.ravel()
-    if layout.n_looks and layout.n_z_looked:
+    if layout.n_open_ends and layout.n_z_open_end:
         ends = np.clip(np.array(chosen.open_ends, dtype=float), 0.0, 1.0 - 1e-9)
         times = (breaks[:-1, None] + np.diff(breaks)[:, None] * ends).ravel()
-        x[layout.looked().ravel()] = start.nodes(times)[2][:, list(interval.look_z)].ravel()
+        x[layout.open_end_dependent().ravel()] = start.nodes(times)[2][:, list(interval.open_end_z)].ravel()
     coefficients = np.einsum("ij,kju->kiu", np.linalg.pinv(chosen.effort_at), effort.reshape(n, m, -1))
     x[layout.durations()] = np.asarray(durations) / formulation.units.time_s
     limit, unit = formulation.effort, formulation.units.effort
@@ -235,8 +240,8 @@ def _start(
     finite = np.all(np.isfinite(limit), axis=1)
     both = np.where(finite[:, None], limit, 0.0)
     middle, half = 0.5 * both.sum(axis=1), 0.5 * np.diff(both, axis=1).ravel()
-    low = np.where(finite, middle - _GUESS_ROOM * half, limit[:, 0])
-    high = np.where(finite, middle + _GUESS_ROOM * half, limit[:, 1])
+    low = np.where(finite, middle - _GUESS_MARGIN * half, limit[:, 0])
+    high = np.where(finite, middle + _GUESS_MARGIN * half, limit[:, 1])
     x[layout.effort()] = np.clip(coefficients, low, high) / unit
     return x
 

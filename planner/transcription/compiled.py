@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import one_line
-from linkplan.planner.transcription.interval import LOOKS, NAMES, IntervalFunctions, IntervalRows
+from linkplan.planner.transcription.interval import NAMES, OPEN_END_NAMES, IntervalFunctions, IntervalRows
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import System
 
@@ -89,8 +89,8 @@ def cached(key: str) -> IntervalFunctions | None:
     folder = cache_folder()
     try:
         said = json.loads((folder / f"{key}.json").read_text(encoding="utf-8"))
-        names = (*NAMES, *LOOKS) if said["n_looks"] else NAMES
-        functions = dict.fromkeys(LOOKS) | {name: ca.external(name, str(folder / f"{key}.so")) for name in names}
+        names = (*NAMES, *OPEN_END_NAMES) if said["n_open_ends"] else NAMES
+        functions = dict.fromkeys(OPEN_END_NAMES) | {name: ca.external(name, str(folder / f"{key}.so")) for name in names}
         patterns = {name: tuple(np.array(part, dtype=int) for part in said.pop(name)) for name in _PATTERNS}
         return IntervalFunctions(
             **functions,
@@ -99,8 +99,8 @@ def cached(key: str) -> IntervalFunctions | None:
             own_kinds=tuple(said.pop("own_kinds")),
             own_items=tuple(said.pop("own_items")),
             node_kinds=tuple(said.pop("node_kinds")),
-            look_rows=tuple(said.pop("look_rows")),
-            look_z=tuple(said.pop("look_z")),
+            open_end_rows=tuple(said.pop("open_end_rows")),
+            open_end_z=tuple(said.pop("open_end_z")),
             **said,
         )
     except (OSError, ValueError, KeyError, TypeError, RuntimeError):
@@ -133,7 +133,7 @@ def compiled(key: str, build: Callable[[], IntervalFunctions]) -> IntervalFuncti
 
 
 def _names(functions: IntervalFunctions) -> tuple[str, ...]:
-    return (*NAMES, *LOOKS) if functions.n_looks else NAMES
+    return (*NAMES, *OPEN_END_NAMES) if functions.n_open_ends else NAMES
 
 
 def _compile(functions: IntervalFunctions, work: Path, key: str) -> None:
@@ -145,13 +145,13 @@ def _compile(functions: IntervalFunctions, work: Path, key: str) -> None:
     command = [*(compiler() or ()), *flags, f"{key}.c", "-o", f"{key}.so", "-lm"]
     subprocess.run(command, cwd=work, capture_output=True, timeout=_TIMEOUT_S, check=True)
     said = {name: [part.tolist() for part in getattr(functions, name)] for name in _PATTERNS}
-    said |= {name: getattr(functions, name) for name in ("n_own", "n_equations", "n_path", "n_nodes", "n_looks")}
+    said |= {name: getattr(functions, name) for name in ("n_own", "n_equations", "n_path", "n_nodes", "n_open_ends")}
     said |= {
         "weights": functions.weights.tolist(),
         "own_kinds": list(functions.own_kinds),
         "own_items": list(functions.own_items),
         "node_kinds": list(functions.node_kinds),
-        "look_rows": list(functions.look_rows),
-        "look_z": list(functions.look_z),
+        "open_end_rows": list(functions.open_end_rows),
+        "open_end_z": list(functions.open_end_z),
     }
     (work / f"{key}.json").write_text(json.dumps(said), encoding="utf-8")

@@ -14,7 +14,7 @@ from linkplan.planner.transcription.system import Endpoint, System
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Knot:
+class PhaseBoundary:
     """A start, waypoint or goal: bounds (n_state, 2) on its state, bounds (2,) on its instant from the start.
 
     `share` puts it at a share of the whole duration in place of an instant.
@@ -47,8 +47,8 @@ class Formulation:
     `build_system` makes the system when it is needed. Bounds are [low, high] rows: `state` (n_state, 2), `algebraic`
     (n_z, 2), `effort` (n_u, 2) in its own units, `path` (n_path, 2), `own` by kind of an interval's own rows. `returns` are
     states that end as they began; `smooth` says whether efforts may not jump. `eta` are an interval's own parameters,
-    `theta` maps times (n, m) [s] to those of nodes (n, m, n_theta). `inset` maps breaks (n + 1,) [s] to how far (n, n_path)
-    path bounds are drawn in on each interval.
+    `theta` maps times (n, m) [s] to those of nodes (n, m, n_theta). `tightening` maps breaks (n + 1,) [s] to how far (n,
+    n_path) path bounds are tightened on each interval.
     """
 
     build_system: Callable[[], System]
@@ -63,12 +63,12 @@ class Formulation:
     effort: np.ndarray
     path: np.ndarray
     own: dict[str, np.ndarray]
-    knots: tuple[Knot, ...]
+    boundaries: tuple[PhaseBoundary, ...]
     returns: tuple[int, ...]
     smooth: bool
     eta: np.ndarray
     theta: Callable[[np.ndarray], np.ndarray]
-    inset: Callable[[np.ndarray], np.ndarray] | None = None
+    tightening: Callable[[np.ndarray], np.ndarray] | None = None
     endpoint: Endpoint | None = None
     endpoint_bounds: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     endpoint_parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -91,13 +91,13 @@ class Start:
     nodes: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]
 
 
-def fitted(durations: np.ndarray, knots: tuple[Knot, ...], leg: np.ndarray, time_s: float) -> np.ndarray:
-    """Return segment durations [s] stretched so that knots with a given instant stand there."""
+def fitted(durations: np.ndarray, boundaries: tuple[PhaseBoundary, ...], phase: np.ndarray, time_s: float) -> np.ndarray:
+    """Return segment durations [s] stretched so that phase boundaries with a given instant stand there."""
     durations = np.array(durations, dtype=float)
     begun, at = 0, 0.0
-    for k, knot in enumerate(knots[1:]):
-        if knot.fixed:
-            group = (leg >= begun) & (leg <= k)
-            durations[group] *= (knot.time[0] * time_s - at) / durations[group].sum()
-            begun, at = k + 1, knot.time[0] * time_s
+    for k, boundary in enumerate(boundaries[1:]):
+        if boundary.fixed:
+            group = (phase >= begun) & (phase <= k)
+            durations[group] *= (boundary.time[0] * time_s - at) / durations[group].sum()
+            begun, at = k + 1, boundary.time[0] * time_s
     return durations

@@ -7,7 +7,7 @@ differentiated once and for one node, and the interval's derivatives follow by m
 
     J = [J_own; J_i T_i],   H = H_own + sum_i T_i^T H_i T_i + sum_k g_ik d2 xi_ik / dw2,   T_i = d xi_i / dw.
 
-An end at which no node stands (Radau's left one) is looked at where a path quantity may jump with the effort: closure and
+An end at which no node stands (Radau's left one) is checked where a path quantity may jump with the effort: closure and
 that quantity are rows there, dynamics and costs are not.
 """
 
@@ -31,7 +31,7 @@ class IntervalRows:
     `costs` are names out of `COSTS`. `speed_columns` and `position_columns` are second-order coordinates, `state_columns`
     first-order states, `rate_columns` efforts whose rate is bounded. `motor_columns` are pairs (effort, coordinate) whose
     line alpha u + beta v is bounded. Weights, alpha and beta are numbers of the program (eta), not of its structure.
-    `looked` are path quantities that jump with the effort: they are bounded at an interval's ends too.
+    `at_open_ends` are path quantities that jump with the effort: they are bounded at an interval's ends too.
     """
 
     costs: tuple[str, ...] = ()
@@ -40,7 +40,7 @@ class IntervalRows:
     state_columns: tuple[int, ...] = ()
     rate_columns: tuple[int, ...] = ()
     motor_columns: tuple[tuple[int, int], ...] = ()
-    looked: tuple[int, ...] = ()
+    open_end_path: tuple[int, ...] = ()
 
     def n_eta(self, n_u: int) -> int:
         """Return the number of an interval's own parameters: weights of its costs, then alpha and beta of each motor."""
@@ -52,19 +52,20 @@ class IntervalFunctions:
     """CasADi functions of one node and one interval, nonzeros as dense columns, and where the nonzeros stand.
 
     Node: `node_value` (xi, theta); `node_jacobian` (xi, theta), with the running cost's gradient; `node_hessian` (xi, theta,
-    lambda), gradient and upper triangle. `look_value`, `look_jacobian` and `look_hessian` are the same of the rows that are
-    looked at where no node stands, without a cost; None where none are. Interval: `nodes` (w, share), xi of nodes and looks
-    side by side; `own` (w, share, eta), own rows and own cost; `chain_jacobian` (w, share, eta, node Jacobians, look
-    Jacobians), `chain_gradient` (w, share, eta, running costs, their gradients), `chain_hessian` (w, share, eta, lambda_own,
-    sigma, gradients of nodes and looks, node Hessians, look Hessians, gradients of the running costs).
+    lambda), gradient and upper triangle. `open_end_value`, `open_end_jacobian` and `open_end_hessian` are the same of the
+    rows that are imposed where no node stands, without a cost; None where none are. Interval: `nodes` (w, share), xi of
+    nodes and open ends side by side; `own` (w, share, eta), own rows and own cost; `chain_jacobian` (w, share, eta, node
+    Jacobians, open-end Jacobians), `chain_gradient` (w, share, eta, running costs, their gradients), `chain_hessian` (w,
+    share, eta, lambda_own, sigma, gradients of nodes and open ends, node Hessians, open-end Hessians, gradients of the
+    running costs).
     """
 
     node_value: ca.Function
     node_jacobian: ca.Function
     node_hessian: ca.Function
-    look_value: ca.Function | None
-    look_jacobian: ca.Function | None
-    look_hessian: ca.Function | None
+    open_end_value: ca.Function | None
+    open_end_jacobian: ca.Function | None
+    open_end_hessian: ca.Function | None
     nodes: ca.Function
     own: ca.Function
     chain_jacobian: ca.Function
@@ -80,35 +81,38 @@ class IntervalFunctions:
     own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position", "state", "effort_rate", "motor"
     own_items: tuple[int, ...]  # per own row: of which of its kind's columns
     node_kinds: tuple[str, ...]  # per row of a node: "closure", "dynamics", "speed", or what the system calls it
-    n_looks: int  # ends that are looked at though no node stands there
-    look_rows: tuple[int, ...]  # rows of a node that are rows there
-    look_z: tuple[int, ...]  # algebraic unknowns that those need
+    n_open_ends: int  # open ends: no node stands there
+    open_end_rows: tuple[int, ...]  # rows of a node that are rows there
+    open_end_z: tuple[int, ...]  # algebraic unknowns that those need
 
     @property
     def n_rows(self) -> int:
         """The number of an interval's rows: its own, each node's equations and path quantities, what is looked at."""
-        return self.n_own + self.n_nodes * (self.n_equations + self.n_path) + self.n_looks * len(self.look_rows)
+        return self.n_own + self.n_nodes * (self.n_equations + self.n_path) + self.n_open_ends * len(self.open_end_rows)
 
     @property
     def row_kinds(self) -> tuple[str, ...]:
         """What each of an interval's rows is."""
-        looked = tuple(self.node_kinds[i] for i in self.look_rows)
-        return self.own_kinds + self.n_nodes * self.node_kinds + self.n_looks * looked
+        at_open_ends = tuple(self.node_kinds[i] for i in self.open_end_rows)
+        return self.own_kinds + self.n_nodes * self.node_kinds + self.n_open_ends * at_open_ends
 
 
-LOOKS = ("look_value", "look_jacobian", "look_hessian")
+OPEN_END_NAMES = ("open_end_value", "open_end_jacobian", "open_end_hessian")
 NAMES = ("node_value", "node_jacobian", "node_hessian", "nodes", "own", "chain_jacobian", "chain_gradient", "chain_hessian")
 
 
 def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> IntervalFunctions:
     """Return the functions of one interval of a system under a transcription."""
     node = _node_functions(system, "node", system.node, system.n_equations + system.n_path)
-    m, n_looks, look_rows, look_z = scheme.n_nodes, 0, (), ()
-    look: dict = {"value": None, "jacobian": None, "hessian": None}
-    if rows.looked and scheme.open_ends:
-        n_looks, look_rows = len(scheme.open_ends), _look_rows(system, rows)
-        looked = _looked(system, look_rows)
-        look, look_z = _node_functions(system, "look", looked, len(look_rows)), _look_z(system, looked)
+    m, n_open_ends, open_end_rows, open_end_z = scheme.n_nodes, 0, (), ()
+    open_end: dict = {"value": None, "jacobian": None, "hessian": None}
+    if rows.open_end_path and scheme.open_ends:
+        n_open_ends, open_end_rows = len(scheme.open_ends), _open_end_rows(system, rows)
+        at_open_ends = _at_open_ends(system, open_end_rows)
+        open_end, open_end_z = (
+            _node_functions(system, "open_end", at_open_ends, len(open_end_rows)),
+            _open_end_z(system, at_open_ends),
+        )
     layout = Layout(
         n_s=system.n_s,
         n_x=system.n_x,
@@ -118,29 +122,29 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
         n_effort=scheme.effort_at.shape[1],
         n_intervals=1,
         n_segments=1,
-        n_looks=n_looks,
-        n_z_looked=len(look_z),
+        n_open_ends=n_open_ends,
+        n_z_open_end=len(open_end_z),
     )
     w, share, eta = ca.SX.sym("w", layout.size), ca.SX.sym("share"), ca.SX.sym("eta", rows.n_eta(system.n_u))
     parts = _Parts(layout, scheme, w, share)
-    xi = parts.node_columns()  # (n_xi, m + n_looks)
-    if n_looks:
-        xi = ca.horzcat(xi, parts.look_columns(scheme, look_z))
+    xi = parts.node_columns()  # (n_xi, m + n_open_ends)
+    if n_open_ends:
+        xi = ca.horzcat(xi, parts.open_end_columns(scheme, open_end_z))
     own, kinds, items = _own_rows(parts, scheme, system, rows, eta)
     cost = _own_cost(parts, scheme, rows, eta)
     stacked = ca.vec(xi)
     T = ca.jacobian(stacked, w)
-    blocks = [T[i * system.n_xi : (i + 1) * system.n_xi, :] for i in range(m + n_looks)]
+    blocks = [T[i * system.n_xi : (i + 1) * system.n_xi, :] for i in range(m + n_open_ends)]
 
     def sized(name: str, which: str, count: int) -> tuple[ca.SX, list[ca.SX]]:
-        patterns = {"node": node, "look": look}[which]
+        patterns = {"node": node, "open_end": open_end}[which]
         pattern = patterns[f"{name}_sparsity"] if count else ca.Sparsity(0, 0)
         nonzeros = ca.SX.sym(name, pattern.nnz(), count)
         return nonzeros, [ca.SX(pattern, nonzeros[:, i]) for i in range(count)]
 
     J_nodes, J_at_nodes = sized("jacobian", "node", m)
-    J_looks, J_at_looks = sized("jacobian", "look", n_looks)
-    placed = [J @ block for J, block in zip(J_at_nodes + J_at_looks, blocks, strict=True)]
+    J_open_ends, J_at_open_ends = sized("jacobian", "open_end", n_open_ends)
+    placed = [J @ block for J, block in zip(J_at_nodes + J_at_open_ends, blocks, strict=True)]
     jacobian = ca.vertcat(ca.jacobian(own, w), *placed)
 
     values, value_gradients = ca.SX.sym("L", 1, m), ca.SX.sym("dL", system.n_xi, m)
@@ -152,12 +156,12 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
         gradient += h * weights[i] * (blocks[i].T @ value_gradients[:, i])
 
     lam, sigma = ca.SX.sym("lam", own.numel()), ca.SX.sym("sigma")
-    g = ca.SX.sym("g", system.n_xi, m + n_looks)
+    g = ca.SX.sym("g", system.n_xi, m + n_open_ends)
     H_nodes, H_at_nodes = sized("hessian", "node", m)
-    H_looks, H_at_looks = sized("hessian", "look", n_looks)
+    H_open_ends, H_at_open_ends = sized("hessian", "open_end", n_open_ends)
     hessian = ca.hessian(sigma * cost + ca.dot(lam, own) + ca.dot(ca.vec(g), stacked), w)[0]
     dh = ca.gradient(h, w)
-    for upper, block in zip(H_at_nodes + H_at_looks, blocks, strict=True):
+    for upper, block in zip(H_at_nodes + H_at_open_ends, blocks, strict=True):
         hessian += block.T @ (upper + ca.triu(upper, False).T) @ block
     for i in range(m):
         cross = sigma * weights[i] * (dh @ (blocks[i].T @ value_gradients[:, i]).T)
@@ -171,15 +175,15 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
         node_value=node["value"],
         node_jacobian=node["jacobian"],
         node_hessian=node["hessian"],
-        look_value=look["value"],
-        look_jacobian=look["jacobian"],
-        look_hessian=look["hessian"],
+        open_end_value=open_end["value"],
+        open_end_jacobian=open_end["jacobian"],
+        open_end_hessian=open_end["hessian"],
         nodes=function("nodes", [w, share], [ca.densify(xi)]),
         own=function("own", [w, share, eta], [ca.densify(own), ca.densify(cost)]),
-        chain_jacobian=function("chain_jacobian", [w, share, eta, J_nodes, J_looks], [_nonzeros(jacobian)]),
+        chain_jacobian=function("chain_jacobian", [w, share, eta, J_nodes, J_open_ends], [_nonzeros(jacobian)]),
         chain_gradient=function("chain_gradient", [w, share, eta, values, value_gradients], [ca.densify(gradient)]),
         chain_hessian=function(
-            "chain_hessian", [w, share, eta, lam, sigma, g, H_nodes, H_looks, value_gradients], [_nonzeros(hessian)]
+            "chain_hessian", [w, share, eta, lam, sigma, g, H_nodes, H_open_ends, value_gradients], [_nonzeros(hessian)]
         ),
         jacobian_pattern=_triplets(jacobian),
         hessian_pattern=_triplets(hessian),
@@ -191,9 +195,9 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
         own_kinds=tuple(kinds),
         own_items=tuple(items),
         node_kinds=system.kinds,
-        n_looks=n_looks,
-        look_rows=look_rows,
-        look_z=look_z,
+        n_open_ends=n_open_ends,
+        open_end_rows=open_end_rows,
+        open_end_z=open_end_z,
     )
 
 
@@ -218,22 +222,22 @@ def _node_functions(system: System, name: str, at: ca.Function, n_f: int) -> dic
     }
 
 
-def _look_rows(system: System, rows: IntervalRows) -> tuple[int, ...]:
-    """Return the rows of a node that hold where none stands: closure, and the path quantities that are looked at."""
+def _open_end_rows(system: System, rows: IntervalRows) -> tuple[int, ...]:
+    """Return the rows of a node that hold where none stands: closure, and the path quantities that are bounded there."""
     closure = tuple(i for i in range(system.n_equations) if system.kinds[i] == "closure")
-    return closure + tuple(system.n_equations + i for i in rows.looked)
+    return closure + tuple(system.n_equations + i for i in rows.open_end_path)
 
 
-def _looked(system: System, look_rows: tuple[int, ...]) -> ca.Function:
+def _at_open_ends(system: System, open_end_rows: tuple[int, ...]) -> ca.Function:
     """Return a node's function with those rows alone, and a cost of zero."""
     xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
-    return ca.Function("look", [xi, theta], [ca.vertcat(system.node(xi, theta)[list(look_rows)], 0)])
+    return ca.Function("open_end", [xi, theta], [ca.vertcat(system.node(xi, theta)[list(open_end_rows)], 0)])
 
 
-def _look_z(system: System, looked: ca.Function) -> tuple[int, ...]:
+def _open_end_z(system: System, at_open_ends: ca.Function) -> tuple[int, ...]:
     """Return the algebraic unknowns on which a function of a node depends."""
     first = system.n_xi - system.n_u - system.n_z
-    columns = np.unique(np.array(looked.jac_sparsity(0, 0).get_triplet()[1], dtype=int)) - first
+    columns = np.unique(np.array(at_open_ends.jac_sparsity(0, 0).get_triplet()[1], dtype=int)) - first
     return tuple(int(i) for i in columns if 0 <= i < system.n_z)
 
 
@@ -255,7 +259,7 @@ class _Parts:
 
         self.a, self.r = rows(layout.acceleration()), rows(layout.rate())
         self.z, self.u = rows(layout.dependent()), rows(layout.effort())
-        self.looked = rows(layout.looked())
+        self.open_end_dependent = rows(layout.open_end_dependent())
         self.h = share * w[int(layout.durations()[0])]
         self.matrix = {n: ca.SX(ca.DM(getattr(scheme, n))) for n in scheme.__slots__ if n not in ("name", "consistent")}
 
@@ -269,13 +273,13 @@ class _Parts:
         u = matrix["effort_at"] @ self.u
         return ca.horzcat(s, v, self.a, x, self.r, self.z, u).T
 
-    def look_columns(self, scheme: Scheme, look_z: tuple[int, ...]) -> ca.SX:
-        """Return xi (n_xi, n_looks) of the interval's ends at which no node stands."""
+    def open_end_columns(self, scheme: Scheme, open_end_z: tuple[int, ...]) -> ca.SX:
+        """Return xi (n_xi, n_open_ends) of the interval's ends at which no node stands."""
         extrapolate, columns = ca.SX(ca.DM(scheme.at_open_ends)), []
         for i, end in enumerate(scheme.open_ends):
             z = ca.SX.zeros(1, self.z.shape[1])
-            for k, j in enumerate(look_z):
-                z[0, j] = self.looked[i, k]
+            for k, j in enumerate(open_end_z):
+                z[0, j] = self.open_end_dependent[i, k]
             s, v, x = (self.s1, self.v1, self.x1) if end else (self.s0, self.v0, self.x0)
             a, r = extrapolate[i, :] @ self.a, extrapolate[i, :] @ self.r
             columns.append(ca.horzcat(s, v, a, x, r, z, self.u[-1 if end else 0, :]).T)

@@ -18,8 +18,8 @@ class Layout:
     n_x: int = 0
     n_effort: int = 0  # Bernstein coefficients of each effort; as many as nodes where 0
     n_extra: int = 0  # unknowns of the whole program beyond its last state and durations
-    n_looks: int = 0  # ends of an interval that are looked at though no node stands there
-    n_z_looked: int = 0  # algebraic unknowns at each of those
+    n_open_ends: int = 0  # open ends of an interval: no node stands there
+    n_z_open_end: int = 0  # algebraic unknowns at each of those
 
     @property
     def n_state(self) -> int:
@@ -35,7 +35,7 @@ class Layout:
     def block(self) -> int:
         """The number of unknowns that belong to one interval, its left state included."""
         inner = self.n_nodes * (self.n_s + self.n_x + self.n_z) + self.effort_coefficients * self.n_u
-        return self.n_state + inner + self.n_looks * self.n_z_looked
+        return self.n_state + inner + self.n_open_ends * self.n_z_open_end
 
     @property
     def size(self) -> int:
@@ -67,9 +67,9 @@ class Layout:
         start = self.n_state + self.n_nodes * (self.n_s + self.n_x + self.n_z)
         return self._inner(start, self.effort_coefficients, self.n_u)
 
-    def looked(self) -> np.ndarray:
-        """Return indices (n_intervals, n_looks, n_z_looked) of algebraic unknowns at ends that are looked at."""
-        return self._inner(self.block - self.n_looks * self.n_z_looked, self.n_looks, self.n_z_looked)
+    def open_end_dependent(self) -> np.ndarray:
+        """Return indices (n_intervals, n_open_ends, n_z_open_end) of algebraic unknowns at open ends."""
+        return self._inner(self.block - self.n_open_ends * self.n_z_open_end, self.n_open_ends, self.n_z_open_end)
 
     def durations(self) -> np.ndarray:
         """Return the indices (n_segments,) of the segments' durations."""

@@ -56,8 +56,8 @@ def build_program(
     n_xi, n_theta = interval.node_value.size1_in(0), interval.node_value.size1_in(1)
     n_eta = interval.own.size1_in(2)
     gather = _gather(layout, mesh)  # (n, n_w) index of each interval's unknowns
-    n_looks = interval.n_looks
-    size = (1 + n_eta + (m + n_looks) * n_theta) * n
+    n_open_ends = interval.n_open_ends
+    size = (1 + n_eta + (m + n_open_ends) * n_theta) * n
     x, p = ca.MX.sym("x", layout.size), ca.MX.sym("p", size + (endpoint.n_parameters if endpoint else 0))
     w = ca.reshape(x[gather.ravel().tolist()], gather.shape[1], n)
     P = ca.reshape(p[:size], size // n, n)
@@ -65,14 +65,14 @@ def build_program(
     ends = _Ends(endpoint, layout, x, p[size:]) if endpoint else None
     linear = sp.csr_matrix(linear)
     A, c = _casadi_sparse(linear), ca.DM(cost)
-    points = ca.reshape(interval.nodes.map(n)(w, share), (m + n_looks) * n_xi, n)
+    points = ca.reshape(interval.nodes.map(n)(w, share), (m + n_open_ends) * n_xi, n)
     xi, theta_nodes = ca.reshape(points[: m * n_xi, :], n_xi, m * n), ca.reshape(theta[: m * n_theta, :], n_theta, m * n)
-    looks = _Looks(interval, points[m * n_xi :, :], theta[m * n_theta :, :])
+    open_ends = _OpenEnds(interval, points[m * n_xi :, :], theta[m * n_theta :, :])
 
     node_rows = interval.node_value.map(m * n)(xi, theta_nodes)
     own_rows, own_costs = interval.own.map(n)(w, share, eta)
     g_nodes = ca.reshape(node_rows[:n_f, :], m * n_f, n)
-    g = ca.vertcat(ca.vec(ca.vertcat(own_rows, g_nodes, looks.rows)), A @ x, *([ends.rows] if ends else []))
+    g = ca.vertcat(ca.vec(ca.vertcat(own_rows, g_nodes, open_ends.rows)), A @ x, *([ends.rows] if ends else []))
     running = ca.reshape(node_rows[n_f, :], m, n)
     h = share * x[layout.durations()[mesh.segment].tolist()].T
     f = ca.sum2(own_costs) + ca.dot(h, ca.DM(interval.weights).T @ running) + ca.dot(c, x) + (ends.cost if ends else 0)
@@ -80,7 +80,7 @@ def build_program(
     # CasADi's map deals columns out in order: nodes k m to (k + 1) m - 1 are interval k's.
     # Jacobian: nonzeros of the intervals' Jacobians side by side, then the linear rows', permuted into column order.
     node_jacobian, running_gradient = interval.node_jacobian.map(m * n)(xi, theta_nodes)
-    values = interval.chain_jacobian.map(n)(w, share, eta, node_jacobian, looks.jacobian)
+    values = interval.chain_jacobian.map(n)(w, share, eta, node_jacobian, open_ends.jacobian)
     rows, columns = interval.jacobian_pattern
     extra = sp.coo_matrix(linear)
     global_rows = (rows[None, :] + interval.n_rows * np.arange(n)[:, None]).ravel()
@@ -102,21 +102,21 @@ def build_program(
 
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)
     lam = ca.reshape(lam_g[: n * interval.n_rows], interval.n_rows, n)
-    first_look = interval.n_own + m * n_f
-    lam_nodes = ca.reshape(lam[interval.n_own : first_look, :], n_f, m * n)
+    first_open_end = interval.n_own + m * n_f
+    lam_nodes = ca.reshape(lam[interval.n_own : first_open_end, :], n_f, m * n)
     lam_running = ca.reshape(lam_f * ca.DM(interval.weights) @ h, 1, m * n)
     node_gradient, node_hessian = interval.node_hessian.map(m * n)(xi, theta_nodes, ca.vertcat(lam_nodes, lam_running))
-    look_gradient, look_hessian = looks.hessian(lam[first_look:, :])
-    gradients_at = ca.vertcat(ca.reshape(node_gradient, n_xi * m, n), look_gradient)
+    open_end_gradient, open_end_hessian = open_ends.hessian(lam[first_open_end:, :])
+    gradients_at = ca.vertcat(ca.reshape(node_gradient, n_xi * m, n), open_end_gradient)
     hess_values = interval.chain_hessian.map(n)(
         w,
         share,
         eta,
         lam[: interval.n_own, :],
         ca.repmat(lam_f, 1, n),
-        ca.reshape(gradients_at, n_xi, (m + n_looks) * n),
+        ca.reshape(gradients_at, n_xi, (m + n_open_ends) * n),
         node_hessian,
-        look_hessian,
+        open_end_hessian,
         running_gradient,
     )
     rows, columns = interval.hessian_pattern
@@ -138,29 +138,29 @@ def build_program(
     return Program(layout=layout, interval=interval, mesh=mesh, functions=functions, n_rows=n_rows, linear=linear)
 
 
-class _Looks:
-    """What is looked at where no node stands: rows, and the values of their derivatives; empty where nothing is.
+class _OpenEnds:
+    """What is bounded at open ends, where no node stands: rows, and the values of their derivatives; empty where nothing is.
 
-    `points` and `theta` are the columns (n_looks * n_xi, n) and (n_looks * n_theta, n) of n intervals.
+    `points` and `theta` are the columns (n_open_ends * n_xi, n) and (n_open_ends * n_theta, n) of n intervals.
     """
 
     def __init__(self, interval: IntervalFunctions, points: ca.MX, theta: ca.MX) -> None:
-        self._interval, self._n, self._count = interval, points.shape[1], interval.n_looks * points.shape[1]
+        self._interval, self._n, self._count = interval, points.shape[1], interval.n_open_ends * points.shape[1]
         self.rows, self.jacobian = ca.MX(0, self._n), ca.MX(0, 0)
-        if interval.n_looks:
-            n_xi, n_theta = (points.shape[0] // interval.n_looks, theta.shape[0] // interval.n_looks)
+        if interval.n_open_ends:
+            n_xi, n_theta = (points.shape[0] // interval.n_open_ends, theta.shape[0] // interval.n_open_ends)
             self._at = ca.reshape(points, n_xi, self._count), ca.reshape(theta, n_theta, self._count)
-            rows = interval.look_value.map(self._count)(*self._at)[:-1, :]
-            self.rows = ca.reshape(rows, interval.n_looks * len(interval.look_rows), self._n)
-            self.jacobian, _ = interval.look_jacobian.map(self._count)(*self._at)
+            rows = interval.open_end_value.map(self._count)(*self._at)[:-1, :]
+            self.rows = ca.reshape(rows, interval.n_open_ends * len(interval.open_end_rows), self._n)
+            self.jacobian, _ = interval.open_end_jacobian.map(self._count)(*self._at)
 
     def hessian(self, lam: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """Return the gradients (n_looks * n_xi, n) and the Hessians' values for multipliers (n_looks * n_rows, n)."""
-        if not self._interval.n_looks:
+        """Return gradients (n_open_ends * n_xi, n) and the Hessians' values for multipliers (n_open_ends * n_rows, n)."""
+        if not self._interval.n_open_ends:
             return ca.MX(0, self._n), ca.MX(0, 0)
-        lam = ca.vertcat(ca.reshape(lam, len(self._interval.look_rows), self._count), ca.MX.zeros(1, self._count))
-        gradient, hessian = self._interval.look_hessian.map(self._count)(*self._at, lam)
-        return ca.reshape(gradient, gradient.shape[0] * self._interval.n_looks, self._n), hessian
+        lam = ca.vertcat(ca.reshape(lam, len(self._interval.open_end_rows), self._count), ca.MX.zeros(1, self._count))
+        gradient, hessian = self._interval.open_end_hessian.map(self._count)(*self._at, lam)
+        return ca.reshape(gradient, gradient.shape[0] * self._interval.n_open_ends, self._n), hessian
 
 
 class _Ends:

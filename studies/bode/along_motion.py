@@ -11,8 +11,8 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.compare import build_tracker
+from linkplan.studies.frequency.feedback_loops import LAW_NAMES, FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, floquet_text, frozen_radii, tracker_gains
-from linkplan.studies.frequency.loops import LAW_NAMES, FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.frequency.margins import Margins, margins
 
 # Instants along the motion whose margins are worked out.

@@ -12,7 +12,7 @@ from linkplan.models.poses.assembly import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.excitation import Setup
-from linkplan.studies.frequency.loops import (
+from linkplan.studies.frequency.feedback_loops import (
     CONTINUOUS,
     QUANTITIES,
     SIMULATED,
@@ -46,7 +46,7 @@ _SLOWEST_HZ = 1.0
 class BodePoint:
     """The loop of one joint at one pose: predicted, tried and, where it is stable and was asked for, measured.
 
-    `measured` and `predicted` hold the responses of `loops.QUANTITIES` at the same frequencies.
+    `measured` and `predicted` hold the responses of `feedback_loops.QUANTITIES` at the same frequencies.
     """
 
     sampled: FeedbackLoop

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, Scan, response_curves
-from linkplan.studies.frequency.loops import SIMULATED, feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.response import Response
 from linkplan.studies.output.drawing import BLACK, BLUE, GREY, ORANGE, RED, SERIES, page

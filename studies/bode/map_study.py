@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.bode.bode import BodeStudy
-from linkplan.studies.frequency.loops import OperatingPoint, operating_point, pd_gain
+from linkplan.studies.frequency.feedback_loops import OperatingPoint, operating_point, pd_gain
 from linkplan.studies.frequency.stability_map import (
     StabilityMap,
     critical_kd,

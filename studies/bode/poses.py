@@ -8,7 +8,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.studies.bode.bode import default_poses
-from linkplan.studies.frequency.loops import require_actuated
+from linkplan.studies.frequency.feedback_loops import require_actuated
 
 # A reference is looked at so many times over its period for the ends of its motion.
 _SAMPLES = 181

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.tree.joints import Joint
-from linkplan.studies.check.loop_report import LoopPath, acts
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
 from linkplan.studies.output.tables import table
 
 # Poses in a table: few enough for one look.
@@ -68,7 +68,7 @@ def ratio_unit(joint: Joint, actuator_unit: str) -> str:
     return "m" if joint.kind == "hinge" else "1/m"
 
 
-def path_text(path: LoopPath) -> str:
+def path_text(path: KinematicLoopPath) -> str:
     """Return the table of a path, the quantities that stay the same, and where its weight cannot be held."""
     mechanism = path.mechanism
     at = np.unique(np.linspace(0, len(path.poses) - 1, _ROWS).astype(int))
@@ -97,7 +97,7 @@ def _scale(values: np.ndarray) -> float:
     return float(known.max(initial=0.0)) or 1.0
 
 
-def quantities(path: LoopPath) -> list[Column]:
+def quantities(path: KinematicLoopPath) -> list[Column]:
     """Return the quantities of the table, in its order."""
     mechanism = path.mechanism
     independent, actuators = list(enumerate(mechanism.independent_joints)), list(enumerate(mechanism.actuators))
@@ -145,12 +145,12 @@ def _same(own: np.ndarray, felt: np.ndarray) -> int | None:
     return None
 
 
-def _pose(path: LoopPath, k: int) -> str:
+def _pose(path: KinematicLoopPath, k: int) -> str:
     joints = zip(path.mechanism.independent_joints, path.positions[k], strict=True)
     return ", ".join(f"{joint.name} = {joint.shown(x):.4g} {joint.unit}" for joint, x in joints)
 
 
-def weight_sentences(path: LoopPath) -> list[str]:
+def weight_sentences(path: KinematicLoopPath) -> list[str]:
     """Return a sentence for each actuator whose limit does not hold weight and springs at some pose of a path."""
     said = []
     for j, actuator in enumerate(path.mechanism.actuators):
@@ -166,7 +166,7 @@ def weight_sentences(path: LoopPath) -> list[str]:
     return said
 
 
-def unheld_sentences(path: LoopPath) -> list[str]:
+def unheld_sentences(path: KinematicLoopPath) -> list[str]:
     """Return a sentence for each coordinate that no effort of the actuators holds still at some pose of a path."""
     said = []
     for i, joint in enumerate(path.mechanism.independent_joints):

@@ -5,7 +5,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import ContactPair, Meeting, meetings
 from linkplan.planner.certificate.collisions import who
-from linkplan.studies.check.loop_report import LoopPath
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 
 
 def reach_sentence(pair: ContactPair, n_poses: int) -> str:
@@ -17,7 +17,7 @@ def reach_sentence(pair: ContactPair, n_poses: int) -> str:
 
 
 def contact_findings(
-    mechanism: Mechanism, pairs: tuple[ContactPair, ...], n_poses: int, path: LoopPath | None, treatment: str
+    mechanism: Mechanism, pairs: tuple[ContactPair, ...], n_poses: int, path: KinematicLoopPath | None, treatment: str
 ) -> tuple[list[str], list[str]]:
     """Return the problems and notes on contacts, each a sentence.
 
@@ -56,7 +56,7 @@ def contact_findings(
     return problems, notes
 
 
-def _on_the_way(mechanism: Mechanism, meeting: Meeting, path: LoopPath, position_at) -> str:
+def _on_the_way(mechanism: Mechanism, meeting: Meeting, path: KinematicLoopPath, position_at) -> str:
     at = position_at(np.array([meeting.since]))[0]
     where = ", ".join(f"{j.name} = {j.shown(x):.5g} {j.unit}" for j, x in zip(mechanism.independent_joints, at, strict=True))
     depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"

@@ -11,7 +11,7 @@ from linkplan.models.poses.assembly import Reach, close_at, reach
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import AT_THE_END, NO_ARM, feeble_drives, pressed_stops, pushed_one_way, undriven
-from linkplan.studies.check.loop_report import LoopPath
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 from linkplan.studies.check.softness import softness_note
 
 # A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
@@ -53,7 +53,7 @@ def inspect(
     mechanism: Mechanism,
     positions: list[dict[str, float]],
     *,
-    motion: LoopPath | None = None,
+    motion: KinematicLoopPath | None = None,
     contacts: str = "refuse",
 ) -> Inspection:
     """Return the inspection of a mechanism, with a report at each of `positions` (joint name to position [rad or m]).
@@ -134,7 +134,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     for column, can in enumerate(reaches):
         index = int(mechanism.independent[column])
         joint = mechanism.joints[index]
-        if driven and index not in driven and index not in mechanism.idle and mechanism.n_u < mechanism.dof:
+        if driven and index not in driven and index not in mechanism.passive_dofs and mechanism.n_u < mechanism.dof:
             sentence, fault = undriven(mechanism, column, steerable=steerable)
             (problems if fault else notes).append(sentence)
         one_sided = pushed_one_way(mechanism, column)
@@ -157,7 +157,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
                 f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: the motion ends or branches"
                 " there"
             )
-        notes += _toggle_notes(mechanism, can) if index not in mechanism.idle else []
+        notes += _toggle_notes(mechanism, can) if index not in mechanism.passive_dofs else []
     notes += feeble_drives(mechanism)
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)

@@ -9,7 +9,7 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.studies.check.check_report import path_text
 from linkplan.studies.check.inspection import Inspection, inspect, inspection_record
 from linkplan.studies.check.inspection_text import inspection_text
-from linkplan.studies.check.loop_report import LoopPath, motion_path, path_record, reach_paths
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, motion_path, path_record, reach_paths
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -17,7 +17,7 @@ class WholeCheck:
     """An inspection, and the loop report along a problem's motion or, without one, over each coordinate's reach."""
 
     found: Inspection
-    paths: tuple[LoopPath, ...]
+    paths: tuple[KinematicLoopPath, ...]
 
     def record(self) -> dict:
         """Return the findings by name, units in the names."""
@@ -51,7 +51,7 @@ def check_whole(
     return WholeCheck(found=replace(found, notes=(*found.notes, *notes, *off_path)), paths=paths)
 
 
-def _motion(problem: PlanningProblem | None) -> tuple[LoopPath | None, tuple[str, ...]]:
+def _motion(problem: PlanningProblem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:
     """Return the path of a problem's motion, or None, and why there is none, if there is a problem."""
     if problem is None:
         return None, ()

@@ -20,7 +20,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), [] if note is None else [note])
     found, said = whole.found, whole.record()
     if target is not None:
-        from linkplan.studies.check.draw_loop_report import path_figure
+        from linkplan.studies.check.draw_kinematic_loop_report import path_figure
         from linkplan.studies.check.draw_mechanism import inspection_figure
 
         def write(place: Path) -> None:

@@ -23,8 +23,8 @@ _MODULES = {
     "track": "tracking_commands",
     "compare": "tracking_commands",
     "view": "tracking_commands",
-    "bode": "loop_commands",
-    "tune": "loop_commands",
+    "bode": "feedback_loop_commands",
+    "tune": "feedback_loop_commands",
     "demo": "demo_command",
 }
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.rollout import Loop, Rollout, run
+from linkplan.controllers.rollout import ControlLoop, Rollout, run
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import lqr
@@ -135,9 +135,9 @@ def compare(
     return Comparison(plan=plan, nominal=runs[0], mismatch=mismatch, mismatched=runs[1])
 
 
-def _loop(plan: Plan, mismatch: Mismatch | None) -> Loop:
+def _loop(plan: Plan, mismatch: Mismatch | None) -> ControlLoop:
     problem = plan.problem
-    return Loop(
+    return ControlLoop(
         effort_limit=np.array(problem.limits.effort),
         delay_periods=problem.tracking.delay_periods + (mismatch.delay_periods if mismatch else 0),
         mass_factor=mismatch.mass_factor if mismatch else 1.0,

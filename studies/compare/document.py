@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from linkplan.controllers.reference import sample
-from linkplan.controllers.rollout import Loop, Rollout, run, run_as_it_stands
+from linkplan.controllers.rollout import ControlLoop, Rollout, run, run_as_it_stands
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan import Plan
@@ -32,7 +32,7 @@ def mended_runs(plan: Plan, say: Callable[[str], None]) -> dict[tuple[str, float
         say(f"{MENDED}, KP = {KP:g}, KD = {kd:g}")
         reference = sample(mechanism, plan.trajectory, float(mechanism.model.opt.timestep), DURATION_S)
         tracker = pd(mechanism, reference, KP, kd)
-        runs[MENDED, kd] = run(mechanism, reference, tracker, Loop(effort_limit=plan.problem.limits.effort))
+        runs[MENDED, kd] = run(mechanism, reference, tracker, ControlLoop(effort_limit=plan.problem.limits.effort))
     return runs
 
 

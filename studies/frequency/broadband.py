@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from linkplan.controllers.batch import BatchLoop
+from linkplan.controllers.batch import BatchControlLoop
 from linkplan.models.errors import LinkplanError
 from linkplan.studies.frequency.excitation import Measurement, Setup, quantities, signal_amplitude
-from linkplan.studies.frequency.loops import FeedbackLoop, actuator_of
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, actuator_of
 
 # A repetition holds this many cycles of the lowest frequency asked for; lines are odd multiples of its own rate.
 _CYCLES = 3
@@ -59,7 +59,7 @@ def run(
     hold = np.array([loop.point.hold for loop, _ in rows])
     actuator = np.array([actuator_of(loop.point, channel) for loop, _ in rows])
     effort = np.array([excitation == "effort" for _, excitation in rows])
-    batch = BatchLoop(
+    batch = BatchControlLoop(
         mechanism,
         pose=np.array([loop.point.pose for loop, _ in rows]),
         velocity=state[:, n_s:],

@@ -20,7 +20,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.frequency import sinestream
 from linkplan.studies.frequency.excitation import Setup, whole_samples
-from linkplan.studies.frequency.loops import FeedbackLoop, actuator_of
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, actuator_of
 
 # Amplitudes of the command without a limit, over the room to the limit.
 MULTIPLES = (0.3, 0.9, 1.2, 1.6, 2.2, 3.0)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
-from linkplan.studies.frequency.loops import FeedbackLoop, actuator_of, quantity_unit
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, actuator_of, quantity_unit
 from linkplan.studies.frequency.response import Response
 
 EXCITATIONS = {
@@ -104,7 +104,7 @@ def whole_samples(frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray
     return np.array([p for p, _ in pairs]), np.array([N for _, N in pairs])
 
 
-def command_room(loop: FeedbackLoop, effort_limit: np.ndarray, channel: int) -> float:
+def command_headroom(loop: FeedbackLoop, effort_limit: np.ndarray, channel: int) -> float:
     """Return the effort [N.m or N] between the holding effort and the nearer limit of a channel's actuator."""
     actuator = actuator_of(loop.point, channel)
     low, high = effort_limit[actuator]
@@ -118,7 +118,7 @@ def signal_amplitude(
     joint = loop.point.mechanism.independent_joints[channel]
     small = SMALL * (1.0 if joint.kind == "hinge" else loop.point.mechanism.extent_m)
     wanted = small if setup.amplitude is None else setup.amplitude
-    room = np.inf if setup.amplitude is not None else EFFORT_SHARE * command_room(loop, effort_limit, channel)
+    room = np.inf if setup.amplitude is not None else EFFORT_SHARE * command_headroom(loop, effort_limit, channel)
     sensitivity = loop.gains("sensitivity", frequency_hz, channel)
     if excitation == "effort":
         moves, commands = loop.gains("plant", frequency_hz, channel) * sensitivity, sensitivity

@@ -14,7 +14,7 @@ from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates, needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.studies.frequency.loops import OperatingPoint
+from linkplan.studies.frequency.feedback_loops import OperatingPoint
 
 # Phases over half a cycle: the extremes lie at phases that depend on the frequency, and are met to second order.
 _PHASES = 181

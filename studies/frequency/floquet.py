@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.batch import BatchLoop
+from linkplan.controllers.batch import BatchControlLoop
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, simulated, spectral_radius
 from linkplan.controllers.trackers.feedforward import Feedforward
@@ -170,7 +170,7 @@ def floquet(
 def _steady(mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling, effort_limit):
     """Return the motion that a tracker settles on, over a cycle, and the commands (memory, n_u) under way at its start."""
     n = reference.n
-    batch = BatchLoop(
+    batch = BatchControlLoop(
         mechanism,
         pose=reference.pose[:1],
         velocity=reference.velocity[:1],
@@ -228,7 +228,7 @@ def _measured(
         pose[i + 1] = close_at(mechanism, s, motion.pose[0])
         velocity[n_s + i + 1, i] += scale[n_s + i]
     gain = tracker_gains(tracker)[:n]
-    batch = BatchLoop(
+    batch = BatchControlLoop(
         mechanism,
         pose=pose,
         velocity=velocity,

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.optimize
 
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
-from linkplan.studies.frequency.loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
+from linkplan.studies.frequency.feedback_loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
 
 # Points of the grid per decade: crossings closer together than this are one, peaks are met to a thousandth of themselves.
 _PER_DECADE = 200

@@ -8,7 +8,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.frequency import broadband, sinestream
 from linkplan.studies.frequency.excitation import EXCITATIONS, Measurement, Setup
-from linkplan.studies.frequency.loops import FeedbackLoop
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop
 
 
 def measure(
@@ -24,7 +24,8 @@ def measure(
     """Return the responses of loops of one mechanism and one timing, measured in MuJoCo about their operating points.
 
     Args:
-        loops: predicted by `loops.feedback_loop`; their gains and points are run, their predictions scale the signals.
+        loops: predicted by `feedback_loops.feedback_loop`; their gains and points are run, their predictions scale the
+            signals.
         frequency_hz: where to measure, moved to whole samples a period.
         effort_limit: of the actuators (n_u, 2) [N.m or N].
         setup: how.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.controllers.sampling import Sampling, augmented, closed, spectral_radius
-from linkplan.studies.frequency.loops import OperatingPoint, actuator_of, feedback_loop
+from linkplan.studies.frequency.feedback_loops import OperatingPoint, actuator_of, feedback_loop
 
 _FREQUENCIES = 300
 # The grid goes from the Nyquist frequency down by this factor.

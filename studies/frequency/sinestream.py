@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from linkplan.controllers.batch import BatchLoop
+from linkplan.controllers.batch import BatchControlLoop
 from linkplan.studies.frequency.excitation import Measurement, Setup, quantities, signal_amplitude, whole_samples
-from linkplan.studies.frequency.loops import FeedbackLoop, actuator_of
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, actuator_of
 
 # Harmonics of the fundamental that count as distortion.
 _HARMONICS = 5
@@ -54,7 +54,7 @@ def run(
         if excitation == "reference+ff":
             ahead[row * n_f : (row + 1) * n_f] = loop.feedforward(frequency, channel)
     moves_effort = np.repeat([excitation == "effort" for _, excitation in rows], n_f)
-    batch = BatchLoop(
+    batch = BatchControlLoop(
         mechanism,
         pose=np.repeat([loop.point.pose for loop, _ in rows], n_f, axis=0),
         velocity=state[:, n_s:],

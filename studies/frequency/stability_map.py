@@ -13,7 +13,7 @@ from linkplan.controllers.sampling import Sampling, augmented, closed, sampling,
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
-from linkplan.studies.frequency.loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop, pd_gain
+from linkplan.studies.frequency.feedback_loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop, pd_gain
 from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.trial import Trials, settle_trials
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.batch import BatchLoop
-from linkplan.studies.frequency.loops import FeedbackLoop
+from linkplan.controllers.batch import BatchControlLoop
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop
 
 # The kick [rad/s or m/s], and the share of the room to the effort limits that its command may take: a growing loop is to be
 # seen before its limits change it. The simulator's rounding shows in velocities of 1e-11.
@@ -37,7 +37,7 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
     pushes = np.abs(np.array([loop.gain for loop in loops])[:, :, n_s:]).sum(axis=2)
     with np.errstate(divide="ignore"):
         kick = np.minimum(_KICK, (_ROOM * room / pushes).min(axis=1))
-    batch = BatchLoop(
+    batch = BatchControlLoop(
         mechanism,
         pose=np.array([loop.point.pose for loop in loops]),
         velocity=np.repeat(kick[:, None], n_s, axis=1),

@@ -24,7 +24,7 @@ def _time_scale(plan: Plan) -> float:
     return 1e3 if plan.trajectory.duration_s < 0.02 else 1.0
 
 
-def _look(column: int) -> dict[str, str]:
+def _style(column: int) -> dict[str, str]:
     """Return a line's colour, and its style where the colours begin again."""
     return {"color": SERIES[column % len(SERIES)], "linestyle": STYLES[column // len(SERIES) % len(STYLES)]}
 
@@ -40,8 +40,8 @@ def draw_position(axes, plan: Plan) -> None:
     shown, sides = _time_scale(plan) * time, sides_by_unit(axes, "position", [joint.unit for joint in joints])
     for column, joint in enumerate(joints):
         factor, side = joint.shown(1.0), sides[joint.unit]
-        side.plot(shown, factor * trajectory.position_at(time)[:, column], **_look(column))
-        axes.plot([], [], label=_labelled(f"{joint.name} planned", joint.unit, sides), **_look(column))
+        side.plot(shown, factor * trajectory.position_at(time)[:, column], **_style(column))
+        axes.plot([], [], label=_labelled(f"{joint.name} planned", joint.unit, sides), **_style(column))
         if reference is not None:
             wanted = factor * reference.derivative(time)[:, column]
             side.plot(shown, wanted, color=BLACK, linestyle="--", linewidth=1.0)
@@ -60,7 +60,7 @@ def draw_velocity(axes, plan: Plan) -> None:
     sides = sides_by_unit(axes, "speed", [f"{joint.unit}/s" for joint in joints])
     for column, joint in enumerate(joints):
         values = joint.shown(1.0) * plan.trajectory.velocity_at(time)[:, column]
-        sides[f"{joint.unit}/s"].plot(_time_scale(plan) * time, values, **_look(column))
+        sides[f"{joint.unit}/s"].plot(_time_scale(plan) * time, values, **_style(column))
     level_zeros(set(sides.values()))
 
 
@@ -72,8 +72,8 @@ def draw_effort(axes, plan: Plan) -> None:
     sides = sides_by_unit(axes, "effort", [actuator.unit for actuator in actuators])
     for column, actuator in enumerate(actuators):
         side = sides[actuator.unit]
-        side.plot(_time_scale(plan) * time, effort[:, column], **_look(column))
-        axes.plot([], [], label=_labelled(actuator.name, actuator.unit, sides), **_look(column))
+        side.plot(_time_scale(plan) * time, effort[:, column], **_style(column))
+        axes.plot([], [], label=_labelled(actuator.name, actuator.unit, sides), **_style(column))
         peak = np.abs(effort[:, column]).max()
         for bound in plan.problem.limits.effort[column]:
             if np.isfinite(bound) and abs(bound) < 2 * peak:

@@ -16,8 +16,8 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain
+from linkplan.planner.problem.settings import LQR_ERRORS, Tracking
+from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.stability_map import effort_map
@@ -150,7 +150,7 @@ def _settings(points, wanted: Wanted, settings: Tracking, law: str, natural: flo
     # The stationary LQR of a double integrator has kp = u / s_w and kd^2 = 2 J kp + (u / v_w)^2: weights for these gains.
     limit = _effort_weight(points)
     extra = max(kd**2 - 2 * inertia * kp, (1e-4 * kd) ** 2)
-    position, velocity = limit / kp, float(limit / np.sqrt(extra))
+    position, velocity = (float(np.clip(value, *LQR_ERRORS)) for value in (limit / kp, limit / np.sqrt(extra)))
     if points[0].mechanism.independent_joints[0].kind == "hinge":
         return replace(settings, lqr_position=position, lqr_velocity=velocity)
     return replace(settings, lqr_position_m=position, lqr_velocity_m_s=velocity)

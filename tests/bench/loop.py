@@ -2,7 +2,7 @@
 
 import mujoco
 
-from linkplan.controllers.rollout import Loop, run
+from linkplan.controllers.rollout import ControlLoop, run
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
@@ -20,6 +20,6 @@ def bench_loop() -> str:
     rows, limit = [], plan.problem.limits.effort
     for name in ("pd", "pd+ff", "lqr"):
         tracker = build_tracker(name, plan, reference)
-        loop = median_s(lambda tracker=tracker: run(mechanism, reference, tracker, Loop(effort_limit=limit)), 3)
+        loop = median_s(lambda tracker=tracker: run(mechanism, reference, tracker, ControlLoop(effort_limit=limit)), 3)
         rows.append([name, 1e3 * loop, loop / raw])
     return table([f"{reference.n} periods", "median [ms]", "over raw mj_step"], rows)

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from linkplan.controllers.batch import BatchLoop
+from linkplan.controllers.batch import BatchControlLoop
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.rollout import Loop, run
+from linkplan.controllers.rollout import ControlLoop, run
 from linkplan.controllers.sampling import sampling
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.frequency.loops import operating_point, pd_gain
+from linkplan.studies.frequency.feedback_loops import operating_point, pd_gain
 
 # States and commands against rollout's own, where the order of sums differs. Measured 1e-16 and 3e-15.
 SAME = 1e-12
@@ -31,9 +31,9 @@ def test_every_simulation_is_the_run_of_its_own_loop(delay):
     points = [operating_point(mechanism, np.radians([angle])) for angle in (-30.0, 3.6, 40.0)]
     references = [kicked(point, speed) for point, speed in zip(points, (0.01, 0.5, -4.0), strict=True)]
     trackers = [Feedforward(reference=r, feedback=pd(mechanism, r, KP, KD)) for r in references]
-    loop = Loop(effort_limit=np.array([[-30.0, 30.0]]), delay_periods=delay)
+    loop = ControlLoop(effort_limit=np.array([[-30.0, 30.0]]), delay_periods=delay)
     runs = [run(mechanism, r, tracker, loop) for r, tracker in zip(references, trackers, strict=True)]
-    batch = BatchLoop(
+    batch = BatchControlLoop(
         mechanism,
         pose=np.array([r.pose[0] for r in references]),
         velocity=np.array([r.velocity[0] for r in references]),
@@ -55,7 +55,7 @@ def test_every_simulation_is_the_run_of_its_own_loop(delay):
 def test_a_simulation_left_out_stays_where_it_is():
     mechanism = load_mechanism("optimus-knee")
     point = operating_point(mechanism, np.radians([3.6]))
-    batch = BatchLoop(
+    batch = BatchControlLoop(
         mechanism,
         pose=np.tile(point.pose, (2, 1)),
         velocity=np.full((2, 1), 0.1),

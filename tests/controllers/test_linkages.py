@@ -8,7 +8,7 @@ import pytest
 import scipy.integrate
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.rollout import Loop, Rollout, run
+from linkplan.controllers.rollout import ControlLoop, Rollout, run
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import needed_effort
@@ -62,7 +62,7 @@ def standing(mechanism: Mechanism, n: int = STEPS) -> SampledReference:
 
 def scripted(mechanism: Mechanism, efforts: np.ndarray, limit: float = np.inf) -> Rollout:
     limits = np.tile([-limit, limit], (mechanism.n_u, 1))
-    return run(mechanism, standing(mechanism, len(efforts)), Scripted(efforts=efforts), Loop(effort_limit=limits))
+    return run(mechanism, standing(mechanism, len(efforts)), Scripted(efforts=efforts), ControlLoop(effort_limit=limits))
 
 
 def wave(mechanism: Mechanism, size: float, n: int = 50) -> np.ndarray:
@@ -149,7 +149,7 @@ def test_a_run_with_a_ball_joint_starts_where_its_reference_does():
         cycle=None,
     )
     rollout = run(
-        mechanism, reference, Scripted(efforts=np.zeros((15, 1))), Loop(effort_limit=np.array([[-np.inf, np.inf]]))
+        mechanism, reference, Scripted(efforts=np.zeros((15, 1))), ControlLoop(effort_limit=np.array([[-np.inf, np.inf]]))
     )
     assert np.abs(rollout.pose[0] - pose[5]).max() < ROUNDING
     assert np.abs(rollout.velocity[0] - velocity[5]).max() < ROUNDING
@@ -172,7 +172,7 @@ def test_lqr_steers_the_crank_and_leaves_the_rods_spin_alone():
     tracker = lqr(mechanism, steered, position_weight=0.02, velocity_weight=2.0, effort_weight=np.array([2.0]))
     assert np.all(tracker.gains[:, :, [1, 3]] == 0)
     assert np.all(tracker.gains[:, 0, 0] > 0)
-    rollout = run(mechanism, steered, tracker, Loop(effort_limit=mechanism.effort_limit))
+    rollout = run(mechanism, steered, tracker, ControlLoop(effort_limit=mechanism.effort_limit))
     assert np.abs(rollout.position[:, 0] - mechanism.home[0]).max() < np.radians(1.0)
 
 

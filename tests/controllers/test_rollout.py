@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.rollout import Loop, Rollout, run, scaled_model
+from linkplan.controllers.rollout import ControlLoop, Rollout, run, scaled_model
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.pd import pd
@@ -59,9 +59,9 @@ def reference_of(name: str, period_s: float | None = None) -> SampledReference:
     return sample(plan.problem.mechanism, plan.trajectory, period_s or plan.problem.tracking.period_s, DURATION[name])
 
 
-def loop_of(name: str, **changes) -> Loop:
+def loop_of(name: str, **changes) -> ControlLoop:
     problem = optimal(name).problem
-    return replace(Loop(effort_limit=problem.limits.effort, delay_periods=problem.tracking.delay_periods), **changes)
+    return replace(ControlLoop(effort_limit=problem.limits.effort, delay_periods=problem.tracking.delay_periods), **changes)
 
 
 def tracker_of(kind: str, name: str, reference: SampledReference, kd: float | None = None) -> Tracker:
@@ -209,7 +209,7 @@ def test_sampled_damping_of_a_pure_inertia_is_stable_up_to_twice_the_inertia_ove
     reference = hinge_reference(hinge, 400)
     started = replace(reference, velocity=np.concatenate([[[0.01]], reference.velocity[1:]]))
     tracker = pd(hinge, reference, 0.0, share * 2 * HINGE_INERTIA / 0.01)
-    rollout = run(hinge, started, tracker, Loop(effort_limit=hinge.effort_limit))
+    rollout = run(hinge, started, tracker, ControlLoop(effort_limit=hinge.effort_limit))
     assert rollout.velocity[0, 0] == 0.01
     assert rollout.stable == stable
     assert (np.abs(rollout.velocity[-50:]).max() < DIED_OUT) == stable
@@ -267,7 +267,7 @@ def test_a_simulation_that_blows_up_ends_its_log_and_says_so():
     n = 100
     efforts = np.full((n, 1), 9e9)  # the speed passes MuJoCo's largest number within forty steps
     rollout = run(
-        hinge, hinge_reference(hinge, n), Scripted(efforts=efforts), Loop(effort_limit=np.array([[-np.inf, np.inf]]))
+        hinge, hinge_reference(hinge, n), Scripted(efforts=efforts), ControlLoop(effort_limit=np.array([[-np.inf, np.inf]]))
     )
     assert not rollout.finite
     assert not rollout.stable
@@ -289,7 +289,7 @@ def test_a_command_that_is_no_number_does_not_pass_for_a_good_run(effort):
 
 def hinge_run(efforts: np.ndarray, **changes) -> Rollout:
     hinge = load_mechanism(HINGE)
-    loop = replace(Loop(effort_limit=hinge.effort_limit), **changes)
+    loop = replace(ControlLoop(effort_limit=hinge.effort_limit), **changes)
     return run(hinge, hinge_reference(hinge, len(efforts)), Scripted(efforts=efforts), loop)
 
 

@@ -94,7 +94,7 @@ def test_closed_too_far_its_pads_meet_and_the_plan_is_refused(tmp_path):
 def test_a_sprung_leg_has_eight_freedoms_of_which_one_is_idle_and_two_are_on_springs():
     names = [joint.name for joint in leg().independent_joints]
     assert (leg().n_q, leg().dof, leg().n_closure_rows, len(leg().closure_rows)) == (13, 8, 6, 5)
-    idle = {leg().joints[i].name for i in leg().idle} & set(names)
+    idle = {leg().joints[i].name for i in leg().passive_dofs} & set(names)
     assert idle == {"left-achilles-rod_rx"}
     assert [names[c] for c in sprung_freedoms(leg())] == ["left-tarsus", "left-heel-spring"]
 

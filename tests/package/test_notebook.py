@@ -1,6 +1,7 @@
 """What a notebook does, against `import linkplan` alone: a linkage of one's own, from MJCF text to its loop's margins."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -103,18 +104,9 @@ def test_a_notebook_from_mjcf_text_to_margins(tmp_path):
         assert planner.plan(problem.replace(goal_deg={"O": goal})).require().status == "optimal"
 
 
-TEN_LINES = """
-import linkplan
-
-knee = linkplan.load_mechanism("optimus-knee", payload="shank")  # or your own MJCF, a file or its text
-problem = linkplan.Problem.reach(knee, start_deg={"O": -49.07}, goal_deg={"O": 56.27}, duration_s=0.16)
-plan = linkplan.plan(problem).require()  # certified between its nodes; or it says which limit, which joint, when
-plan.plot("reach.png")
-print(plan.sample(0.08).position)  # every joint in degrees, the dependent ones too
-print(linkplan.track(plan, "lqr"))  # in MuJoCo; or a tracker of your own
-print(linkplan.compare(plan))  # PD, PD + feedforward and LQR, as modelled and with a mismatch
-print(linkplan.bode(problem, tracker="lqr"))  # margins at every angle, predicted and measured
-"""
+# What the README shows first.
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+TEN_LINES = README.split("```python\n")[1].split("```")[0]
 
 
 @pytest.mark.slow

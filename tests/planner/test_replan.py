@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from linkplan.planner import replan
-from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.closed_chain.answer import finished
+from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.replan import Planner, structure
@@ -132,3 +133,61 @@ def test_a_time_limit_is_said_and_is_no_word_on_feasibility():
     plan = plan_motion(load_problem("knee-reach", ["solver.max_time_s=1e-6"]))
     assert plan.status == "failed"
     assert "ran out of its 1e-06 s (solver.max_time_s)" in plan.message
+
+
+CART = """<mujoco><option gravity="0 0 0"/><worldbody><body name="cart"><joint name="X" type="slide" axis="1 0 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+<actuator><motor name="push" joint="X" ctrlrange="-10000 10000"/></actuator></mujoco>"""
+
+
+def test_a_tolerance_that_the_last_mesh_misses_is_not_called_met():
+    planner = Planner()
+    first = planner.plan(load_problem("knee-reach"))
+    asked = load_problem("knee-reach", ["mesh.tolerance_deg=1e-9"])
+    assert first.certificate.integration_error_deg > asked.mesh.tolerance_deg  # the mesh that is solved on again
+    again, fresh = planner.plan(asked), plan_motion(asked)
+    assert again.status == fresh.status == "optimal"
+    assert again.certificate.integration_error_deg <= asked.mesh.tolerance_deg
+
+
+def test_a_plan_solved_again_is_judged_as_a_fresh_one(monkeypatch):
+    """Whatever turns a fresh plan's certificate into a status decides over a warm one, too."""
+    problem, planner = load_problem("knee-reach"), Planner()
+    planner.plan(problem)
+    looser = load_problem("knee-reach", ["mesh.tolerance_deg=1e-6"])
+    monkeypatch.setattr(replan, "plan_motion", lambda *_: pytest.fail("planned from the beginning"))
+    again = planner.plan(with_goal(looser, 50.0))
+    assert again.status == "optimal"
+    refused = []
+    monkeypatch.setattr(replan, "finished", lambda *a: replace(finished(*a), status="failed"))
+    monkeypatch.setattr(replan, "plan_motion", lambda asked, _: refused.append(asked) or again)
+    planner.plan(with_goal(looser, 45.0))
+    assert len(refused) == 1
+
+
+def test_a_duration_that_the_last_one_holds_back_is_planned_from_the_beginning(tmp_path):
+    """The least of u^2 dt + w T over a distance of one is at T = (36 / w)^(1/4)."""
+    (tmp_path / "cart.xml").write_text(CART, encoding="utf-8")
+
+    def cart(weight: float) -> PlanningProblem:
+        motion = {"kind": "reach", "start_m": {"X": 0.0}, "goal_m": {"X": 1.0}, "duration_s": "free"}
+        objective = {"minimize": {"effort": 1.0, "time": weight}}
+        model = {"model": str(tmp_path / "cart.xml")}
+        return problem_from_tables("cart", {"mechanism": model, "motion": motion, "objective": objective})
+
+    planner = Planner()
+    assert planner.plan(cart(36e4)).trajectory.duration_s == pytest.approx(0.1, rel=1e-3)
+    held = planner.solve_again(cart(36e-5))
+    assert held is None, "a hundred times the last duration is not enough"
+    again, fresh = planner.plan(cart(36e-5)), plan_motion(cart(36e-5))
+    assert again.history[0].what == "first solve"
+    assert again.trajectory.duration_s > 10.5
+    assert again.objective == pytest.approx(fresh.objective, rel=SAME_FIGURE)
+
+
+def test_a_program_with_a_limit_that_was_not_asked_for_is_not_solved_again():
+    """A motion kept clear of singular poses was solved with a margin: its program has a row more than its problem."""
+    planner, problem = Planner(), load_problem("knee-reach")
+    clear = plan_motion(replace(problem, limits=replace(problem.limits, singular_margin=0.1)))
+    planner._keep(problem, clear.solved)
+    assert planner.solve_again(problem) is None

@@ -71,7 +71,7 @@ def test_the_rod_between_two_balls_spins_idly_and_that_is_said():
     (note,) = mechanism.notes
     assert "rod" in note
     assert "passive degree of freedom" in note
-    assert [mechanism.joints[i].chart for i in mechanism.idle] == ["rod"] * 3
+    assert [mechanism.joints[i].chart for i in mechanism.passive_dofs] == ["rod"] * 3
     assert mechanism.joints[mechanism.independent[0]].name == "crank"
 
 
@@ -89,14 +89,14 @@ def test_a_rod_on_three_hinges_spins_idly_as_one_on_a_ball():
     mechanism = load_mechanism(replaced(RSSR, '<joint name="rod" type="ball" damping="0.001"/>', hinges))
     (note,) = mechanism.notes
     assert "body rod" in note
-    assert [mechanism.joints[i].name for i in mechanism.idle] == ["rod_0", "rod_1", "rod_2"]
+    assert [mechanism.joints[i].name for i in mechanism.passive_dofs] == ["rod_0", "rod_1", "rod_2"]
 
 
 def test_a_bent_rod_that_gravity_turns_is_not_idle():
     bent = replaced(RSSR, '<geom type="capsule" fromto="0 0 0 0.25 0.08 0.06"/>', '<geom pos="0.1 0.2 0"/>')
     mechanism = load_mechanism(bent)
     assert mechanism.dof == 2
-    assert mechanism.idle == ()
+    assert mechanism.passive_dofs == ()
 
 
 def test_a_path_that_leaves_a_chart_is_refused_by_joint():

@@ -13,7 +13,7 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.settings import INTEGRATION_DEG
-from linkplan.planner.search.duration_continuation import SAVED, lengthened
+from linkplan.planner.search.duration_continuation import SAVED, continued
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, body_plan, body_problem
 from tests.support.fourbar_problems import random_case
 
@@ -93,7 +93,7 @@ def test_a_least_time_motion_is_lengthened_to_the_fixed_duration_that_is_asked()
         HINGE, f'kind = "reach"\nstart_deg = {{ J = 10.0 }}\ngoal_deg = {{ J = 100.0 }}\nduration_s = {T}\n'
     )
     history = []
-    reached = lengthened(problem, motion_of(quick), 40, history, lambda _: None)
+    reached = continued(problem, motion_of(quick), 40, history, lambda _: None)
     assert reached is not None
     assert reached.start.duration_s == pytest.approx(T)
     assert not reached.enough
@@ -109,7 +109,7 @@ def test_a_free_duration_is_lengthened_until_more_time_saves_next_to_nothing():
     quick = body_plan(given, motion, "objective.minimize=time")
     assert quick.status == "optimal", quick.message
     problem = body_problem(given, motion)
-    reached = lengthened(problem, motion_of(quick.trajectory), 40, [], lambda _: None)
+    reached = continued(problem, motion_of(quick.trajectory), 40, [], lambda _: None)
     assert reached is not None
     best = plan_motion(problem)
     assert best.status == "optimal", best.message
@@ -134,7 +134,7 @@ def test_a_least_duration_is_kept_by_a_motion_that_is_lengthened():
     T = quick.duration_s
     motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = "free"\n'
     problem = body_problem(HINGE, motion + f"min_duration_s = {4 * T}\nmax_duration_s = {6 * T}\n")
-    reached = lengthened(problem, motion_of(quick), 40, [], lambda _: None)
+    reached = continued(problem, motion_of(quick), 40, [], lambda _: None)
     assert reached is not None
     assert reached.longest_s >= 4 * T
     assert reached.start.duration_s >= 4 * T * (1 - 1e-9)

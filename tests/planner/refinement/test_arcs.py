@@ -8,10 +8,17 @@ from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.constrained_arcs import Held, arc_ends, free_ends, held_paths, path_arcs, standing_off
+from linkplan.planner.refinement.constrained_arcs import (
+    FixedArcs,
+    arc_ends,
+    find_constrained_paths,
+    free_ends,
+    path_arcs,
+    standing_off,
+)
 from linkplan.planner.refinement.history import silent
-from linkplan.planner.refinement.switch_search import settle_switches
-from linkplan.planner.refinement.switches import find_cuts
+from linkplan.planner.refinement.switch_search import settle_switch_times
+from linkplan.planner.refinement.switches import find_switch_times
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.trajectory import Trajectory
@@ -53,7 +60,7 @@ def test_a_curve_that_its_coefficients_keep_off_its_limit_is_found():
     mesh, durations = first_mesh(problem, guess)
     case, history = case_of(problem), []
     first = attempt(case, guess, mesh, durations, "first solve", history, silent)
-    settled = settle_switches(case, first, history, silent)
+    settled = settle_switch_times(case, first, history, silent)
     motion, solution = settled.motion, settled.solution
     off = standing_off(solution.transcribed, solution.x)
     fastest = np.abs(motion.velocity[:, :, 0])
@@ -71,8 +78,8 @@ def test_a_plan_along_a_power_limit_is_at_it_at_all_nodes_of_an_arc_and_nowhere_
     arcs = path_arcs(plan.solved, plan.solved.start)
     assert arcs.shape[1] == 1
     assert set(np.unique(arcs)) == {0, 1}
-    held = np.flatnonzero(arcs[:, 0])
-    np.testing.assert_array_equal(np.diff(held), 1)  # one arc
+    fixed = np.flatnonzero(arcs[:, 0])
+    np.testing.assert_array_equal(np.diff(fixed), 1)  # one arc
     motion = plan.trajectory
     gear = plan.problem.mechanism.actuators[0].gear
     at = np.flatnonzero(arcs[:, 0])[[0, -1]]
@@ -87,9 +94,9 @@ def test_ends_of_arcs_are_cuts_but_for_those_near_a_cut_or_a_knot():
     arcs = np.zeros((20, 1), dtype=int)
     arcs[8:14] = 1
     breaks = np.linspace(0.0, 2.0, 21)
-    knots = breaks[[0, -1]]
-    np.testing.assert_allclose(arc_ends(arcs, breaks, np.array([]), knots), [0.8, 1.4])
-    np.testing.assert_allclose(arc_ends(arcs, breaks, np.array([0.85]), knots), [1.4])
+    boundaries = breaks[[0, -1]]
+    np.testing.assert_allclose(arc_ends(arcs, breaks, np.array([]), boundaries), [0.8, 1.4])
+    np.testing.assert_allclose(arc_ends(arcs, breaks, np.array([0.85]), boundaries), [1.4])
     np.testing.assert_allclose(arc_ends(arcs[8:], breaks[8:] - 0.8, np.array([]), np.array([0.0, 1.2])), [0.6])
 
 
@@ -98,17 +105,17 @@ def test_segments_hold_what_all_their_inner_intervals_follow_and_no_more_than_ef
     arcs = np.zeros((10, 2), dtype=int)
     arcs[2:6, 0], arcs[6:, 1] = 1, -1
     arcs[6:, 0] = 1
-    pinned = np.array([[NAN], [NAN], [NAN]])
-    held = held_paths(arcs, breaks, np.array([0.0, 0.2, 0.6, 1.0]), pinned)
-    np.testing.assert_array_equal(held, [[0, 0], [1, 0], [1, 0]])  # one effort bears one path quantity
-    pinned[1] = 3.0
-    assert not held_paths(arcs, breaks, np.array([0.0, 0.2, 0.6, 1.0]), pinned)[1].any()
+    bang_efforts = np.array([[NAN], [NAN], [NAN]])
+    fixed = find_constrained_paths(arcs, breaks, np.array([0.0, 0.2, 0.6, 1.0]), bang_efforts)
+    np.testing.assert_array_equal(fixed, [[0, 0], [1, 0], [1, 0]])  # one effort bears one path quantity
+    bang_efforts[1] = 3.0
+    assert not find_constrained_paths(arcs, breaks, np.array([0.0, 0.2, 0.6, 1.0]), bang_efforts)[1].any()
 
 
 def test_the_ends_of_a_held_arc_are_split_off_and_free():
-    held = Held(efforts=np.array([[2.0], [NAN]]), paths=np.array([[0], [1]]))
-    cuts, loose = free_ends(np.array([0.0, 1.0, 3.0]), held)
-    np.testing.assert_allclose(cuts, [1.3, 2.7])
+    fixed = FixedArcs(efforts=np.array([[2.0], [NAN]]), paths=np.array([[0], [1]]))
+    switch_times, loose = free_ends(np.array([0.0, 1.0, 3.0]), fixed)
+    np.testing.assert_allclose(switch_times, [1.3, 2.7])
     np.testing.assert_array_equal(loose.paths, [[0], [0], [1], [0]])
     np.testing.assert_array_equal(np.isnan(loose.efforts).ravel(), [False, True, True, True])
 
@@ -132,20 +139,20 @@ UNIT_LIMIT = np.array([[-1.0, 1.0]])
 def test_a_short_arc_along_a_path_limit_is_no_smeared_switch():
     motion = with_efforts([1.0, 1.0, 1.0, 1.0, 0.4, 0.2, -1.0, -1.0, -1.0, -1.0])
     on_path = np.isin(np.arange(10), [4, 5])
-    assert len(find_cuts(motion, UNIT_LIMIT)) == 1
-    np.testing.assert_allclose(find_cuts(motion, UNIT_LIMIT, on_path=on_path), [0.4, 0.6])
+    assert len(find_switch_times(motion, UNIT_LIMIT)) == 1
+    np.testing.assert_allclose(find_switch_times(motion, UNIT_LIMIT, on_path=on_path), [0.4, 0.6])
 
 
 def test_a_pulse_shorter_than_an_interval_is_cut_out_by_its_impulse():
     motion = with_efforts([1.0, 1.0, 1.0, 0.4, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    np.testing.assert_allclose(find_cuts(motion, UNIT_LIMIT, short=True), [0.335, 0.365])
-    assert len(find_cuts(motion, UNIT_LIMIT)) == 0
+    np.testing.assert_allclose(find_switch_times(motion, UNIT_LIMIT, short=True), [0.335, 0.365])
+    assert len(find_switch_times(motion, UNIT_LIMIT)) == 0
 
 
 def test_a_bang_shorter_than_an_interval_next_to_a_waypoint_or_an_end_is_cut_off_by_its_impulse():
     motion = with_efforts([-0.6, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0, 1.0, 1.0, 1.0])
-    cuts = find_cuts(motion, UNIT_LIMIT, np.array([0.0, 0.5, 1.0]), short=True)
-    np.testing.assert_allclose(cuts, [0.08, 0.475])
+    switch_times = find_switch_times(motion, UNIT_LIMIT, np.array([0.0, 0.5, 1.0]), short=True)
+    np.testing.assert_allclose(switch_times, [0.08, 0.475])
 
 
 @pytest.mark.parametrize("name", NAMES)

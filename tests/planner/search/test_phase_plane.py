@@ -81,7 +81,7 @@ def test_a_motion_that_turns_back_at_a_waypoint_takes_the_least_time_of_its_two_
     guess = least_time_guess(problem, start_pose_of(problem))
     assert guess is not None
     assert guess.duration_s == pytest.approx(case.duration, rel=GRID)
-    assert guess.position(guess.knots_s)[:, 0] == pytest.approx(
+    assert guess.position(guess.boundaries_s)[:, 0] == pytest.approx(
         [problem.motion.start[0], problem.motion.waypoints[0].position[0], problem.motion.goal[0]]
     )
     plan = plan_motion(problem)
@@ -98,7 +98,7 @@ def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
     assert guess is not None
     assert passed is not None
     assert passed.duration_s == pytest.approx(guess.duration_s, rel=GRID)
-    assert passed.position(passed.knots_s)[:, 0] == pytest.approx([1.9, 1.5, 0.3, 0.0])
+    assert passed.position(passed.boundaries_s)[:, 0] == pytest.approx([1.9, 1.5, 0.3, 0.0])
 
 
 @pytest.mark.slow
@@ -107,7 +107,7 @@ def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
     asked = replace(problem.motion, waypoints=(Waypoint(position=[1.0], speed=[-0.5]),))
     guess = least_time_guess(replace(problem, motion=asked), start_pose_of(problem))
     assert guess is not None
-    assert guess.velocity(guess.knots_s)[:, 0] == pytest.approx([0.0, -0.5, 0.0], abs=SAME_FIGURE)
+    assert guess.velocity(guess.boundaries_s)[:, 0] == pytest.approx([0.0, -0.5, 0.0], abs=SAME_FIGURE)
 
 
 @pytest.mark.slow
@@ -116,7 +116,7 @@ def test_a_start_too_fast_to_stop_at_the_goal_turns_back_beyond_it():
     problem = problem_from_tables("too fast to stop", case.tables)
     guess = least_time_guess(problem, start_pose_of(problem))
     assert guess is not None
-    assert guess.legs == 2
+    assert guess.swings == 2
     assert guess.duration_s == pytest.approx(case.duration, rel=TURNS)
 
 
@@ -127,7 +127,7 @@ def test_a_speed_limit_is_kept_by_braking_in_time_and_left_no_faster_than_full_e
     problem = problem_from_tables("limited", case.tables)
     guess = least_time_guess(problem, start_pose_of(problem))
     assert guess is not None
-    assert guess.cuts_s is None  # its efforts along the limit are none of the two
+    assert guess.switch_times_s is None  # its efforts along the limit are none of the two
     assert guess.duration_s == pytest.approx(case.duration, rel=GRID)
 
 

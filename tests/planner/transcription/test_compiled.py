@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.closed_chain.mechanics import Asked, mechanism_system
+from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.transcription import compiled as module
@@ -22,7 +22,7 @@ needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has
 
 def built():
     mechanism = load_mechanism("optimus-knee", payload="shank")
-    return build_interval(mechanism_system(mechanism, Asked()), scheme("radau-2"), IntervalRows(costs=("effort",)))
+    return build_interval(mechanism_system(mechanism, NodeTerms()), scheme("radau-2"), IntervalRows(costs=("effort",)))
 
 
 @pytest.fixture
@@ -89,13 +89,19 @@ def test_a_damaged_entry_counts_as_none(folder, content):
 
 
 def key(payload="shank", asked=None, name="radau-2", effort="polynomial", costs=("effort",)):
-    system = mechanism_system(load_mechanism("optimus-knee", payload=payload), asked or Asked())
+    system = mechanism_system(load_mechanism("optimus-knee", payload=payload), asked or NodeTerms())
     return key_of(system, scheme(name, effort), IntervalRows(costs=costs))
 
 
 def test_keys_differ_where_the_generated_code_does():
     lighter = {"body": "crank", "mass_kg": 1.0, "com_m": [0.1, 0.0, 0.0], "inertia_kgm2": [0.01, 0.01, 0.01]}
-    others = (key(payload=None), key(asked=Asked(powers=(0,))), key(name="radau-3"), key(effort="constant"), key(costs=()))
+    others = (
+        key(payload=None),
+        key(asked=NodeTerms(powers=(0,))),
+        key(name="radau-3"),
+        key(effort="constant"),
+        key(costs=()),
+    )
     assert len({key(), *others}) == 6
     assert key() == key()
     assert key(payload=lighter) == key()  # a payload's numbers are parameters of the same code
@@ -109,7 +115,7 @@ def test_keys_follow_the_expressions_and_not_their_sources():
         doubled = ca.Function("node", system.node.sx_in(), [2 * system.node(*system.node.sx_in())])
         return replace(system, node=doubled)
 
-    system = otherwise(load_mechanism("optimus-knee", payload="shank"), Asked())
+    system = otherwise(load_mechanism("optimus-knee", payload="shank"), NodeTerms())
     assert key_of(system, scheme("radau-2"), IntervalRows(costs=("effort",))) != before
 
 

@@ -15,7 +15,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study, default_poses
 from linkplan.studies.bode.bode_report import bode_record, bode_text
 from linkplan.studies.frequency.excitation import Setup
-from linkplan.studies.frequency.loops import SIMULATED, feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.measure import measure
 from tests.support.tolerances_loops import (

@@ -7,10 +7,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from linkplan.models.poses.assembly import reach
-from linkplan.studies.check.draw_loop_report import draw_weight, shares
+from linkplan.studies.check.draw_kinematic_loop_report import draw_weight, shares
 from linkplan.studies.check.draw_mechanism import draw_holding, inspection_figure
 from linkplan.studies.check.inspection import inspect
-from linkplan.studies.check.loop_report import measure
+from linkplan.studies.check.kinematic_loop_report import measure
 from tests.support.figures import labels, saved_figures
 from tests.support.gripper import REST, STIFFNESS, WEIGHT
 from tests.support.mechanism_checks import mechanism_of

@@ -12,7 +12,14 @@ from linkplan.models.poses.assembly import follow, reach
 from linkplan.planner.files.folders import plain
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.studies.check.check_report import path_text
-from linkplan.studies.check.loop_report import LoopPath, measure, motion_path, path_record, reach_paths, swept
+from linkplan.studies.check.kinematic_loop_report import (
+    KinematicLoopPath,
+    measure,
+    motion_path,
+    path_record,
+    reach_paths,
+    swept,
+)
 from linkplan.studies.cli.main import main
 from tests.support.data import KNEE_TABLE
 from tests.support.drive import line, line_rates
@@ -32,7 +39,7 @@ RETURNED_RAD = 1e-9
 
 
 @cache
-def knee_path() -> LoopPath:
+def knee_path() -> KinematicLoopPath:
     """Return the knee's report at the reference's own angles."""
     mechanism = mechanism_of("optimus-knee")
     angles = np.radians([[row["q_O_deg"]] for row in CONFIGURATIONS])
@@ -40,7 +47,7 @@ def knee_path() -> LoopPath:
 
 
 @cache
-def swept_paths(name: str) -> tuple[LoopPath, ...]:
+def swept_paths(name: str) -> tuple[KinematicLoopPath, ...]:
     mechanism = mechanism_of(name)
     paths = reach_paths(mechanism, tuple(reach(mechanism, column) for column in range(mechanism.dof)))
     assert len(paths) == mechanism.dof
@@ -48,7 +55,7 @@ def swept_paths(name: str) -> tuple[LoopPath, ...]:
 
 
 @cache
-def linear_by_knee_angle() -> LoopPath:
+def linear_by_knee_angle() -> KinematicLoopPath:
     """Return the linear knee's report with O as its coordinate: the drive's force at the knee."""
     mechanism = load_mechanism("optimus-knee-linear", independent=["O"])
     angles = np.radians(np.linspace(-75.0, 56.27, 40))[:, None]

@@ -229,7 +229,7 @@ def test_progress_goes_to_stderr_and_results_to_stdout(ask):
     code, out, err = ask("plan", "knee-sprint")
     assert code == 0
     assert "certificate: passed" in out
-    assert "  plan: cuts at the switches" in err
+    assert "  plan: switch times as unknowns" in err
     assert "  plan: " not in out
 
 

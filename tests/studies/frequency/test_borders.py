@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.frequency.loops import EXACT, SIMULATED, feedback_loop, operating_point, pd_gain
+from linkplan.studies.frequency.feedback_loops import EXACT, SIMULATED, feedback_loop, operating_point, pd_gain
 from linkplan.studies.frequency.margins import delay_margin, margins
 from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.stability_map import (

@@ -10,7 +10,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.frequency.excitation import Setup, whole_samples
-from linkplan.studies.frequency.loops import feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.measure import measure
 from linkplan.studies.frequency.response import Response, from_frd
 from tests.support.mechanisms import FIVE_BAR

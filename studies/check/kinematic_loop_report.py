@@ -30,7 +30,7 @@ _NO_ARM = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class LoopPath:
+class KinematicLoopPath:
     """A mechanism along a path of n poses (n, n_q), at rest at each.
 
     `coordinate` is the independent joint that is swept over its reach while the others stay at home, None along a problem's
@@ -73,7 +73,7 @@ def measure(
     coordinate: int | None = None,
     time_s: np.ndarray | None = None,
     limit: np.ndarray | None = None,
-) -> LoopPath:
+) -> KinematicLoopPath:
     """Return the report along closed poses (n, n_q); `limit` (n_u, 2) is the actuators' own by default."""
     dynamics, limit = mechanism.dynamics, mechanism.effort_limit if limit is None else limit
     still = np.zeros((len(poses), mechanism.dof))
@@ -82,7 +82,7 @@ def measure(
     holding, unheld = needed_effort(mechanism, poses, still, still)
     force = sampled(dynamics.closure_force, poses, still, still, holding)[:, :, 0]
     sizes = [np.linalg.norm(force[:, mechanism.closure_slice(c)], axis=1) for c in range(len(mechanism.closure_names))]
-    return LoopPath(
+    return KinematicLoopPath(
         mechanism=mechanism,
         title=title,
         coordinate=coordinate,
@@ -102,11 +102,11 @@ def measure(
     )
 
 
-def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[LoopPath, ...]:
+def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[KinematicLoopPath, ...]:
     """Return the report over the reach of each independent joint, the others at home."""
     found = []
     for column, can in enumerate(reaches):
-        if int(mechanism.independent[column]) in mechanism.idle:
+        if int(mechanism.independent[column]) in mechanism.passive_dofs:
             continue  # a rod that spins about its line changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""
@@ -139,8 +139,8 @@ def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     return np.array(rows)
 
 
-def motion_path(problem: PlanningProblem) -> LoopPath:
-    """Return the report along a problem's motion before any solving: its reference, or the smooth path through its knots.
+def motion_path(problem: PlanningProblem) -> KinematicLoopPath:
+    """Return the report along a problem's motion before any solving: its reference, or its smooth path.
 
     Raises:
         ProblemError: when start, goal or reference lie outside what the mechanism reaches.
@@ -155,7 +155,7 @@ def motion_path(problem: PlanningProblem) -> LoopPath:
     return measure(mechanism, poses, title, time_s=time, limit=problem.limits.effort)
 
 
-def acts(path: LoopPath) -> np.ndarray:
+def acts(path: KinematicLoopPath) -> np.ndarray:
     """Return whether an actuator acts on a coordinate anywhere along a path (n_s, n_u), rounding apart."""
     most = np.abs(path.ratio).max(axis=0)
     return most > _NO_ARM * most.max(axis=0, initial=0.0)
@@ -182,7 +182,7 @@ def _singularity(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     return (sampled(block, poses)[:, :, 0] / np.array(block(mechanism.home)).ravel()).min(axis=1)
 
 
-def path_record(path: LoopPath) -> dict:
+def path_record(path: KinematicLoopPath) -> dict:
     """Return what `linkplan check --json` says of a path: lists over its samples; what is infinite is null."""
     mechanism = path.mechanism
     joints = list(enumerate(mechanism.joints))

@@ -1,4 +1,4 @@
-"""Bends: motions to start from are bent at random, but the same in every run (multistart)."""
+"""Bends: motions to start from are perturbed at random, but the same in every run (multistart)."""
 
 from dataclasses import dataclass
 
@@ -11,14 +11,14 @@ _LARGER = 4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Bend:
+class Perturbation:
     """What is added to a motion (n, k), in its own units, and the factor on its duration, from a half to two."""
 
     offset: np.ndarray
     stretch: float
 
 
-def bend(number: int, along: np.ndarray, span: np.ndarray) -> Bend:
+def perturbation(number: int, along: np.ndarray, span: np.ndarray) -> Perturbation:
     """Return a bend: half waves of random size, nothing at the motion's ends.
 
     Args:
@@ -28,4 +28,4 @@ def bend(number: int, along: np.ndarray, span: np.ndarray) -> Bend:
     """
     rng, wave = np.random.default_rng(number), 1 + np.arange(_WAVES)
     shape = np.sin(np.pi * np.outer(along, wave)) @ (rng.uniform(-1.0, 1.0, (_WAVES, len(span))) / wave[:, None])
-    return Bend(offset=_SIZE * (1 + number // _LARGER) * shape * span, stretch=float(2.0 ** rng.uniform(-1.0, 1.0)))
+    return Perturbation(offset=_SIZE * (1 + number // _LARGER) * shape * span, stretch=float(2.0 ** rng.uniform(-1.0, 1.0)))

@@ -78,7 +78,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
     """Find gains for what is wanted; 1 where there are none."""
     from linkplan.controllers.sampling import sampling
     from linkplan.studies.bode.poses import loop_poses
-    from linkplan.studies.frequency.loops import operating_point
+    from linkplan.studies.frequency.feedback_loops import operating_point
     from linkplan.studies.tune.tune import Wanted, tune, tune_record, tune_text
 
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)

@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.poses.assembly import Reach
 from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit
 from linkplan.studies.check.draw_mechanism import draw_poses, mark_turning
-from linkplan.studies.check.loop_report import LoopPath, acts
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
 from linkplan.studies.output.drawing import (
     BLACK,
     GREY,
@@ -37,7 +37,7 @@ _LEGEND = 12
 Line = tuple[str, np.ndarray, str]  # label, values (n,), unit
 
 
-def path_figure(path: LoopPath, reaches: tuple[Reach, ...], saved: Path) -> None:
+def path_figure(path: KinematicLoopPath, reaches: tuple[Reach, ...], saved: Path) -> None:
     """Draw a path: the mechanism at seven poses, ratios, inertias, weight, effort at hand, singularity, closure forces."""
     rows = 4 if path.mechanism.closures else 3
     with page(saved, rows=rows, columns=2, size=(10.5, 3.5 * rows)) as axes:
@@ -57,7 +57,7 @@ def path_figure(path: LoopPath, reaches: tuple[Reach, ...], saved: Path) -> None
         axes[0, 0].figure.suptitle(f"{path.mechanism.name}: along {path.title}, at rest")
 
 
-def _over(path: LoopPath) -> str:
+def _over(path: KinematicLoopPath) -> str:
     """Return the label of the horizontal axis: the coordinate, or time where a motion has several."""
     if path.coordinate is None and path.mechanism.dof > 1:
         return "time of the path [s]"
@@ -65,7 +65,7 @@ def _over(path: LoopPath) -> str:
     return f"{joint.name} [{joint.unit}]"
 
 
-def _x(path: LoopPath) -> np.ndarray:
+def _x(path: KinematicLoopPath) -> np.ndarray:
     if path.coordinate is None and path.mechanism.dof > 1 and path.time_s is not None:
         return path.time_s
     column = path.coordinate or 0
@@ -73,7 +73,9 @@ def _x(path: LoopPath) -> np.ndarray:
     return np.array([joint.shown(x) for x in path.positions[:, column]])
 
 
-def _draw(axes, path: LoopPath, lines: Sequence[Line], what: str, *, from_zero: bool = False, log: bool = False) -> None:
+def _draw(
+    axes, path: KinematicLoopPath, lines: Sequence[Line], what: str, *, from_zero: bool = False, log: bool = False
+) -> None:
     """Draw lines over the path, each against its unit, of more than two units as shares; a note where there is none."""
     if len({unit for *_, unit in lines}) > 2:
         lines, what = shares(lines), f"{what}, of its largest"
@@ -130,14 +132,14 @@ def _spans_much(lines: Sequence[np.ndarray]) -> bool:
     return all(len(row) and row.min() > 0 for row in rows) and any(r.max() > _LOGARITHMIC * r.min() for r in rows)
 
 
-def draw_along(axes, path: LoopPath) -> None:
+def draw_along(axes, path: KinematicLoopPath) -> None:
     """Draw the bodies as sticks at poses spread over the path; strong, the home pose of a reach or the end of a motion."""
     poses = path.poses[np.linspace(0, len(path.poses) - 1, _DRAWN).astype(int)]
     draw_poses(axes, path.mechanism, poses if path.coordinate is None else np.vstack([poses, path.mechanism.home]))
     _legend(axes)
 
 
-def draw_ratios(axes, path: LoopPath) -> None:
+def draw_ratios(axes, path: KinematicLoopPath) -> None:
     """Draw each actuator's transmission ratio to each coordinate, but for those that are nothing all along the path."""
     lines = [
         (f"{actuator.name} to {joint.name}", path.ratio[:, i, j], ratio_unit(joint, actuator.unit))
@@ -148,14 +150,14 @@ def draw_ratios(axes, path: LoopPath) -> None:
     _draw(axes, path, lines, "transmission ratio")
 
 
-def draw_reduced(axes, path: LoopPath) -> None:
+def draw_reduced(axes, path: KinematicLoopPath) -> None:
     """Draw the reduced inertia along each coordinate."""
     joints = path.mechanism.independent_joints
     lines = [(joint.name, path.reduced_inertia[:, i, i], inertia_unit(joint)) for i, joint in enumerate(joints)]
     _draw(axes, path, lines, "reduced inertia", from_zero=True, log=True)
 
 
-def draw_reflected(axes, path: LoopPath) -> None:
+def draw_reflected(axes, path: KinematicLoopPath) -> None:
     """Draw the inertia that each actuator feels, the other coordinates free."""
     lines = [
         (actuator.name, path.reflected_inertia[:, j], "kg m2" if actuator.unit == "N.m" else "kg")
@@ -164,7 +166,7 @@ def draw_reflected(axes, path: LoopPath) -> None:
     _draw(axes, path, lines, "inertia at the actuator", from_zero=True, log=True)
 
 
-def draw_weight(axes, path: LoopPath) -> None:
+def draw_weight(axes, path: KinematicLoopPath) -> None:
     """Draw the effort on each coordinate that holds weight and springs, and the weight's own where they differ."""
     joints = path.mechanism.independent_joints
     needed = np.einsum("ksu,ku->ks", path.ratio, path.holding_effort) + path.unheld_effort
@@ -176,7 +178,7 @@ def draw_weight(axes, path: LoopPath) -> None:
     _draw(axes, path, lines, "holds it still")
 
 
-def draw_available(axes, path: LoopPath) -> None:
+def draw_available(axes, path: KinematicLoopPath) -> None:
     """Draw what the actuators' limits allow on each coordinate as a band, and what holds weight and springs in black."""
     joints, x = path.mechanism.independent_joints, _x(path)
     sides = sides_by_unit(axes, "effort within limits", [effort_unit(joint) for joint in joints])
@@ -199,14 +201,14 @@ def draw_available(axes, path: LoopPath) -> None:
     _legend(axes)
 
 
-def draw_singularity(axes, path: LoopPath) -> None:
+def draw_singularity(axes, path: KinematicLoopPath) -> None:
     """Draw the distance from a singular pose: the least determinant of J_z's blocks as a share of that at home."""
     _draw(axes, path, [("least of J_z's blocks", path.singularity, "1")], "det J_z as a share of home's")
     axes.axhline(0.0, color=RED, linewidth=1.0)
     axes.set_ylim(min(0.0, float(path.singularity.min())) - 0.03, 1.15 * max(1.0, float(path.singularity.max())))
 
 
-def draw_closure_forces(axes, path: LoopPath) -> None:
+def draw_closure_forces(axes, path: KinematicLoopPath) -> None:
     """Draw the size of each closure's force while weight and springs are held."""
     names = path.mechanism.closure_names
     lines = [(name, path.closure_force[:, c], "N") for c, name in enumerate(names)]

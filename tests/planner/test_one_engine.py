@@ -1,0 +1,180 @@
+"""What mechanisms and differential equations share: bends, held durations, de Casteljau, integration, ends, words."""
+
+import typing
+from types import SimpleNamespace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from linkplan.planner.certificate.boundary import exactly, missed
+from linkplan.planner.certificate.flow import flow, flows
+from linkplan.planner.closed_chain.case import MechanismCase, case_of
+from linkplan.planner.closed_chain.guess import first_guess, perturbed_guesses
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.ode.formulation import straight_guess
+from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.starts import perturbed
+from linkplan.planner.refinement.case import Case
+from linkplan.planner.refinement.free_duration import LONGER, SHORTER, bounded_by_guess
+from linkplan.planner.refinement.perturbation import perturbation
+from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME, SUCCEEDED, why_stopped
+from linkplan.planner.transcription.mesh import Mesh, uniform
+from linkplan.planner.transcription.schemes import bernstein_matrix, bernstein_value
+from tests.support.tolerances_planner import UNIT
+
+TAU = np.linspace(0.0, 1.0, 41)
+
+
+# The cases.
+
+
+def test_a_case_is_small_and_both_clients_are_one():
+    """Nine members are what an engine can be told of: a tenth belongs into `Aims` or `Findings`."""
+    members = {name for name in vars(Case) if not name.startswith("_")} | set(typing.get_type_hints(Case))
+    assert "findings" in members
+    assert len(members) <= 9
+    for client in (MechanismCase, OdeCase):
+        assert members <= set(dir(client))
+
+
+def test_what_a_case_aims_at_follows_from_its_objective():
+    quick, cheap = case_of(load_problem("knee-sprint")).aims, case_of(load_problem("knee-reach")).aims
+    assert (quick.switches, quick.bangs, quick.continuous_efforts) == (True, True, False)
+    assert (cheap.switches, cheap.bangs, cheap.continuous_efforts) == (True, False, True)
+    assert not case_of(load_problem("knee-reach"), bends=False).aims.switches
+    asked = case_of(load_problem("knee-reach", ["mesh.tolerance_deg=1e-4"])).aims
+    assert asked.tolerance_given
+    assert asked.strictness == pytest.approx(100.0)
+
+
+# Bends.
+
+
+def test_a_bend_leaves_the_ends_where_they_are_and_is_the_same_in_every_run():
+    span = np.array([1.0, 3.0])
+    once, again = perturbation(7, TAU, span), perturbation(7, TAU, span)
+    np.testing.assert_array_equal(once.offset, again.offset)
+    np.testing.assert_allclose(once.offset[[0, -1]], 0.0, atol=UNIT)
+    assert np.all(np.abs(once.offset).max(axis=0) > 0.01 * span)
+    assert not np.allclose(once.offset, perturbation(8, TAU, span).offset)
+    assert 0.5 <= once.stretch <= 2.0
+
+
+def test_a_bend_is_as_large_as_the_motion_it_bends():
+    np.testing.assert_allclose(
+        perturbation(2, TAU, np.array([4.0])).offset, 4.0 * perturbation(2, TAU, np.array([1.0])).offset, rtol=1e-12
+    )
+    small, large = (np.abs(perturbation(number, TAU, np.ones(50)).offset).max() for number in (3, 40))
+    assert large > 3 * small
+
+
+def test_mechanisms_and_differential_equations_are_bent_alike():
+    problem = load_problem("knee-reach")
+    pose = start_pose_of(problem)
+    base, (_, guess) = first_guess(problem, pose), next(iter(perturbed_guesses(problem, pose)))
+    times = np.linspace(0.0, base.duration_s, 121)
+    offset = guess.position(times) - base.position(times)
+    span = np.ptp(base.position(times), axis=0)
+    np.testing.assert_allclose(offset, perturbation(1, times / base.duration_s, span).offset, atol=1e-12)
+    ode = OdeProblem(
+        name="an integrator", rate=lambda x, u, p, t: u, start=[0.0], goal=[1.0], effort_limit=[[-9, 9]],  # noqa: ARG005
+        duration_s=(0.1, 100.0), running_cost=lambda x, u, p, t: u[0] ** 2,  # noqa: ARG005
+    )  # fmt: skip
+    straight = straight_guess(ode)
+    _, second = perturbed(ode, [straight], 2)
+    np.testing.assert_allclose(second.state[:, 0] - TAU, perturbation(1, TAU, np.ones(1)).offset[:, 0], atol=1e-12)
+    assert second.duration_s == pytest.approx(straight.duration_s * perturbation(1, TAU, np.ones(1)).stretch)
+
+
+# Free durations.
+
+
+def solution(durations, mesh: Mesh | None = None, fixed: bool = False):
+    """Return as much of a solution as is looked at: free durations were sought from a fiftieth to a hundred times 1 s."""
+    at = np.array(durations, dtype=float)
+    layout = SimpleNamespace(durations=lambda: np.arange(len(at)))
+    transcribed = SimpleNamespace(
+        program=SimpleNamespace(layout=layout, mesh=mesh or uniform(4)),
+        lower=at if fixed else np.full(len(at), 0.02),
+        upper=at if fixed else np.full(len(at), 100.0),
+        units=SimpleNamespace(time_s=1.0),
+    )
+    return SimpleNamespace(x=at, transcribed=transcribed)
+
+
+@pytest.mark.parametrize(
+    ("duration", "bounds", "said"),
+    [
+        (99.9, (0.0, np.inf), LONGER),
+        (99.9, (0.0, 100.0), None),  # the user's own bound
+        (99.9, (0.0, 200.0), LONGER),
+        (50.0, (0.0, np.inf), None),
+        (0.0201, (0.0, np.inf), SHORTER),
+        (0.0201, (0.02, np.inf), None),
+        (99.9, (99.9, 99.9), None),  # fixed
+    ],
+)
+def test_a_duration_that_its_guess_held_is_told_from_one_that_the_user_did(duration, bounds, said):
+    assert bounded_by_guess(solution([duration]), *bounds) == said
+
+
+def test_legs_to_given_instants_and_switch_times_hold_no_duration():
+    assert bounded_by_guess(solution([2.0], fixed=True), 0.0, np.inf) is None
+    cut = Mesh(fraction=np.array([0.5, 0.5, 1.0]), segment=np.array([0, 0, 1]), phase=np.array([0, 0]))
+    legs = Mesh(fraction=np.array([0.5, 0.5, 1.0]), segment=np.array([0, 0, 1]), phase=np.array([0, 1]))
+    assert bounded_by_guess(solution([99.9, 1.0], cut), 0.0, np.inf) is None
+    assert bounded_by_guess(solution([99.9, 1.0], legs), 0.0, np.inf) == LONGER
+
+
+# Polynomials, integration, ends, words.
+
+
+@pytest.mark.parametrize("degree", [0, 1, 4, 9])
+def test_de_casteljau_is_the_sum_of_bernstein_polynomials_of_numbers_and_of_symbols(degree):
+    coefficients = np.random.default_rng(degree).uniform(-1, 1, (degree + 1, 3))
+    symbol = ca.SX.sym("tau")
+    symbolic = ca.Function("value", [symbol], [bernstein_value(ca.SX(coefficients), symbol)])
+    for tau in (0.0, 0.3, 1.0):
+        expected = bernstein_matrix(degree, np.array([tau]))[0] @ coefficients
+        np.testing.assert_allclose(bernstein_value(coefficients, tau), expected, atol=UNIT)
+        np.testing.assert_allclose(np.array(symbolic(tau))[0], expected, atol=UNIT)
+
+
+def test_a_flow_is_begun_anew_where_its_right_hand_side_jumps():
+    breaks, looks = np.array([0.0, 0.5, 2.0]), np.array([0.0, 0.4, 1.0])
+    rates = (-1.0, 0.5)
+    first, second = flows(lambda k: lambda t, y: rates[k] * y, breaks, np.array([2.0]), looks)  # noqa: ARG005
+    np.testing.assert_allclose(first[:, 0], 2.0 * np.exp(-0.5 * looks), rtol=1e-11)
+    np.testing.assert_allclose(second[:, 0], 2.0 * np.exp(-0.5 + 0.75 * looks), rtol=1e-11)
+
+
+def test_a_flow_that_ends_within_an_interval_says_so_and_no_interval_follows():
+    def blows_up(t: float, y: np.ndarray) -> np.ndarray:
+        del t
+        return y**2  # from 1, infinite at 1 s
+
+    assert flow(blows_up, 0.9, np.ones(1), np.ones(1))[0, 0] == pytest.approx(10.0)
+    assert flow(blows_up, 1.1, np.ones(1), np.ones(1)) is None
+    assert [one is None for one in flows(lambda _: blows_up, np.array([0.0, 0.5, 1.5, 2.0]), np.ones(1), np.ones(1))] == [
+        False,
+        True,
+    ]
+
+
+def test_ends_are_missed_by_what_they_are_outside_of_what_is_asked():
+    low, high = np.array([0.0, -np.inf]), np.array([1.0, np.inf])
+    assert missed(np.array([0.5, 1e9]), low, high, 1.0) == 0.0
+    assert missed(np.array([1.5, 1e9]), low, high, np.array([2.0, 1.0])) == pytest.approx(0.25)
+    assert missed(np.array([-1.0, 0.0]), low, high, 1.0) == pytest.approx(1.0)
+    assert missed(np.array([3.0, 5.0]), *exactly(np.array([3.5, np.nan])), 1.0) == pytest.approx(0.5)
+    assert missed(np.array([3.0, 5.0]), *exactly(np.array([3.5, 7.0]), np.array([True, False])), 1.0) == pytest.approx(2.0)
+
+
+def test_why_a_solver_stopped_is_said_where_it_says_nothing_of_the_problem():
+    assert "ran out of its 2.5 s (solver.max_time_s)" in why_stopped(OUT_OF_TIME, 2.5)
+    assert "not finite (NaN)" in why_stopped(INVALID, 2.5)
+    assert why_stopped(SUCCEEDED, 2.5) is None
+    assert why_stopped("Infeasible_Problem_Detected", 2.5) is None

@@ -1,0 +1,83 @@
+"""Settings of mesh, solver and tracking: checked when they are made, by the keys that problem files have."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import ProblemError
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+
+# Settings that cannot be used, what sets the same in a problem file (None where no file can say it), words of the answer.
+REFUSED = [
+    (SolverSettings, {"name": "snopt"}, "solver.name=snopt", ["unknown solver.name 'snopt'", "ipopt, fatrop"]),
+    (SolverSettings, {"name": 3}, "solver.name=3", ["solver.name is one of ipopt, fatrop", "got 3"]),
+    (SolverSettings, {"compile": "allways"}, "solver.compile=allways", ["'allways'", "did you mean 'always'", "auto"]),
+    (SolverSettings, {"max_time_s": 0}, "solver.max_time_s=0", ["solver.max_time_s is a positive number", "got 0"]),
+    (SolverSettings, {"max_time_s": np.inf}, "solver.max_time_s=inf", ["solver.max_time_s is a positive number", "inf"]),
+    (SolverSettings, {"max_time_s": "1"}, 'solver.max_time_s="1"', ["solver.max_time_s is a positive number", "'1'"]),
+    (SolverSettings, {"starts": 0}, "solver.starts=0", ["solver.starts is a whole number from 1 to 1000", "got 0"]),
+    (SolverSettings, {"starts": 2.0}, "solver.starts=2.0", ["solver.starts is a whole number", "got 2.0"]),
+    (SolverSettings, {"max_iterations": True}, None, ["solver.max_iterations is a whole number", "got True"]),
+    (SolverSettings, {"max_iterations": 0}, None, ["solver.max_iterations is a whole number from 1", "got 0"]),
+    (Tracking, {"kp": -1}, "tracking.kp=-1", ["tracking.kp is a number of at least 0", "got -1"]),
+    (Tracking, {"kd": np.nan}, "tracking.kd=nan", ["tracking.kd is a number of at least 0", "got nan"]),
+    (Tracking, {"period_s": 0.0}, "tracking.period_s=0.0", ["tracking.period_s is a positive number", "got 0.0"]),
+    (Tracking, {"delay_periods": 1001}, "tracking.delay_periods=1001", ["tracking.delay_periods", "from 0 to 1000", "1001"]),
+    (Tracking, {"delay_periods": "1"}, 'tracking.delay_periods="1"', ["tracking.delay_periods", "'1'"]),
+    (Tracking, {"duration_s": -1.0}, "tracking.duration_s=-1.0", ["tracking.duration_s is a positive number", "got -1.0"]),
+    (Tracking, {"lqr_position": -0.1}, "tracking.lqr_position_deg=-5.0", ["tracking.lqr_position_deg is a positive number"]),
+    (Tracking, {"lqr_velocity": 1e9}, "tracking.lqr_velocity_deg_s=1e10", ["tracking.lqr_velocity_deg_s", "to 1e+09"]),
+    (Tracking, {"lqr_position_m": "far"}, "tracking.lqr_position_m=far", ["tracking.lqr_position_m is", "got 'far'"]),
+    (Tracking, {"lqr_velocity_m_s": 0}, "tracking.lqr_velocity_m_s=0", ["tracking.lqr_velocity_m_s is a positive number"]),
+    (MeshSettings, {"scheme": "radu-3"}, "mesh.scheme=radu-3", ["mesh.scheme", "did you mean 'radau-3'"]),
+    (MeshSettings, {"effort": "linar"}, "mesh.effort=linar", ["mesh.effort", "did you mean 'linear'"]),
+    (MeshSettings, {"intervals": 1}, "mesh.intervals=1", ["mesh.intervals is a whole number from 2 to 20000", "got 1"]),
+    (MeshSettings, {"refine": "al"}, "mesh.refine=al", ["unknown mesh.refine 'al'", "intervals, degree"]),
+    (
+        MeshSettings,
+        {"tolerance_deg": 0.1},
+        "mesh.tolerance_deg=0.1",
+        ["mesh.tolerance_deg is from 1e-09", "0.01", "got 0.1"],
+    ),
+    (MeshSettings, {"tolerance_deg": -1}, "mesh.tolerance_deg=-1", ["mesh.tolerance_deg is a positive number", "got -1"]),
+    (MeshSettings, {"breaks": [0, 0.6, 0.4, 1]}, "mesh.breaks=[0, 0.6, 0.4, 1]", ["mesh.breaks", "[0, 0.6, 0.4, 1]"]),
+    (MeshSettings, {"breaks": [0, "a", 1]}, 'mesh.breaks=[0, "a", 1]', ["mesh.breaks is a number", "'a'"]),
+    (MeshSettings, {"breaks": 3}, "mesh.breaks=3", ["mesh.breaks is three or more increasing numbers", "got 3"]),
+]
+
+
+@pytest.mark.parametrize(("settings", "values", "override", "words"), REFUSED, ids=lambda value: str(value)[:40])
+def test_settings_that_cannot_be_used_are_refused_where_they_are_made(settings, values, override, words):
+    with pytest.raises(ProblemError) as raised:
+        settings(**values)
+    for word in words:
+        assert word in str(raised.value)
+    if override is not None:
+        with pytest.raises(ProblemError) as in_file:
+            load_problem("knee-reach", [override])
+        for word in words:
+            assert word in str(in_file.value)
+
+
+def test_numpys_numbers_are_numbers_and_kept_as_pythons():
+    settings = Tracking(kp=np.float64(3.0), delay_periods=np.int64(2))
+    solver = SolverSettings(starts=np.int64(4), max_time_s=np.float32(2.0))
+    assert type(settings.kp) is float
+    assert settings.tracked().delay_periods == 2
+    assert type(solver.starts) is int
+    assert solver.max_time_s == 2.0
+
+
+def test_angles_at_the_ends_of_what_is_legal_survive_their_way_through_radians():
+    for end in (1e-9, 1e9):
+        problem = load_problem("knee-reach", [f"tracking.lqr_position_deg={end}"])
+        assert np.degrees(problem.tracking.lqr_position) == pytest.approx(end)
+
+
+def test_a_broken_delay_is_for_loops_and_not_for_motions_that_are_tracked():
+    problem = load_problem("knee-reach")
+    broken = Tracking(delay_periods=0.5)
+    values = {name: getattr(problem, name) for name in PlanningProblem.__slots__} | {"tracking": broken}
+    with pytest.raises(ProblemError, match=r"tracking\.delay_periods is a whole number from 0 to 1000, got 0\.5"):
+        PlanningProblem(**values)
