@@ -86,7 +86,7 @@ RUNGS: tuple[Rung, ...] = (
             and starts.enough_time(search)
             and search.quickest.boundaries_s is None
         ),
-        climb=duration_continuation.from_lengthening,
+        climb=duration_continuation.from_continuation,
         budget=PATIENT,
     ),
     Rung(

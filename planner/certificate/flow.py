@@ -20,23 +20,23 @@ class _CrawlsError(Exception):
     """Integration of an interval needs more evaluations than any feasible motion does."""
 
 
-def flow(rate: Rate, width_s: float, state: np.ndarray, looks: np.ndarray) -> np.ndarray | None:
+def flow(rate: Rate, width_s: float, state: np.ndarray, shares: np.ndarray) -> np.ndarray | None:
     """Return the states (m, n) at shares (m,) of an interval, from one at its beginning; None where it fails."""
     atol = _ATOL * np.maximum(1.0, np.abs(state))
-    # A motion that is none may diverge: that shows in the outcome, and needs no warnings.
+    # An infeasible motion may diverge: the outcome shows it, and needs no warnings.
     with np.errstate(all="ignore"):
         try:
             result = solve_ivp(
-                _counted(rate), (0.0, width_s), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=looks * width_s
+                _counted(rate), (0.0, width_s), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=shares * width_s
             )
         except _CrawlsError:
             return None
-    reached = result.success and result.y.shape[1] == len(looks) and np.all(np.isfinite(result.y[:, -1]))
+    reached = result.success and result.y.shape[1] == len(shares) and np.all(np.isfinite(result.y[:, -1]))
     return result.y.T if reached else None
 
 
 def flows(
-    rate_on: Callable[[int], Rate], breaks_s: np.ndarray, state: np.ndarray, looks: np.ndarray
+    rate_on: Callable[[int], Rate], breaks_s: np.ndarray, state: np.ndarray, shares: np.ndarray
 ) -> Iterator[np.ndarray | None]:
     """Yield the states (m, n) on one interval after the other, each from where the last ended; None where one fails.
 
@@ -44,10 +44,10 @@ def flows(
         rate_on: an interval's right-hand side, by its number.
         breaks_s: (n + 1,) of the intervals [s].
         state: (n,) at the start.
-        looks: shares (n_looks,) of an interval, the last of them 1.
+        shares: shares (n_shares,) of an interval, the last of them 1.
     """
     for k, width in enumerate(np.diff(breaks_s)):
-        reached = flow(rate_on(k), width, state, looks)
+        reached = flow(rate_on(k), width, state, shares)
         yield reached
         if reached is None:
             return

@@ -67,14 +67,14 @@ def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allow
     start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
     state = np.concatenate([start, trajectory.velocity[0, 0]])
     n = len(trajectory.breaks_s) - 1
-    looks = np.array([0.0, 0.5, 1.0])
+    shares = np.array([0.0, 0.5, 1.0])
     errors, velocity_error = np.zeros((n, mechanism.dof)), 0.0
-    for k, reached in enumerate(flows(_rate(mechanism, trajectory), trajectory.breaks_s, state, looks)):
+    for k, reached in enumerate(flows(_rate(mechanism, trajectory), trajectory.breaks_s, state, shares)):
         if reached is None:
             errors[k:], velocity_error = np.inf, np.inf
             break
-        planned = np.array([bernstein_value(trajectory.position[:, k], tau) for tau in looks])
-        planned_velocity = np.array([bernstein_value(trajectory.velocity[:, k], tau) for tau in looks])
+        planned = np.array([bernstein_value(trajectory.position[:, k], tau) for tau in shares])
+        planned_velocity = np.array([bernstein_value(trajectory.velocity[:, k], tau) for tau in shares])
         errors[k] = np.abs(reached[:, independent] - planned).max(axis=0)
         velocity_error = max(velocity_error, float(np.abs(reached[:, n_q:] - planned_velocity).max()) / speed)
     with np.errstate(invalid="ignore"):  # beyond a failed integration, infinity less infinity

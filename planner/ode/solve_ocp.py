@@ -39,7 +39,7 @@ from linkplan.planner.transcription.mesh import broken, uniform
 _WILD = 1e-3
 # Efforts linear over intervals bring the integrated state so much nearer where polynomials swing between their nodes.
 _SWINGS = 0.01
-# Bends tried where a motion's duration is open, or where no other start leads to a solution.
+# Perturbed guesses tried where a motion's duration is open, or where no other start leads to a solution.
 _PERTURBATIONS = 4
 # Objectives within this share of one another are of the same motion, as a mesh knows it.
 _ALIKE = 1e-4

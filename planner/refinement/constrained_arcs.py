@@ -156,7 +156,7 @@ def find_constrained_paths(
 
 
 def free_ends(ends_s: np.ndarray, fixed: FixedArcs) -> tuple[np.ndarray, FixedArcs]:
-    """Return switch times (n,) [s] that split the ends off held arcs, and what is held then: no paths on those ends.
+    """Return switch times (n,) [s] that split the ends off constrained arcs, and what is held then: no paths on those ends.
 
     An effort may come to its limit on the way along an arc, in less than an interval, and end it there.
     """

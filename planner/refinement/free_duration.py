@@ -1,4 +1,4 @@
-"""Free durations that end where their guess held them: there the objective still falls, and no best motion is found."""
+"""Free durations that end at the bounds of their guess: there the objective still falls, and no best motion is found."""
 
 import numpy as np
 

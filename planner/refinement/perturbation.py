@@ -4,7 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-# Half waves over the motion that a bend is a sum of, and its size as a share of the motion's; every fourth bend is larger.
+# Half waves over the motion that a perturbation is a sum of, and its size as a share of the motion's; every fourth
+# perturbation is larger.
 _WAVES = 3
 _SIZE = 0.5
 _LARGER = 4
@@ -19,10 +20,10 @@ class Perturbation:
 
 
 def perturbation(number: int, along: np.ndarray, span: np.ndarray) -> Perturbation:
-    """Return a bend: half waves of random size, nothing at the motion's ends.
+    """Return a perturbation: half waves of random size, nothing at the motion's ends.
 
     Args:
-        number: which of the bends; the seed.
+        number: which of the perturbations; the seed.
         along: shares (n,) of the motion, from 0 to 1.
         span: the motion's size (k,) in each coordinate.
     """

@@ -135,7 +135,7 @@ def refine(
             marked = _rough(motion)
         higher = _higher_on_arcs(kept, at, over)
         if over.any() and loose:
-            marked = over  # an arc that is shorter than an interval must be seen before it can be cut out
+            marked = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
         else:
             higher = higher or _higher(kept, at.certificate, marked)
         if _grown(at.found.mesh, marked | over) <= comfortable:
@@ -176,8 +176,8 @@ def _finer(
 ) -> Found[MotionT] | None:  # fmt: skip
     """Return what is found with the marked intervals (n,) halved, or None.
 
-    Where one passed before, it is looked for `again` where it is lost, in the end with nothing held; one of bangs is looked
-    for right at the coarser one's, and from afar too where that gives another.
+    Where one passed before, it is looked for `again` where it is lost, in the end with nothing fixed; a bang-bang one is
+    looked for right at the coarser one's, and from afar too where that gives another.
     """
     mesh, start, bang_bang = halved(coarse.mesh, marked), case.start_from(coarse.motion), case.aims.bang_bang
     durations = np.bincount(mesh.segment, weights=_widths(coarse.motion, marked))
@@ -266,7 +266,7 @@ def _higher_on_arcs(case: Case[MotionT, CertificateT], at: _Judged[MotionT, Cert
         return None
     fixed = at.found.fixed
     if case.aims.switches and (fixed is None or not np.all(fixed.paths[at.found.mesh.segment[over]].any(axis=1))):
-        return None  # an arc that is not held may end inside an interval, which wants to be cut
+        return None  # an arc that is not held may end inside an interval, which wants a switch time
     overrun = at.findings.overrun[over]
     even = len(overrun) >= _AN_ARC and overrun.max() <= _STANDS_OUT * float(np.median(overrun))
     return _raised(case) if even or case.problem.mesh.refine == "degree" else None

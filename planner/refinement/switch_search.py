@@ -88,12 +88,12 @@ def settle_switch_times(
 def _readings(case: Case[MotionT, CertificateT], found: Found[MotionT], boundaries: np.ndarray) -> list[_Reading]:
     """Return what a solution's arcs may be, the likeliest first.
 
-    Arcs shorter than an interval are bangs where nothing else binds; elsewhere they are rather ends of arcs along a limit,
-    and only meant where nothing comes of those.
+    Arcs shorter than an interval are bang arcs where nothing else binds; elsewhere they are rather ends of arcs along a
+    limit, and only meant where nothing comes of those.
     """
     motion, transcribed, x, aims = found.motion, found.solution.transcribed, found.solution.x, case.aims
     on_path = path_arcs(transcribed, x)
-    # Bangs end where arcs along a speed limit begin; other efforts bend there, and along a motor's line all do.
+    # Bang arcs end where arcs along a speed limit begin; other efforts bend there, and along a motor's line all do.
     arcs = own_arcs(transcribed, x, ("motor",) if aims.bang_bang else ("motor", "speed"))
     arcs = np.hstack([on_path, arcs])
     alone, readings = is_bang_bang(case, transcribed), []

@@ -58,14 +58,14 @@ def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -
     found = [attempt(case_of(problem), guess, mesh, durations, word, search.history, search.say)]
     if guess.switch_times_s is not None and search.only_time_counts:
         # Its switches are known: with switch times there and efforts held between them, the instants alone are to be found.
-        cut, lengths = graded_mesh(guess, guess.switch_times_s, max(problem.mesh.intervals, PER_SWING * guess.swings))
+        graded, lengths = graded_mesh(guess, guess.switch_times_s, max(problem.mesh.intervals, PER_SWING * guess.swings))
         for warm, how in ((False, "bang efforts fixed"), (True, "bang efforts fixed, warm start")):
-            held = attempt(
-                case_of(problem), guess, cut, lengths, f"{word}, {how}", search.history, search.say,
+            attempted = attempt(
+                case_of(problem), guess, graded, lengths, f"{word}, {how}", search.history, search.say,
                 bang_efforts=guess.bang_efforts, warm=warm,
             )  # fmt: skip
-            found.append(held)
-            if held is not None:
+            found.append(attempted)
+            if attempted is not None:
                 break
     return sorted((one for one in found if one is not None), key=lambda one: one.solution.objective)
 

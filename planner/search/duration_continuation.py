@@ -49,7 +49,7 @@ class Continued:
     enough: bool = False  # whether the last step saved less than `SAVED` of the objective
 
 
-def from_lengthening(search: Search, budget: Budget) -> Plan | None:
+def from_continuation(search: Search, budget: Budget) -> Plan | None:
     """Return a plan reached from the motion of least time step by step; None where that is lost on the way."""
     problem = search.within(budget)
     swung = least_time_motion(search, budget)

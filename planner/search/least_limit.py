@@ -16,7 +16,7 @@ from linkplan.planner.solvers.solve import solve
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
-# Starts looked at: what one finds may be a local answer. Bends looked at for one that closes the loops.
+# Starts looked at: what one finds may be a local answer. Perturbed guesses tried for one that closes the loops.
 _STARTS, _MOST_TRIED = 3, 20
 
 

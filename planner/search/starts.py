@@ -14,9 +14,9 @@ from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.phase_plane import phase_plane_guess, stretched
 
-# Bends tried after the first failure, where the user asks for no further starts.
+# Perturbed guesses tried after the first failure, where the user asks for no further starts.
 _PERTURBATIONS = 3
-# Bends looked at for one that closes the loops, per one that is wanted.
+# Perturbed guesses tried for one that closes the loops, per one that is wanted.
 _MOST_TRIED = 20
 # A least time beyond so many times that of the phase plane's motion is a local one.
 _SLOW = 1.002
