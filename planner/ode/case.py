@@ -38,7 +38,6 @@ class OdeCase:
     insets: tuple[Inset, ...] = ()
     cut: bool = False  # whether the mesh has its cuts already, where the costates put them
     held: np.ndarray | None = None  # (n_segments, n_u) efforts held between those cuts
-
     aims: Aims = field(init=False)
 
     def __post_init__(self) -> None:
