@@ -16,6 +16,7 @@ from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.formulation import straight_guess
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.starts import perturbed
+from linkplan.planner.planning import plan_motion
 from linkplan.planner.refinement.case import Case
 from linkplan.planner.refinement.free_duration import LONGER, SHORTER, bounded_by_guess
 from linkplan.planner.refinement.perturbation import perturbation
@@ -127,6 +128,13 @@ def test_legs_to_given_instants_and_switch_times_hold_no_duration():
     legs = Mesh(fraction=np.array([0.5, 0.5, 1.0]), segment=np.array([0, 0, 1]), phase=np.array([0, 1]))
     assert bounded_by_guess(solution([99.9, 1.0], cut), 0.0, np.inf) is None
     assert bounded_by_guess(solution([99.9, 1.0], legs), 0.0, np.inf) == LONGER
+
+
+def test_a_waypoint_at_a_given_instant_does_not_make_a_free_duration_one_without_end():
+    waypoint = "motion.waypoints=[{at_deg={O=10}, time_s=0.1}]"
+    plan = plan_motion(load_problem("knee-reach", ["objective.minimize=time", "motion.duration_s=free", waypoint]))
+    assert plan.status == "optimal", plan.message
+    assert plan.trajectory.duration_s > 0.1
 
 
 # Polynomials, integration, ends, words.

@@ -202,5 +202,5 @@ def test_bounds_that_contradict_each_other_end_in_a_status(settings):
 
 
 def test_an_unknown_solver_is_refused_in_one_line():
-    with pytest.raises(ProblemError, match=r"unknown solver\.name 'snopt'; legal: ipopt, fatrop"):
+    with pytest.raises(ProblemError, match=r"unknown solver\.name 'snopt' \(did you mean 'ipopt'\?\); legal: ipopt, fatrop"):
         solve(transcribed(problem_of("knee-reach")), SolverSettings(name="snopt"))
