@@ -81,6 +81,7 @@ def test_an_oscillator_an_even_way_out_comes_to_rest_under_one_constant_effort()
     assert settled_oscillator(2.0).objective == pytest.approx(np.pi, rel=ODE_COLLAPSED_ARC)
 
 
+@pytest.mark.slow
 def test_an_arc_shorter_than_an_interval_is_found():
     """From 8.3 the first arc is a hundred and eightieth of the motion, the mesh has forty intervals."""
     arcs, motion = half_circles(8.3), settled_oscillator(8.3).trajectory
