@@ -67,6 +67,7 @@ def refused(case: str) -> Plan:
     return planned(*INFEASIBLE[case][0])
 
 
+@pytest.mark.slow
 @every_case
 def test_a_problem_without_an_answer_is_called_infeasible(case):
     plan = refused(case)
@@ -238,6 +239,7 @@ def test_the_highest_frequency_is_the_border_between_feasible_and_not(limit):
         assert planned(*asked, f"reference.frequency_hz={share * frequency}").status == status
 
 
+@pytest.mark.slow
 def test_a_speed_limit_s_highest_frequency_is_speed_over_two_pi_amplitude():
     frequency = planned("knee-sine", "limits.speed_deg_s.O=1000").details["highest_frequency_hz"]
     assert frequency == pytest.approx(1000 / (2 * np.pi * 52.67), rel=HIGHEST_FREQUENCY)

@@ -119,6 +119,7 @@ def test_the_table_s_header_has_units(saved):
     assert header == ["time_s", *joints, "O_deg_s2", "act_O_Nm"]
 
 
+@pytest.mark.slow
 @every_plan
 def test_the_table_s_rows_are_the_trajectory(name, tmp_path):
     header, rows = table(saved_plan(name, tmp_path))

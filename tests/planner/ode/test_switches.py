@@ -203,6 +203,7 @@ def test_a_lander_falls_and_brakes_at_the_last_instant():
     assert plan.objective == pytest.approx(3 * (2 + 1.5 * fall) / 1.5, rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_least_fuel_pushes_coasts_and_brakes():
     """x'' = u - w within [0, 1], 1 in 3 s, least int u + w: two pushes of tau with tau (3 - tau) = 1."""
     plan = solved(
@@ -222,6 +223,7 @@ def test_least_fuel_pushes_coasts_and_brakes():
 # Starts.
 
 
+@pytest.mark.slow
 def test_a_free_duration_that_the_first_start_misjudges_is_found_from_another():
     plan = settled_oscillator(8.3)
     assert not plan.history[0].converged

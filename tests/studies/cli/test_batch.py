@@ -70,6 +70,7 @@ def test_a_case_without_a_plan_is_said_and_does_not_spoil_the_next(batch_file, t
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["batch.json", "case-3", "slow"]
 
 
+@pytest.mark.slow
 def test_a_saved_case_is_a_plan_like_any_other(batch_file, tmp_path, capsys):
     assert main(["batch", str(batch_file(SWEEP)), "-o", str(tmp_path / "out")]) == 0
     assert main(["track", str(tmp_path / "out" / "2"), "--json"]) == 0

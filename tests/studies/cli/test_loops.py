@@ -96,6 +96,7 @@ def test_bode_looks_at_a_pure_damping_gain_too(ask, tmp_path):
     assert said["map"]["critical_kd"][0]["settles_above_in_mujoco"] is False
 
 
+@pytest.mark.slow
 def test_tune_answers_with_gains_or_with_no(ask):
     where = ["--at-deg", "O=-40", "--at-deg", "O=40", "--period-s", "1e-3"]
     code, out, err = ask("tune", "optimus-knee", "--bandwidth-hz", "60", *where)
