@@ -116,6 +116,7 @@ def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
     assert cut.commanded[0, 1] == 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "text", "size"), [("gripper", SERVO, 0.02), ("rssr", RSSR, 0.1)])
 def test_the_simulation_follows_the_reduced_model(name, text, size):
     mechanism = load_mechanism(hard(text))

@@ -93,6 +93,7 @@ def rms_deg(rollout: Rollout) -> float:
 # Every run.
 
 
+@pytest.mark.slow
 @every_plan
 @every_tracker
 def test_the_loop_stays_closed_to_ten_micrometres(kind, name):
@@ -110,6 +111,7 @@ def test_no_effort_that_acts_exceeds_its_limit(kind, name):
     assert np.all((rollout.applied >= low) & (rollout.applied <= high))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["pd", "pd+ff"])
 def test_a_command_beyond_the_limit_acts_as_the_limit(kind):
     rollout = tracked(kind, "knee-sprint")
@@ -134,6 +136,7 @@ def test_a_run_begins_in_the_reference_s_state(name):
     np.testing.assert_allclose(rollout.velocity[0], reference.velocity[0], rtol=ROUNDING)
 
 
+@pytest.mark.slow
 def test_two_runs_of_one_thing_are_the_same():
     name = "knee-reach"
     reference = reference_of(name)
@@ -174,6 +177,7 @@ def test_knowing_the_effort_leaves_at_most_a_tenth_of_pd_s_error(kind, name):
     assert rms_deg(tracked(kind, name)) < FEEDFORWARD_GAIN * rms_deg(tracked("pd", name))
 
 
+@pytest.mark.slow
 def test_the_planned_effort_alone_takes_mujoco_to_the_goal():
     """No feedback: MuJoCo's own dynamics, integrated under the plan, arrive where the plan does."""
     plan = optimal("knee-reach")

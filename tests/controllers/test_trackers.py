@@ -55,6 +55,7 @@ def tracker_of(kind: str, name: str = "knee-reach"):
 # The sampled reference.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["knee-reach", "knee-sine-shank"])
 def test_a_reference_is_the_trajectory_at_the_control_instants(name):
     reference, trajectory = reference_of(name, PERIOD, 0.4), optimal(name).trajectory
@@ -262,6 +263,7 @@ def test_the_gains_of_a_periodic_motion_repeat_with_it():
     np.testing.assert_array_equal(gains[500:], gains[:100])
 
 
+@pytest.mark.slow
 def test_the_gains_of_a_periodic_motion_are_those_of_a_long_recursion():
     A, B, Q, R = knee_matrices("knee-sine-shank")
     P = 7.0 * Q  # wherever it starts, the recursion forgets it

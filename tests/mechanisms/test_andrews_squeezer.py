@@ -136,6 +136,7 @@ def test_the_tree_s_mass_matrix_is_the_test_set_s():
         assert relative_error(found, mass_matrix(angles(mechanism, q))) < TREE
 
 
+@pytest.mark.slow
 def test_the_spring_s_torque_on_k3_is_the_test_set_s():
     mechanism = mechanism_of(NAME)
     expected = np.array([spring(angles(mechanism, q)["gamma"])[1] for q in some_poses()])

@@ -69,6 +69,7 @@ def test_the_swing_up_costs_no_more_than_published():
     assert min(abs(plan.objective / known - 1) for known in (PUBLISHED, BETTER)) < KNOWN
 
 
+@pytest.mark.slow
 def test_the_cost_is_the_integral_of_the_squared_force():
     plan = plan_of(PROBLEM)
     time = plan.trajectory.dense_times(200)

@@ -56,6 +56,7 @@ def test_the_gallery_is_drawn_where_the_readme_looks_for_it():
     assert FOLDER == SHOWN_IN
 
 
+@pytest.mark.slow
 @every_mechanism
 def test_the_gallery_s_picture_shows_every_body_in_its_colour_and_no_other(name):
     mechanism = mechanism_of(name)
@@ -89,6 +90,7 @@ def test_a_gallery_s_picture_is_drawn_from_a_plan(tmp_path, monkeypatch):
     assert carts[[0, -1]] == pytest.approx([first[0], last[0]], abs=DRAWN_M)
 
 
+@pytest.mark.slow
 def test_an_unactuated_joint_that_the_others_move_is_a_note_and_one_that_nothing_moves_a_fault():
     pole = inspect(mechanism_of("cart-pole"), [])
     assert any("pole" in note and "underactuated" in note for note in pole.notes)

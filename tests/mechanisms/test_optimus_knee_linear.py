@@ -189,6 +189,7 @@ def test_the_planned_swing_passes_its_certificate_within_the_force_limit():
     assert np.degrees(ends[:, 0]) == pytest.approx([-49.07, 56.27], abs=INTEGRATION_DEG)
 
 
+@pytest.mark.slow
 def test_the_force_of_the_plan_does_the_work_that_lifts_the_shank():
     plan = plan_of(PROBLEM)
     time = plan.trajectory.dense_times(50)

@@ -86,6 +86,7 @@ def test_the_hand_is_closed_by_pulling_alone():
     assert plan.certificate.closure_gap_m < CLOSURE_M
 
 
+@pytest.mark.slow
 def test_the_closed_form_integrated_under_the_planned_pull_ends_closed():
     trajectory = plan_of(PROBLEM).trajectory
     x = np.array([np.radians(45.0), 0.0])

@@ -106,6 +106,7 @@ def test_bad_mjcf_is_refused_with_the_reason(text, word, tmp_path, monkeypatch):
     assert_names(refusal(lambda: load_mechanism(text)), word)
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, derandomize=True, database=None)
 @given(at=st.integers(0, len(FOUR_BAR) - 1), n_lost=st.integers(1, 60), put=st.text('<>/="0 a\n', max_size=3))
 def test_mjcf_with_a_hole_in_it_loads_or_is_refused_in_one_line(at, n_lost, put):

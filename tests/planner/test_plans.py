@@ -229,6 +229,7 @@ def test_a_reach_begins_and_ends_at_rest_where_it_was_asked_to(name):
     assert trajectory.velocity[-1, -1, 0] == pytest.approx(0, abs=BOUNDARY * mean_speed)
 
 
+@pytest.mark.slow
 def test_boundary_speeds_are_kept():
     trajectory = optimal("knee-reach", "motion.start_speed_deg_s.O=100", "motion.goal_speed_deg_s.O=-50").trajectory
     assert np.degrees(trajectory.velocity[0, 0, 0]) == pytest.approx(100, abs=SPEED_DEG_S)

@@ -60,6 +60,7 @@ TRANSMISSIONS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("transmission", TRANSMISSIONS.values(), ids=TRANSMISSIONS)
 def test_a_moment_is_mujocos_wherever_the_mechanism_stands(transmission):
     mechanism = bench(f"<motor {transmission}/>")
@@ -69,6 +70,7 @@ def test_a_moment_is_mujocos_wherever_the_mechanism_stands(transmission):
         assert relative_error(np.array(mechanism.dynamics.effort_matrix(q)), expected) < MOMENT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("transmission", TRANSMISSIONS.values(), ids=TRANSMISSIONS)
 def test_an_effort_acts_as_in_mujoco(transmission):
     mechanism = bench(f"<motor {transmission}/>")
@@ -122,6 +124,7 @@ LIMITS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("actuator", "extras", "limits"), LIMITS.values(), ids=LIMITS)
 def test_effort_limits_are_the_narrowest_that_the_model_sets(actuator, extras, limits):
     found = only(actuator, **extras)
@@ -233,6 +236,7 @@ UNUSABLE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("actuator", "word", "falsifies"), UNUSABLE.values(), ids=UNUSABLE)
 def test_an_actuator_that_a_plan_cannot_use_is_named_with_the_reason(actuator, word, falsifies):
     mechanism = bench(actuator)
@@ -277,6 +281,7 @@ def test_a_spring_of_a_wrapping_tendon_falsifies():
     assert len(found) == 2
 
 
+@pytest.mark.slow
 def test_springs_dampers_and_armature_of_a_tendon_are_mujocos():
     motor = '<motor tendon="rope" gear="2" armature="0.2" damping="0.3 0.1 0.2"/>'
     text = replaced(SLIDER_CRANK, '<motor joint="crank" ctrlrange="-2 2"/>', motor)

@@ -1,7 +1,6 @@
 """Loop closure and the reduced dynamics: against MuJoCo's constrained dynamics, null spaces, energy and differences."""
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 import pytest
@@ -11,10 +10,10 @@ import scipy.linalg
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import joint_rates, needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
+from tests.support.closures import FOUR_BARS, N_POSES, Case, case
 from tests.support.mechanisms import (
     CHAINS,
     CRANK_ROCKER,
-    Simulated,
     derivative,
     random_four_bar,
     random_quaternion,
@@ -35,61 +34,8 @@ from tests.support.tolerances import (
     relative_error,
 )
 
-N_POSES = 5
-FOUR_BARS = tuple(f"four-bar {seed}" for seed in range(8))
 NAMES = (*FOUR_BARS, *CHAINS)
 on_every_mechanism = pytest.mark.parametrize("name", NAMES)
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Case:
-    """A mechanism with closed poses q (n, n_q), and speeds v, accelerations a and efforts u to go with them."""
-
-    mechanism: Mechanism
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    u: np.ndarray
-
-    def samples(self):
-        return zip(self.q, self.v, self.a, self.u, strict=True)
-
-    def simulated(self, k: int, impedance: float = 0.9999) -> Simulated:
-        rates = joint_rates(self.mechanism, self.q, self.v)
-        return simulated(self.mechanism.model, self.q[k], rates[k], self.u[k], impedance=impedance)
-
-    def limit(self, k: int, quantity: str) -> np.ndarray:
-        """Return MuJoCo's quantity for a constraint of no softness, extrapolated from two small softnesses."""
-        impedance = np.array([0.999, 0.9999])
-        soft = (1 - impedance) / impedance
-        first, second = (getattr(self.simulated(k, d), quantity) for d in impedance)
-        return (soft[0] * second - soft[1] * first) / (soft[0] - soft[1])
-
-
-@cache
-def case(name: str) -> Case:
-    if name in CHAINS:
-        rng = np.random.default_rng(3)
-        mechanism = load_mechanism(CHAINS[name])
-        centre = mechanism.home[mechanism.independent]
-        s = centre + rng.uniform(-0.4, 0.4, (N_POSES, mechanism.dof))
-        q = np.array([close_at(mechanism, x) for x in s])
-    else:
-        seed = int(name.split()[1])
-        rng = np.random.default_rng(seed)
-        bar = random_four_bar(rng)
-        motors = ("O",) if seed % 4 else ("O", "C", "O")
-        text = bar.mjcf(rng, quaternion=random_quaternion(rng), anchor_form=seed % 2 == 1, motors=motors)
-        mechanism = load_mechanism(text)
-        q = bar.samples(rng, N_POSES)
-    shape = (N_POSES, mechanism.dof)
-    return Case(
-        mechanism=mechanism,
-        q=q,
-        v=rng.normal(size=shape),
-        a=rng.normal(size=shape),
-        u=rng.uniform(-1, 1, (N_POSES, mechanism.n_u)),
-    )
 
 
 def null_space_map(mechanism: Mechanism, rows: np.ndarray) -> np.ndarray:
@@ -99,6 +45,7 @@ def null_space_map(mechanism: Mechanism, rows: np.ndarray) -> np.ndarray:
     return basis @ np.linalg.inv(basis[mechanism.independent])
 
 
+@pytest.mark.slow
 @on_every_mechanism
 def test_the_closure_equations_are_mujocos_residual_where_the_loop_is_open(name):
     mechanism = case(name).mechanism
@@ -134,6 +81,7 @@ def test_reduced_inertia_is_the_constrained_mass_matrix(name):
         assert relative_error(np.array(c.mechanism.dynamics.reduced_inertia(q)), expected) < REDUCED
 
 
+@pytest.mark.slow
 @on_every_mechanism
 def test_gravity_effort_is_the_weight_projected_on_the_motion(name):
     c = case(name)
@@ -162,6 +110,7 @@ def test_acceleration_is_the_limit_of_mujocos_as_the_loop_hardens(name):
         assert relative_error(actual, expected) < SOFT_LIMIT
 
 
+@pytest.mark.slow
 @on_every_mechanism
 def test_mujocos_acceleration_approaches_ours_in_proportion_to_the_loops_softness(name):
     c = case(name)
@@ -185,6 +134,7 @@ def test_closure_forces_act_on_the_joints_as_mujocos_constraint_does(name):
         assert relative_error(jacobian.T @ force, expected) < SOFT_LIMIT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("anchor_form", [False, True])
 def test_the_pin_force_of_an_upright_four_bar_is_mujocos_efc_force(seed, anchor_form):
@@ -201,6 +151,7 @@ def test_the_pin_force_of_an_upright_four_bar_is_mujocos_efc_force(seed, anchor_
     assert relative_error(force, expected) < SOFT_LIMIT
 
 
+@pytest.mark.slow
 @on_every_mechanism
 def test_closure_forces_balance_the_tree_exactly(name):
     c = case(name)
@@ -233,6 +184,7 @@ def test_joint_rates_are_the_derivative_of_the_assembled_pose(name):
         assert relative_error(rates[k], path_derivatives(c.mechanism, q, v, a, 1e-3)[0]) < DIFFERENCES
 
 
+@pytest.mark.slow
 @on_every_mechanism
 def test_inverse_dynamics_is_the_trees_along_the_assembled_motion(name):
     c = case(name)
@@ -344,6 +296,7 @@ def crank_rocker(seed: int, bare: bool) -> Mechanism:
     return load_mechanism(CRANK_ROCKER.mjcf(rng, quaternion=random_quaternion(rng), bare=bare))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_energy_gained_is_work_less_dissipation_on_a_sprung_four_bar(seed):
     m = motion(crank_rocker(seed, bare=False), 1.0, 0.2)
@@ -351,6 +304,7 @@ def test_energy_gained_is_work_less_dissipation_on_a_sprung_four_bar(seed):
     assert abs(m.energy_gain - m.work + m.dissipated) < POWER * max(abs(m.work), m.dissipated)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "duration", "effort"), [("five-bar", 0.1, 0.2), ("spatial-loop", 0.1, 0.2), ("six-bar", 0.5, 0.5)]
 )
@@ -360,6 +314,7 @@ def test_energy_gained_is_work_less_dissipation_on_other_loops(name, duration, e
     assert abs(m.energy_gain - m.work + m.dissipated) < POWER * max(abs(m.work), m.dissipated)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_energy_is_kept_where_nothing_drives_or_damps(seed):
     m = motion(crank_rocker(seed, bare=True), 1.0, 0.0)
@@ -368,6 +323,7 @@ def test_energy_is_kept_where_nothing_drives_or_damps(seed):
     assert abs(m.energy_gain) < POWER * m.kinetic
 
 
+@pytest.mark.slow
 def test_a_loop_stays_closed_along_an_integrated_motion():
     m = motion(crank_rocker(0, bare=True), 1.0, 0.0)
     assert m.kinetic > 1e-3, "it swings"

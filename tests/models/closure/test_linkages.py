@@ -172,6 +172,7 @@ def test_the_closure_of_a_leg_depends_on_no_joint_above_it():
     assert not np.any(jacobian[:, :2])
 
 
+@pytest.mark.slow
 def test_a_reach_of_a_leg_ends_where_its_own_loop_does():
     turned = replaced(LEG, '<body name="hip" pos="0 0 1">', '<body name="hip" pos="0 0 1" quat="0.3 0.8 -0.1 0.5">')
     first, second = (reach(load_mechanism(text), 2) for text in (LEG, turned))

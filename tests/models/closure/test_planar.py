@@ -110,6 +110,7 @@ def test_the_generator_makes_mechanisms_of_every_kind():
     assert any(case(seed).mechanism.model.body_mass.min() < 2e-4 for seed in range(30))
 
 
+@pytest.mark.slow
 @on_every_seed
 def test_each_loop_takes_its_own_freedom_and_leaves_that_of_the_crank(seed):
     c = case(seed)
@@ -166,6 +167,7 @@ def test_acceleration_is_the_limit_of_mujocos_as_the_loops_harden(seed):
         assert relative_error(actual, expected) < RANDOM_LIMIT
 
 
+@pytest.mark.slow
 @on_every_seed
 def test_mujocos_acceleration_approaches_ours_as_the_loops_harden(seed):
     c = case(seed)
@@ -181,6 +183,7 @@ def test_mujocos_acceleration_approaches_ours_as_the_loops_harden(seed):
         assert abs(float(order[0]) - 1) < RANDOM_ORDER, errors
 
 
+@pytest.mark.slow
 @on_every_seed
 def test_closure_forces_act_on_the_joints_as_mujocos_constraints_do(seed):
     c = case(seed)

@@ -58,6 +58,7 @@ def test_any_four_bar_in_any_plane_has_three_rows_of_rank_two(bar, seed):
     assert (len(mechanism.closure_rows), len(mechanism.dependent), mechanism.dof) == (2, 2, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_the_rows_kept_span_all_rows(seed):
     bar = random_bars()[seed]
@@ -77,6 +78,7 @@ def test_two_connects_on_one_pin_have_six_rows_of_rank_two(seed):
     assert (len(mechanism.closure_rows), mechanism.dof) == (2, 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_second_connect_on_the_same_pin_changes_no_motion(seed):
     bar, quaternion = random_bars()[seed], random_quaternion(np.random.default_rng(seed))
@@ -95,6 +97,7 @@ def test_rank_and_degrees_of_freedom_of_other_loops(name, expected):
     assert (mechanism.dynamics.closure.size1_out(0), len(mechanism.closure_rows), mechanism.dof) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", ["O", "A", "C"])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_actuated_joint_is_the_independent_one(joint, seed):
@@ -174,6 +177,7 @@ def test_any_four_bar_assembles_where_two_circles_meet(bar, seed, ahead):
     assert np.abs(wrapped(poses - bar.pose(way[[0, -1]]))).max() < ANGLE_RAD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_home_at_an_asked_angle_is_on_the_drawn_branch(seed):
     bar = random_bars()[seed]
@@ -217,6 +221,7 @@ def test_a_path_stays_on_the_closed_forms_branch(seed):
     assert np.abs(wrapped(poses - bar.pose(q_O))).max() < ANGLE_RAD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHAINS)
 def test_a_path_there_and_back_ends_where_it_began(name):
     mechanism = load_mechanism(CHAINS[name])
@@ -226,6 +231,7 @@ def test_a_path_there_and_back_ends_where_it_began(name):
     assert np.abs(poses[-1] - mechanism.home).max() < ANGLE_RAD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHAINS)
 def test_every_pose_of_a_path_is_closed_at_the_asked_position(name):
     mechanism = load_mechanism(CHAINS[name])

@@ -58,6 +58,7 @@ def test_the_reference_spans_the_reach():
     assert max(angles) >= 70
 
 
+@pytest.mark.slow
 @both_models
 @at_every_configuration
 def test_dependent_angles_are_the_closed_form(name, row):
@@ -66,6 +67,7 @@ def test_dependent_angles_are_the_closed_form(name, row):
     assert np.abs(pose(mechanism, row["q_O_deg"])[:3] - expected).max() < ANGLE_RAD
 
 
+@pytest.mark.slow
 @both_models
 @at_every_configuration
 def test_dependent_rates_are_the_closed_form(name, row):
@@ -120,6 +122,7 @@ def test_the_motor_at_o_has_100_newton_metres(name):
     assert mechanism.joints[mechanism.actuators[0].joint].name == "O"
 
 
+@pytest.mark.slow
 @both_models
 def test_the_upper_end_of_the_reach_is_the_singular_pose(name):
     end = knee_reach(name).upper
@@ -177,6 +180,7 @@ def test_home_by_a_dependent_joint_alone_holds_that_joint():
     assert knee().gap_m(home) < 10 * CLOSED_M
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("asked_deg", [79.0, 82.0, 85.0])
 def test_a_home_out_of_reach_is_refused_with_the_gap_that_stays_open_there(asked_deg):
     shortfall = (BAR.rocker - BAR.coupler) - BAR.diagonal(np.radians(asked_deg))

@@ -65,6 +65,7 @@ def test_the_rocker_turns_back_where_crank_and_coupler_are_in_line():
     assert away.min(axis=0).max() < BRACKET_RAD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [0.3, 0.5])
 def test_the_reach_ends_where_a_dependent_joint_meets_its_range(limit):
     bar = CRANK_ROCKER
@@ -103,6 +104,7 @@ def test_the_reach_of_a_joint_ends_at_its_own_range():
     assert [r.lower.position, r.upper.position] == [-1.0, 2.0]
 
 
+@pytest.mark.slow
 def test_a_disabled_limit_ends_no_reach():
     free = replaced(RANGED, "/>\n  <worldbody>", '><flag limit="disable"/></option>\n  <worldbody>')
     assert reach(load_mechanism(free)).turns_fully
@@ -122,6 +124,7 @@ def test_the_slider_turns_back_at_every_half_turn_of_the_crank():
     assert np.abs(found - np.pi * np.array([-1, 0, 1, 2])).max() < BRACKET_RAD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coordinate", [0, 1])
 def test_the_other_motor_of_a_five_bar_stays_at_home_over_the_reach(coordinate):
     mechanism = load_mechanism(FIVE_BAR)

@@ -49,6 +49,7 @@ def test_mass_matrix_is_mujocos(name):
     assert worst_relative_error(sampled(mechanism(name).dynamics.mass_matrix, q), matrices) < TREE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_bias_force_is_mujocos(name):
     q, v, expected = states(name)
@@ -139,6 +140,7 @@ def test_a_payloads_moments_are_about_its_bodys_axes(axis):
     assert relative_error(loaded - bare, moments[axis]) < TREE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("flag", ["gravity", "spring", "damper"])
 def test_a_disabled_force_is_disabled_here_too(flag):
     text = random_tree(1)

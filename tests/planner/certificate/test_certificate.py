@@ -34,6 +34,7 @@ def sentence(certificate: Certificate, *words: str) -> bool:
     return any(all(word in failure for word in words) for failure in certificate.failures)
 
 
+@pytest.mark.slow
 def test_an_effort_above_its_limit_is_named_with_its_instant():
     certificate = found(replace(motion(), effort=1.3 * motion().effort))
     assert not certificate.passed
@@ -41,6 +42,7 @@ def test_an_effort_above_its_limit_is_named_with_its_instant():
     assert sentence(certificate, "the effort exceeds its limit by 12.2", "t = 0 s")
 
 
+@pytest.mark.slow
 def test_an_effort_above_its_limit_in_one_interval_is_found():
     effort = np.array(motion().effort)
     effort[:, 17] = 100.001
@@ -79,6 +81,7 @@ def test_an_effort_that_is_another_motion_s_is_found_by_inverse_dynamics():
     assert sentence(certificate, "between nodes the motion needs", "more effort than planned")
 
 
+@pytest.mark.slow
 def test_an_effort_that_is_a_hundredth_short_is_found_by_integration():
     certificate = found(replace(motion(), effort=0.99 * motion().effort))
     assert certificate.integration_error_deg > 0.5
@@ -89,6 +92,7 @@ def test_no_effort_at_all_does_not_pass():
     assert not found(replace(motion(), effort=0 * motion().effort)).passed
 
 
+@pytest.mark.slow
 def test_a_velocity_that_is_shifted_throughout_does_not_pass():
     certificate = found(moved("velocity", np.radians(20), slice(None)))
     assert sentence(certificate, "the state integrated under the planned effort ends", "deg")
@@ -102,6 +106,7 @@ def test_a_velocity_that_is_shifted_in_one_interval_does_not_pass():
     assert not found(moved("velocity", np.radians(100), slice(20, 21))).passed
 
 
+@pytest.mark.slow
 def test_a_position_that_is_shifted_in_one_interval_does_not_pass():
     certificate = found(moved("position", np.radians(0.5), slice(20, 21)))
     assert sentence(certificate, "the state integrated under the planned effort ends 0.5 deg")
@@ -113,12 +118,14 @@ def test_a_position_that_bulges_within_one_interval_does_not_pass():
     assert not found(replace(motion(), position=position)).passed
 
 
+@pytest.mark.slow
 def test_a_motion_to_another_goal_does_not_pass():
     """Flawless in itself; the problem asks for something else."""
     assert found(motion()).passed
     assert not found(motion(), "motion.goal_deg.O=30").passed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("override", "joint", "by"),
     [
@@ -140,6 +147,7 @@ def test_a_joint_that_keeps_its_range_has_the_distance_as_its_margin():
     assert certificate.position_margin[1] == pytest.approx(q_A.min() - np.radians(5), abs=SAME_FIGURE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", ["O", "A", "C"])
 def test_a_joint_that_is_too_fast_is_named_with_its_excess(joint):
     free = found(motion(), f"limits.speed_deg_s.{joint}=1e5")
@@ -173,6 +181,7 @@ def test_a_start_pose_that_is_open_or_elsewhere_is_refused(joint):
         found(replace(motion(), start_pose=pose))
 
 
+@pytest.mark.slow
 def test_a_motion_on_the_other_branch_does_not_pass():
     th = replace(knee(), branch=-1).angles(motion().position[0, 0])[:, 0]
     start = np.array([th[0], th[1] - th[0], th[2]])
@@ -189,6 +198,7 @@ def test_the_peak_effort_is_the_largest_of_the_carried_ones(name):
     assert plan.certificate.peak_effort[0] == pytest.approx(effort.max(), rel=PEAK_ON_A_GRID)
 
 
+@pytest.mark.slow
 def test_the_distance_to_a_singular_pose_is_the_transmission_angle_s_sine():
     """det J_z = L2 L3 sin(mu) in this four-bar, and its least singular value falls with it."""
     plan = planned("knee-reach", "motion.goal_deg.O=77", "motion.duration_s=0.25")

@@ -96,6 +96,7 @@ def test_the_same_block_out_of_the_way_lets_the_plan_pass(free):
     assert made.certificate.contacts == ()
 
 
+@pytest.mark.slow
 def test_a_problem_can_ask_for_contacts_to_be_noted_only(free):
     made = judged(free, with_block(), "limits.contacts=note")
     assert made.status == "optimal"
@@ -112,6 +113,7 @@ def test_other_words_for_contacts_are_refused():
         load_problem("knee-reach", ["limits.contacts=ignore"])
 
 
+@pytest.mark.slow
 def test_links_that_overlap_on_their_pin_are_named_and_not_refused(free):
     made = judged(free, KNEE.replace('contype="0" conaffinity="0"', 'contype="1" conaffinity="1"'))
     assert made.status == "optimal"

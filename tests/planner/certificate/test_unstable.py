@@ -57,6 +57,7 @@ def test_a_stable_motion_is_integrated_in_one_go():
     assert plan.certificate.integration_restarts == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [1e-3, 1e-2])
 def test_an_unstable_motion_with_efforts_that_are_not_its_own_does_not_pass(share):
     plan = over_upright()

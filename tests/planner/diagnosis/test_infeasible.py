@@ -67,6 +67,7 @@ def refused(case: str) -> Plan:
     return planned(*INFEASIBLE[case][0])
 
 
+@pytest.mark.slow
 @every_case
 def test_a_problem_without_an_answer_is_called_infeasible(case):
     plan = refused(case)
@@ -92,6 +93,7 @@ def test_requiring_an_infeasible_plan_raises_the_sentence_and_carries_the_plan(c
     assert raised.value.plan is plan
 
 
+@pytest.mark.slow
 def test_an_infeasible_plan_s_error_is_one_of_linkplan_s():
     with pytest.raises(LinkplanError):
         planned(*HURRIED).require()
@@ -102,10 +104,12 @@ def test_requiring_a_plan_that_is_optimal_returns_it():
     assert plan.require() is plan
 
 
+@pytest.mark.slow
 def test_the_details_hold_the_shortest_feasible_duration():
     assert planned(*HURRIED).details["shortest_duration_s"] == pytest.approx(SHORTEST, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_the_details_hold_the_effort_with_which_the_time_would_do():
     """The least peak effort is bang-bang: the limit whose own least time is the one asked for."""
     enough = brentq(lambda limit: LOADED.minimum_time(START, GOAL, -limit, limit) - 0.10, 100.0, 300.0, xtol=1e-12)
@@ -163,6 +167,7 @@ def test_a_reference_just_within_the_limits_is_followed():
     assert plan.status == "optimal", plan.message
 
 
+@pytest.mark.slow
 def test_an_infeasible_plan_keeps_the_history_of_what_was_tried():
     history = planned(*HURRIED).history
     assert [step.what for step in history] == ["first solve", "a coarser mesh", *6 * ["least effort limit"]]
@@ -234,6 +239,7 @@ def test_the_highest_frequency_is_the_border_between_feasible_and_not(limit):
         assert planned(*asked, f"reference.frequency_hz={share * frequency}").status == status
 
 
+@pytest.mark.slow
 def test_a_speed_limit_s_highest_frequency_is_speed_over_two_pi_amplitude():
     frequency = planned("knee-sine", "limits.speed_deg_s.O=1000").details["highest_frequency_hz"]
     assert frequency == pytest.approx(1000 / (2 * np.pi * 52.67), rel=HIGHEST_FREQUENCY)

@@ -91,6 +91,7 @@ def test_the_record_of_an_infeasible_plan_is_json_too(tmp_path):
     assert (said["status"], said["certificate"], said["duration_s"]) == ("infeasible", None, None)
 
 
+@pytest.mark.slow
 def test_a_plan_without_a_motion_is_not_saved(tmp_path):
     plan = planned("knee-reach", "limits.speed_deg_s.O=500")
     with pytest.raises(PlanFileError, match="nothing to save: infeasible"):
@@ -118,6 +119,7 @@ def test_the_table_s_header_has_units(saved):
     assert header == ["time_s", *joints, "O_deg_s2", "act_O_Nm"]
 
 
+@pytest.mark.slow
 @every_plan
 def test_the_table_s_rows_are_the_trajectory(name, tmp_path):
     header, rows = table(saved_plan(name, tmp_path))

@@ -48,6 +48,7 @@ def changed(project: Path, old: str, new: str) -> None:
     (project / "arm.xml").write_text(text.replace(old, new), encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_a_plan_whose_folder_moved_with_its_model_is_read(project, tmp_path):
     moved = project.rename(tmp_path / "elsewhere")
     plan = read_plan(moved / "plans" / "reach")
@@ -55,11 +56,13 @@ def test_a_plan_whose_folder_moved_with_its_model_is_read(project, tmp_path):
     assert Path(plan.problem.source["mechanism"]["model"]) == (moved / "arm.xml").resolve()
 
 
+@pytest.mark.slow
 def test_a_plan_that_was_moved_alone_finds_its_model_where_it_was(project, tmp_path):
     shutil.move(project / "plans" / "reach", tmp_path / "alone")
     assert read_plan(tmp_path / "alone").status == "optimal"
 
 
+@pytest.mark.slow
 def test_of_two_models_the_one_that_was_planned_with_is_taken(project, tmp_path):
     """A copy of the whole project, in which the model was changed: the plan there still finds the one it was made with."""
     copy = shutil.copytree(project, tmp_path / "copy")
@@ -154,6 +157,7 @@ def test_paths_that_are_not_beside_the_problem_are_from_the_working_folder(proje
     assert load_problem(tmp_path / "sub" / "reach.toml").mechanism.name == "arm"
 
 
+@pytest.mark.slow
 def test_a_guess_that_is_nowhere_says_where_it_was_looked_for(project):
     with pytest.raises(
         ProblemError, match=r"guess.plan 'nowhere' is not a folder in .*project', the problem file's, or the working"

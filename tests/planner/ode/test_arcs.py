@@ -63,6 +63,7 @@ def test_an_oscillator_comes_to_rest_in_the_time_of_its_arcs(last, first, switch
     assert plan.objective == pytest.approx(ends[-1], rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_an_oscillator_switches_every_half_period():
     plan, ends = oscillator_to_rest(2.5, 0.7, 3)
     time = plan.trajectory.dense_times(4)
@@ -70,6 +71,7 @@ def test_an_oscillator_switches_every_half_period():
     np.testing.assert_allclose(time[np.flatnonzero(np.diff(np.sign(effort)))], ends[:-1], atol=ODE_SWITCH)
 
 
+@pytest.mark.slow
 def test_production_is_invested_until_one_time_constant_is_left():
     """x' = u x, int (1 - u) x dt as large as it gets over 3 s: invest for 2 s, then consume e^2."""
     plan = solved(
@@ -93,6 +95,7 @@ def test_production_is_invested_until_one_time_constant_is_left():
 BOAT = 1.0
 
 
+@pytest.mark.slow
 def test_a_boat_in_an_even_current_takes_the_way_that_meets_the_goal():
     current, goal = np.array([0.4, -0.3]), np.array([3.0, 2.0])
     plan = solved(

@@ -78,6 +78,7 @@ def bang_bang_arm() -> np.ndarray:
     return found
 
 
+@pytest.mark.slow
 def test_the_arm_s_least_time_is_that_of_its_five_switches():
     """Published: 9.14138 (COPS, a finite mesh), 9.14093620 (Betts); this motion is shorter, and scipy drives it."""
     found = bang_bang_arm()
@@ -86,6 +87,7 @@ def test_the_arm_s_least_time_is_that_of_its_five_switches():
     assert quickest_arm().objective == pytest.approx(found[-1], rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_the_arm_s_switches_are_found_where_scipy_has_them():
     motion = quickest_arm().trajectory
     time = motion.dense_times(4)

@@ -63,6 +63,7 @@ def test_time_in_the_cost_discounts_it():
     assert plan.objective == pytest.approx(1 / (1 - np.exp(-1)), rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_time_in_a_free_duration_is_the_motion_s_own():
     """x' = t from 0 to 2 takes 2 s whatever the effort does; J = T + int u^2."""
     plan = solved(
@@ -80,6 +81,7 @@ def test_time_in_a_free_duration_is_the_motion_s_own():
     assert plan.objective == pytest.approx(2.0, rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_a_path_limit_that_falls_with_time_is_kept_at_every_instant():
     """x' = u <= 2 - t, x(1) as large as it gets: 3/2."""
     plan = solved(
@@ -103,6 +105,7 @@ def test_a_path_limit_that_falls_with_time_is_kept_at_every_instant():
 # Ends, returns, free states and durations.
 
 
+@pytest.mark.slow
 def test_a_distance_asked_between_two_free_ends_costs_its_square_over_time():
     plan = solved(
         OdeProblem(
@@ -167,6 +170,7 @@ def test_a_periodic_follower_of_a_sinusoid_has_the_amplitude_of_its_fourier_bala
     np.testing.assert_allclose(plan.trajectory.state_at(time)[:, 0], np.sin(omega * time) / (1 + gain), atol=ODE_STATE)
 
 
+@pytest.mark.slow
 def test_a_free_first_state_is_the_cheapest():
     """x'' = u to rest at 1 within 1 s, beginning anywhere between 0 and 0.4 with any speed up to 0.5."""
     plan = solved(
@@ -252,6 +256,7 @@ def test_the_least_energy_to_move_an_oscillator_is_that_of_its_gramian(T):
     assert plan.objective == pytest.approx(missing @ np.linalg.solve(gramian, missing), rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_a_regulator_over_a_finite_horizon_costs_what_riccati_s_equation_says():
     rng = np.random.default_rng(5)
     A, B = rng.normal(size=(3, 3)), rng.normal(size=(3, 2))

@@ -81,6 +81,7 @@ def test_an_oscillator_an_even_way_out_comes_to_rest_under_one_constant_effort()
     assert settled_oscillator(2.0).objective == pytest.approx(np.pi, rel=ODE_COLLAPSED_ARC)
 
 
+@pytest.mark.slow
 def test_an_arc_shorter_than_an_interval_is_found():
     """From 8.3 the first arc is a hundred and eightieth of the motion, the mesh has forty intervals."""
     arcs, motion = half_circles(8.3), settled_oscillator(8.3).trajectory
@@ -202,6 +203,7 @@ def test_a_lander_falls_and_brakes_at_the_last_instant():
     assert plan.objective == pytest.approx(3 * (2 + 1.5 * fall) / 1.5, rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_least_fuel_pushes_coasts_and_brakes():
     """x'' = u - w within [0, 1], 1 in 3 s, least int u + w: two pushes of tau with tau (3 - tau) = 1."""
     plan = solved(
@@ -221,6 +223,7 @@ def test_least_fuel_pushes_coasts_and_brakes():
 # Starts.
 
 
+@pytest.mark.slow
 def test_a_free_duration_that_the_first_start_misjudges_is_found_from_another():
     plan = settled_oscillator(8.3)
     assert not plan.history[0].converged

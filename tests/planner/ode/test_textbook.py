@@ -52,6 +52,7 @@ def test_a_double_integrator_s_least_time_is_twice_the_root_of_distance_over_eff
     assert plan.trajectory.duration_s == pytest.approx(exact, rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_a_double_integrator_of_least_time_switches_once_in_the_middle():
     motion = rest_to_rest_in_least_time(3.0, 0.5).trajectory
     time, middle = motion.dense_times(50), np.sqrt(3.0 / 0.5)
@@ -118,6 +119,7 @@ def test_the_brachistochrone_takes_the_cycloid_s_time():
     assert brachistochrone().objective == pytest.approx(cycloid, rel=ODE_CLOSED_FORM)
 
 
+@pytest.mark.slow
 def test_the_brachistochrone_is_the_cycloid():
     motion = brachistochrone().trajectory
     time = motion.dense_times(10)
@@ -305,6 +307,7 @@ def test_van_der_pol_s_oscillator_costs_what_pontryagin_s_conditions_say(low, hi
 # What holds of every one of them.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "plan_of",
     [

@@ -267,6 +267,7 @@ def test_a_goal_nearer_to_a_singular_pose_than_allowed_is_said_without_solving()
     assert plan.history == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("given", "said"),
     [

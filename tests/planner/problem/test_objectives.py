@@ -51,6 +51,7 @@ def test_the_effort_rate_of_a_pure_inertia_is_that_of_its_quintic():
     assert plan.objective == pytest.approx(120 * HINGE_INERTIA**2 * TURN**2 / 1.5**5, rel=EXACT_EFFORT)
 
 
+@pytest.mark.slow
 def test_the_least_work_of_a_pure_inertia_is_its_energy_at_the_lowest_speed_that_arrives():
     """At full effort up to a speed w, on at w, and full braking: w T = turn + w^2 J / u."""
     plan = hinge("objective.minimize=work")
@@ -60,6 +61,7 @@ def test_the_least_work_of_a_pure_inertia_is_its_energy_at_the_lowest_speed_that
     assert plan.objective >= HINGE_INERTIA * speed**2 / 2 * (1 - EXACT_EFFORT)
 
 
+@pytest.mark.slow
 def test_the_least_work_of_a_lift_is_the_energy_that_it_gains():
     plan = body_plan(LIFT, LIFTED + "duration_s = 1.0\n", "objective.minimize=work")
     assert plan.status == "optimal", plan.message
@@ -68,6 +70,7 @@ def test_the_least_work_of_a_lift_is_the_energy_that_it_gains():
     assert plan.objective >= gained * (1 - SMOOTHED / 100)
 
 
+@pytest.mark.slow
 def test_letting_a_lift_down_takes_no_work():
     down = 'kind = "reach"\nstart_m = { J = 0.9 }\ngoal_m = { J = 0.1 }\nduration_s = 0.7\n'
     plan = body_plan(LIFT, down, "objective.minimize=work")
@@ -77,6 +80,7 @@ def test_letting_a_lift_down_takes_no_work():
     assert plan.objective == pytest.approx(0.0, abs=SMOOTHED * WEIGHT * GRAVITY * RISE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("weight", [0.1, 1.0])
 def test_time_and_effort_of_a_pure_inertia_are_balanced_where_their_sum_is_least(weight):
     """T + w 12 J^2 d^2 / T^3 is least at T^4 = 36 w J^2 d^2, where it is 4 T / 3."""
@@ -87,6 +91,7 @@ def test_time_and_effort_of_a_pure_inertia_are_balanced_where_their_sum_is_least
     assert plan.trajectory.duration_s == pytest.approx(T, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_a_weight_only_scales_an_objective_of_one_term():
     once, thrice = hinge("objective.minimize=effort"), hinge("objective.minimize={effort=3.0}")
     assert thrice.objective == pytest.approx(3 * once.objective, rel=EXACT_EFFORT)
@@ -134,6 +139,7 @@ def test_each_term_is_least_where_it_is_asked_for(term, other):
         assert value(rival, term) > 1.01 * plan.objective
 
 
+@pytest.mark.slow
 def test_a_sum_s_value_is_the_sum_of_its_terms_integrals():
     weights = {"time": 30.0, "effort": 1e-3, "effort_rate": 1e-8}
     asked = ",".join(f"{term}={weight}" for term, weight in weights.items())
@@ -151,6 +157,7 @@ def test_the_work_of_the_knee_is_the_integral_of_its_positive_power():
     assert positive == pytest.approx(plan.objective, rel=WORK_INTEGRAL)
 
 
+@pytest.mark.slow
 def test_the_work_of_the_knee_is_no_less_than_the_energy_that_it_gains():
     plan = optimal("knee-reach", "objective.minimize=work")
     mechanism, motion = plan.problem.mechanism, plan.trajectory

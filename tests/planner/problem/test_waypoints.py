@@ -61,6 +61,7 @@ def test_a_waypoint_at_a_given_instant_is_passed_with_the_effort_of_the_cubic_sp
     assert plan.objective == pytest.approx(exact, rel=EXACT_EFFORT)
 
 
+@pytest.mark.slow
 def test_two_waypoints_at_given_instants_are_passed_in_order():
     plan = hinge(
         QUARTER_TURN
@@ -94,6 +95,7 @@ def test_a_speed_alone_may_be_asked_for_on_the_way():
 # At free instants.
 
 
+@pytest.mark.slow
 def test_a_waypoint_at_a_free_instant_is_passed_when_it_is_cheapest():
     """Out to 160 deg and back to 100: the instant is what makes the effort least."""
     plan = hinge(QUARTER_TURN + TIMED + "waypoints = [{ at_deg = { J = 160.0 } }]\n")
@@ -107,6 +109,7 @@ def test_a_waypoint_at_a_free_instant_is_passed_when_it_is_cheapest():
     assert np.degrees(plan.trajectory.position_at([best.x[0]])[0, 0]) == pytest.approx(160, abs=WAYPOINT_DEG)
 
 
+@pytest.mark.slow
 def test_a_waypoint_on_the_way_costs_nothing_at_a_free_instant():
     bare, via = (hinge(QUARTER_TURN + TIMED + more) for more in ("", "waypoints = [{ at_deg = { J = 70.0 } }]\n"))
     assert via.objective == pytest.approx(bare.objective, rel=EXACT_EFFORT)
@@ -158,12 +161,14 @@ def test_the_knee_passes_its_waypoints():
 # Periodic motions.
 
 
+@pytest.mark.slow
 def test_a_periodic_motion_between_two_poses_is_two_cubics():
     plan = hinge('kind = "periodic"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\n' + TIMED)
     assert plan.objective == pytest.approx(2 * 12 * HINGE_INERTIA**2 * TURN**2 / 0.75**3, rel=EXACT_EFFORT)
     assert plan.trajectory.periodic
 
 
+@pytest.mark.slow
 def test_a_periodic_motion_by_timed_waypoints_returns_to_its_own_state():
     plan = hinge(
         'kind = "periodic"\nduration_s = 1.0\nwaypoints = [{ at_deg = { J = 0.0 }, time_s = 0.25 },'
@@ -177,6 +182,7 @@ def test_a_periodic_motion_by_timed_waypoints_returns_to_its_own_state():
     assert plan.objective == pytest.approx(2 * 12 * HINGE_INERTIA**2 * TURN**2 / 0.5**3, rel=EXACT_EFFORT)
 
 
+@pytest.mark.slow
 def test_the_shortest_period_between_two_poses_is_twice_the_quickest_way():
     plan = hinge('kind = "periodic"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\n' + FREE, "objective.minimize=time")
     assert plan.objective == pytest.approx(2 * 2 * np.sqrt(HINGE_INERTIA * TURN / EFFORT), rel=MINIMUM_TIME)
@@ -194,6 +200,7 @@ def test_the_shortest_period_by_waypoints_is_twice_the_quickest_way():
 # Bounds on a free duration.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("bound", "T"), [("max_duration_s = 1.2\n", 1.2), ("max_duration_s = 0.9\n", 0.9)])
 def test_less_effort_takes_the_longest_duration_allowed(bound, T):
     plan = hinge(QUARTER_TURN + FREE + bound)
@@ -231,6 +238,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_asked_of_the_way_is_refused_in_one_line(case):
     override, said = REFUSED[case]
@@ -250,6 +258,7 @@ def test_a_periodic_motion_by_waypoints_takes_no_goal():
         planned("knee-reach", "motion.kind=periodic", "motion.waypoints=[{at_deg={O=0}}]")
 
 
+@pytest.mark.slow
 def test_a_waypoint_that_comes_too_soon_is_called_infeasible():
     """A quarter turn at full effort takes 0.69 s; half of it, passed at speed, 0.34 s."""
     plan = body_plan(HINGE, QUARTER_TURN + TIMED + "waypoints = [{ at_deg = { J = 55.0 }, time_s = 0.2 }]\n")

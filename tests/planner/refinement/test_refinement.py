@@ -16,6 +16,7 @@ def test_least_times_are_exact_to_a_billionth_and_their_state_to_a_millionth_of_
         assert plan.intervals <= 100
 
 
+@pytest.mark.slow
 def test_a_tolerance_on_the_integrated_state_is_kept():
     asked_deg = 1e-8
     loose, strict = (planned("knee-sprint-bare", *more) for more in ((), (f"mesh.tolerance_deg={asked_deg}",)))
@@ -24,6 +25,7 @@ def test_a_tolerance_on_the_integrated_state_is_kept():
     assert (strict.scheme, strict.intervals) != (loose.scheme, loose.intervals)
 
 
+@pytest.mark.slow
 def test_a_tolerance_that_is_out_of_reach_is_said():
     plan = planned("knee-reach", "mesh.scheme=radau-1", "mesh.tolerance_deg=1e-7", "mesh.intervals=4")
     assert plan.status == "failed"

@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+import pytest
 
 from linkplan.models.poses.along import sampled
 from linkplan.planner.certificate.certificate import certify
@@ -44,6 +45,7 @@ def clear_plan() -> Plan:
     return plan
 
 
+@pytest.mark.slow
 def test_a_motion_kept_clear_keeps_the_problem_that_was_asked_and_says_so():
     plan = clear_plan()
     assert plan.status == "optimal"
@@ -52,6 +54,7 @@ def test_a_motion_kept_clear_keeps_the_problem_that_was_asked_and_says_so():
     assert "kept clear of singular poses by" in plan.message
 
 
+@pytest.mark.slow
 def test_a_motion_kept_clear_stays_on_its_branch_nearer_than_its_ends_are():
     plan = clear_plan()
     singularity = plan.problem.mechanism.dynamics.singularity
@@ -61,6 +64,7 @@ def test_a_motion_kept_clear_stays_on_its_branch_nearer_than_its_ends_are():
     assert nears_singular(plan.problem, motion_of(plan.trajectory))
 
 
+@pytest.mark.slow
 def test_a_margin_drawn_in_saves_effort():
     problem = problem_of(TO_A_DEAD_CENTRE)
     wide = plan_motion(replace(problem, limits=replace(problem.limits, singular_margin=0.5)))
@@ -68,6 +72,7 @@ def test_a_margin_drawn_in_saves_effort():
     assert clear_plan().objective < 0.9 * wide.objective
 
 
+@pytest.mark.slow
 def test_a_problem_with_a_margin_of_its_own_keeps_it():
     problem = problem_of(TO_A_DEAD_CENTRE)
     own = replace(problem, limits=replace(problem.limits, singular_margin=0.1))
@@ -80,6 +85,7 @@ def test_a_straight_motion_in_the_open_nears_no_singular_pose():
     assert not nears_singular(problem, first_guess(problem, start_pose_of(problem)))
 
 
+@pytest.mark.slow
 def test_known_switches_are_planned_next_to_a_singular_pose():
     """From a smooth path, solvers fly through the mesh: 24 % faster than the least time, and no motion."""
     case, problem = random_case(SEED, THROUGH_THE_MESH), problem_of(THROUGH_THE_MESH)

@@ -48,6 +48,7 @@ def planned(tmp_path, *settings: str):
     return plan_motion(load_problem(tmp_path / "reach.toml", settings))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("objective", ["effort", "work"])
 def test_a_motion_that_costs_less_the_longer_it_is_has_no_best_duration_and_says_so(objective, tmp_path):
     plan = planned(tmp_path, f"objective.minimize={objective}")
@@ -56,6 +57,7 @@ def test_a_motion_that_costs_less_the_longer_it_is_has_no_best_duration_and_says
     assert plan.message.endswith("set motion.max_duration_s")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("longest", [3.0, 30.0])
 def test_a_longest_duration_is_used_to_the_full_however_long(longest, tmp_path):
     """Without gravity, effort is 12 (J angle)^2 / T^3: the last of them far beyond what a guess allows at once."""

@@ -83,6 +83,7 @@ def time_of_one_swing(switch: float) -> float:
     return arc(0, -switch, -u) + arc(-stop, -switch, u) + arc(-stop, brake, u) + arc(np.pi, brake, -u)
 
 
+@pytest.mark.slow
 def test_a_motor_short_of_gravity_swings_back_once_and_takes_the_least_time_of_that():
     plan = body_plan(PENDULUM, UP, "objective.minimize=time")
     assert 1 * 9.81 * 0.5 > 3  # the motor cannot hold the arm level
@@ -111,6 +112,7 @@ def test_more_starts_are_never_slower():
 # The user's guess.
 
 
+@pytest.mark.slow
 def test_an_earlier_plan_is_a_guess_for_another_problem(tmp_path):
     (tmp_path / "saved").mkdir()
     write_plan(optimal("knee-reach"), tmp_path / "saved")
@@ -203,11 +205,13 @@ def test_each_way_of_refining_reaches_the_tolerance(mode):
     assert plan.objective == pytest.approx(optimal("knee-reach").objective, rel=REFINED_EFFORT)
 
 
+@pytest.mark.slow
 def test_refining_by_intervals_keeps_the_degree():
     assert {step.scheme for step in refined("intervals").history} == {"radau-3"}
     assert refined("intervals").intervals > 6
 
 
+@pytest.mark.slow
 def test_refining_by_degree_raises_it_before_it_cuts():
     history = refined("degree").history
     assert history[1].what.startswith("higher degree")
@@ -215,6 +219,7 @@ def test_refining_by_degree_raises_it_before_it_cuts():
     assert history[1].scheme == "radau-5"
 
 
+@pytest.mark.slow
 def test_raising_the_degree_takes_fewer_intervals_than_halving():
     assert refined("both").intervals < refined("intervals").intervals
 

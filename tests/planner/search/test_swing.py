@@ -21,6 +21,7 @@ minimize = "time"
 WEIGHT = 0.5 * 9.81  # [N.m] of the rod held level
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [0.7 * WEIGHT, 0.6 * WEIGHT])
 def test_a_pendulum_too_heavy_for_its_motor_swings_back_first(tmp_path, limit):
     (tmp_path / "pendulum.xml").write_text(PENDULUM.format(limit=limit))

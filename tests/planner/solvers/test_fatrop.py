@@ -133,6 +133,7 @@ def test_every_unknown_and_bound_of_the_program_is_ipopts(segments):
     assert room.min() < BINDS
 
 
+@pytest.mark.slow
 def test_the_least_effort_of_a_motion_too_short_is_ipopts():
     problem = problem_of("knee-reach", "motion.duration_s=0.11")
     guess = first_guess(problem, start_pose_of(problem))
@@ -180,6 +181,7 @@ def test_dynamics_that_give_no_number_end_in_a_status_and_silence(rate, settings
     assert said.err == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [IPOPT, FATROP], ids=lambda settings: settings.name)
 def test_a_solver_that_runs_out_of_time_says_so(settings):
     solution = solve(transcribed(problem_of("knee-reach", "solver.compile=never")), replace(settings, max_time_s=1e-6))

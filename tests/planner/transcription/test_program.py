@@ -93,6 +93,7 @@ def test_the_assembled_jacobian_is_the_derivative_of_the_rows(case):
         assert_same(rows, transcribed.program.functions["nlp"](*at)[1])
 
 
+@pytest.mark.slow
 @every_case
 def test_the_assembled_gradient_is_the_derivative_of_the_objective(case):
     transcribed = built(case)
@@ -105,6 +106,7 @@ def test_the_assembled_gradient_is_the_derivative_of_the_objective(case):
         assert_same(value, transcribed.program.functions["nlp"](*at)[0])
 
 
+@pytest.mark.slow
 @every_case
 def test_the_assembled_hessian_is_the_upper_triangle_of_the_lagrangian_s(case):
     transcribed = built(case)

@@ -209,6 +209,7 @@ def test_the_error_of_a_swing_falls_with_the_order_that_the_scheme_claims(name, 
     assert slope == pytest.approx(order, abs=ORDER)
 
 
+@pytest.mark.slow
 def test_a_higher_order_pays_on_one_mesh():
     errors = [knee_error(name, 20) for name in ("radau-1", "radau-2", "hermite-simpson", "radau-3")]
     assert all(b < 0.1 * a for a, b in pairwise(errors))

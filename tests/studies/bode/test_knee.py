@@ -82,6 +82,7 @@ def test_what_is_left_between_knee_and_prediction_is_the_softness_of_the_loop_co
     assert off[1] < 0.2 * off[0]
 
 
+@pytest.mark.slow
 def test_a_computing_delay_of_two_periods_and_a_half_is_measured_as_predicted():
     mechanism, loops = knee_loops("shank", "pd", 20.0, (3.6,), period=1e-3, delay=2.5)
     taken = measure(loops, np.geomspace(5, 100, 5), mechanism.effort_limit, excitations=("effort",))
@@ -137,6 +138,7 @@ def test_margins_are_python_controls_and_say_which_disk_the_loop_keeps_out_of():
     assert 20 * np.log10(1 / abs(L[-1])) == pytest.approx(found.gain_margin_db, abs=AT_NYQUIST_DB)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("payload", "kd", "delay"), [(None, 1.0, 0.0), (None, 0.3, 2.0), ("shank", 20.0, 20.0), ("shank", 20.0, 3.5)]
 )
@@ -152,6 +154,7 @@ def test_gain_and_phase_margins_are_python_controls(payload, kd, delay):
         assert found.gain_margin_db == pytest.approx(20 * np.log10(gain), abs=MARGIN)
 
 
+@pytest.mark.slow
 def test_default_poses_reach_next_to_the_ends_of_the_reach():
     mechanism = load_mechanism("optimus-knee")
     poses, note = default_poses(mechanism)

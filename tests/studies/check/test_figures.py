@@ -47,6 +47,7 @@ def test_the_report_s_own_panel_has_springs_in_it_too():
     assert relative_error(drawn[1], weight) < KNEE
 
 
+@pytest.mark.slow
 def test_the_drawing_of_two_freedoms_sweeps_both(tmp_path, monkeypatch):
     swept: list[int] = []
 

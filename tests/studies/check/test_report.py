@@ -107,6 +107,7 @@ def test_the_linear_knee_s_reflected_inertia_is_the_slide_s_own_in_the_slide_s_c
     assert relative_error(by_slide.reduced_inertia[:, 0, 0], by_angle.reflected_inertia[:, 0]) < 100 * KNEE
 
 
+@pytest.mark.slow
 def test_the_slider_crank_s_slider_moves_as_the_closed_form_says_over_a_whole_turn():
     (path,) = swept_paths("slider-crank")
     th = path.positions[:, 0]
@@ -125,6 +126,7 @@ def test_the_slider_crank_s_weight_and_pin_force_at_rest_are_statics():
     assert relative_error(path.gravity_effort[:, 0], G * arm * np.cos(path.positions[:, 0])) < KNEE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["optimus-knee", "optimus-knee-linear", "five-bar", "slider-crank", "parallel-gripper"])
 def test_weight_is_mujoco_s_bias_at_rest_on_the_coordinates(name):
     """MuJoCo's qfrc_bias at rest, reduced by rates that come from the null space of MuJoCo's own constraint rows."""
@@ -168,6 +170,7 @@ def test_the_gripper_s_cable_has_the_closed_form_s_arm_inertia_and_holding_pull(
     assert f"beyond its limit of 0 to 20; so in {np.sum(pull < 0)} of {len(q)} poses" in path_text(path)
 
 
+@pytest.mark.slow
 def test_the_cart_feels_the_pole_s_mass_only_as_far_as_the_pole_pulls_along_the_track():
     """m_eff = M + m sin^2(pole); the pole itself is held by nothing."""
     _, path = swept_paths("cart-pole")
@@ -207,6 +210,7 @@ def test_a_coarse_reach_is_filled_with_closed_poses():
     assert np.all(np.diff(path.positions[:, 0]) > 0)
 
 
+@pytest.mark.slow
 def test_a_mechanism_without_actuators_is_reported_on_too():
     start, end = WELDED.index("<actuator>"), WELDED.index("</actuator>") + len("</actuator>")
     mechanism = load_mechanism(WELDED[:start] + WELDED[end:])
@@ -255,6 +259,7 @@ def ask_json(capsys):
     return run
 
 
+@pytest.mark.slow
 def test_json_holds_every_sample_of_every_quantity_with_null_for_what_is_infinite(ask_json):
     code, said = ask_json("slider-crank")
     (along,) = said["along"]
@@ -276,6 +281,7 @@ def test_figures_of_each_sweep_are_written_beside_the_record(ask_json, tmp_path)
     assert json.loads((tmp_path / "checked" / "check.json").read_text()) == said
 
 
+@pytest.mark.slow
 def test_a_problem_that_cannot_be_planned_is_named_and_its_mechanism_reported_on_all_the_same(ask_json):
     code, said = ask_json("knee-reach", "--set", "motion.goal_deg={ O = 85.0 }")
     assert code == 0
@@ -296,6 +302,7 @@ def test_the_table_says_once_what_does_not_change():
     assert len([row for row in text.splitlines() if row[:1].isdigit() or (row.startswith("-") and row[1].isdigit())]) == 9
 
 
+@pytest.mark.slow
 def test_a_sweep_that_nothing_stops_is_one_turn_from_home():
     mechanism = mechanism_of("cart-pole")
     poses = swept(mechanism, reach(mechanism, 1))

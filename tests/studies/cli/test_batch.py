@@ -47,6 +47,7 @@ def test_a_sweep_has_every_combination_in_order(batch_file):
     assert batch.common == ("motion.duration_s=0.2",)
 
 
+@pytest.mark.slow
 def test_every_case_has_the_answer_that_it_has_alone_and_only_the_first_is_built(batch_file):
     results = list(plan_batch(read_batch(batch_file(SWEEP))))
     for number, (case, plan) in enumerate(results):
@@ -55,6 +56,7 @@ def test_every_case_has_the_answer_that_it_has_alone_and_only_the_first_is_built
         assert plan.history[-1].what == ("solved again" if number else "first solve")
 
 
+@pytest.mark.slow
 def test_a_case_without_a_plan_is_said_and_does_not_spoil_the_next(batch_file, tmp_path, capsys):
     code = main(["batch", str(batch_file(CASES)), "-o", str(tmp_path / "out"), "--json"])
     said = json.loads(capsys.readouterr().out)["cases"]
@@ -68,6 +70,7 @@ def test_a_case_without_a_plan_is_said_and_does_not_spoil_the_next(batch_file, t
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["batch.json", "case-3", "slow"]
 
 
+@pytest.mark.slow
 def test_a_saved_case_is_a_plan_like_any_other(batch_file, tmp_path, capsys):
     assert main(["batch", str(batch_file(SWEEP)), "-o", str(tmp_path / "out")]) == 0
     assert main(["track", str(tmp_path / "out" / "2"), "--json"]) == 0

@@ -257,6 +257,7 @@ def test_a_newer_result_replaces_an_older_one_whole(ask, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["plan"]
 
 
+@pytest.mark.slow
 def test_view_says_in_one_line_that_there_is_no_screen(ask, monkeypatch):
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)

@@ -64,6 +64,7 @@ def test_bode_of_an_unstable_loop_says_so_and_measures_nothing(ask):
     assert "sinusoids" not in err
 
 
+@pytest.mark.slow
 def test_bode_maps_goes_past_the_limit_and_along_the_motion(ask, tmp_path):
     folder = tmp_path / "whole"
     command = ["bode", "knee-sine", "--tracker", "pd+ff", "--measure", "none", "--map", "--large", "--along", "--json"]
@@ -82,6 +83,7 @@ def test_bode_maps_goes_past_the_limit_and_along_the_motion(ask, tmp_path):
     assert {path.name for path in folder.glob("*.png")} >= {"map.png", "large.png", "along.png", "bode.png"}
 
 
+@pytest.mark.slow
 def test_bode_looks_at_a_pure_damping_gain_too(ask, tmp_path):
     path = tmp_path / "mass.xml"
     path.write_text(mass_on_a_spring().mjcf)
@@ -94,6 +96,7 @@ def test_bode_looks_at_a_pure_damping_gain_too(ask, tmp_path):
     assert said["map"]["critical_kd"][0]["settles_above_in_mujoco"] is False
 
 
+@pytest.mark.slow
 def test_tune_answers_with_gains_or_with_no(ask):
     where = ["--at-deg", "O=-40", "--at-deg", "O=40", "--period-s", "1e-3"]
     code, out, err = ask("tune", "optimus-knee", "--bandwidth-hz", "60", *where)
@@ -108,6 +111,7 @@ def test_tune_answers_with_gains_or_with_no(ask):
     assert "cannot give 400 Hz" in said["message"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tracker", ["pd", "lqr"])
 def test_tune_writes_gains_that_a_problem_file_takes_and_a_figure(tracker, ask, tmp_path):
     folder, where = tmp_path / "tuned", ["--at-deg", "O=-40", "--at-deg", "O=40", "--period-s", "1e-3"]

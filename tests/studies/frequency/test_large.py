@@ -95,6 +95,7 @@ def test_below_the_limit_nothing_depends_on_the_amplitude(large):
     assert large.describing[:, 0] == pytest.approx(1.0, abs=SATURATION)
 
 
+@pytest.mark.slow
 def test_past_the_limit_the_measured_describing_function_is_the_saturations(large):
     past = large.saturated > 0.1
     assert past[:, 1:].all()
