@@ -43,9 +43,9 @@ def test_a_case_is_small_and_both_clients_are_one():
 
 def test_what_a_case_aims_at_follows_from_its_objective():
     quick, cheap = case_of(load_problem("knee-sprint")).aims, case_of(load_problem("knee-reach")).aims
-    assert (quick.switches, quick.bangs, quick.continuous_efforts) == (True, True, False)
-    assert (cheap.switches, cheap.bangs, cheap.continuous_efforts) == (True, False, True)
-    assert not case_of(load_problem("knee-reach"), bends=False).aims.switches
+    assert (quick.switches, quick.bang_bang, quick.continuous_efforts) == (True, True, False)
+    assert (cheap.switches, cheap.bang_bang, cheap.continuous_efforts) == (True, False, True)
+    assert not case_of(load_problem("knee-reach"), kinks=False).aims.switches
     asked = case_of(load_problem("knee-reach", ["mesh.tolerance_deg=1e-4"])).aims
     assert asked.tolerance_given
     assert asked.strictness == pytest.approx(100.0)

@@ -152,7 +152,7 @@ def test_the_last_rows_are_the_linear_ones(case):
 def test_every_unknown_has_one_place(case):
     layout = built(case).program.layout
     places = [layout.states()[:, :], layout.acceleration(), layout.dependent(), layout.effort()]
-    places += [layout.durations(), layout.extra(), layout.looked()]
+    places += [layout.durations(), layout.extra(), layout.open_end_dependent()]
     np.testing.assert_array_equal(np.sort(np.concatenate([p.ravel() for p in places])), np.arange(layout.size))
 
 
