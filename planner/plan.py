@@ -32,6 +32,7 @@ class Plan:
     history: tuple[Step, ...] = ()
     details: dict[str, float] = field(default_factory=dict)
     solved: Transcribed | None = None
+    solved_again: bool = False  # with a built program, from the last solution
 
     def require(self) -> "Plan":
         """Return this plan if it is optimal.

@@ -95,7 +95,7 @@ class Planner:
         if plan.status != "optimal":
             return None
         self._last = replace(solution.transcribed, start=solution.x)
-        return plan
+        return replace(plan, solved_again=True)
 
     def _keep(self, problem: PlanningProblem, solved: Transcribed) -> None:
         if not is_program_of(solved, problem):

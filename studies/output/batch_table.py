@@ -20,7 +20,7 @@ def batch_text(results: Sequence[tuple[Case, Plan]]) -> str:
         duration = None if plan.trajectory is None else plan.trajectory.duration_s
         peak = None if plan.certificate is None else float(plan.certificate.peak_effort.max())
         seconds = sum(step.build_s + step.solve_s for step in plan.history)
-        warm = "again" if plan.history and plan.history[-1].what == "solved again" else "anew"
+        warm = "again" if plan.solved_again else "anew"
         rows.append([case.name, " ".join(case.settings), plan.status, plan.objective, duration, peak, seconds, warm])
     head = ["case", "set", "status", "objective", "duration [s]", "peak effort", "solver [s]", "solved"]
     lines = [table(head, rows)]
