@@ -6,7 +6,7 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.certificate import integration
+from linkplan.planner.certificate import flow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.plan import Plan
 from tests.planner.test_objectives import QUARTER_TURN, body_plan
@@ -85,7 +85,7 @@ def test_a_motion_that_stays_where_it_is_asks_for_nothing(objective):
 def test_an_integration_that_crawls_is_given_up_and_said(monkeypatch):
     plan = planned("knee-reach")
     assert certify(plan.problem, plan.trajectory).passed
-    monkeypatch.setattr(integration, "_EVALUATIONS", 20)
+    monkeypatch.setattr(flow, "_EVALUATIONS", 20)
     certificate = certify(plan.problem, plan.trajectory)
     assert not certificate.passed
     assert any("integrated model" in failure for failure in certificate.failures)
