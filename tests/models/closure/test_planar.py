@@ -31,10 +31,14 @@ from tests.support.tolerances import (
 )
 
 N_SEEDS = int(os.environ.get("LINKPLAN_PLANAR", "30"))
+# Of these, so many are in the quick set.
+N_QUICK = 8
 N_POSES = 2
 SOFTNESS = (1e-5, 1e-6)
 ROUNDING = 2e-12  # of MuJoCo's acceleration and ours, relative
-on_every_seed = pytest.mark.parametrize("seed", range(N_SEEDS))
+on_every_seed = pytest.mark.parametrize(
+    "seed", [seed if seed < N_QUICK else pytest.param(seed, marks=pytest.mark.slow) for seed in range(N_SEEDS)]
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

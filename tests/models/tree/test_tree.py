@@ -24,6 +24,13 @@ SPRUNG = ("sprung knee", *TREES)
 MODELS = ("optimus-knee", "optimus-knee-source", *SPRUNG)
 
 
+def over(names: tuple[str, ...]) -> pytest.MarkDecorator:
+    """Return the parametrization by model; of the random trees, which take long to build, the first alone is quick."""
+    return pytest.mark.parametrize(
+        "name", [pytest.param(name, marks=pytest.mark.slow) if name in TREES[1:] else name for name in names]
+    )
+
+
 @cache
 def mechanism(name: str) -> Mechanism:
     if name == "sprung knee":
@@ -41,23 +48,21 @@ def states(name: str) -> tuple[np.ndarray, np.ndarray, tuple[Simulated, ...]]:
     return q, v, tuple(simulated(model, *state) for state in zip(q, v, strict=True))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MODELS)
+@over(MODELS)
 def test_mass_matrix_is_mujocos(name):
     q, _, expected = states(name)
     matrices = np.array([s.mass_matrix for s in expected])
     assert worst_relative_error(sampled(mechanism(name).dynamics.mass_matrix, q), matrices) < TREE
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MODELS)
+@over(MODELS)
 def test_bias_force_is_mujocos(name):
     q, v, expected = states(name)
     forces = np.array([s.bias for s in expected])
     assert worst_relative_error(sampled(mechanism(name).dynamics.bias, q, v)[:, :, 0], forces) < TREE
 
 
-@pytest.mark.parametrize("name", SPRUNG)
+@over(SPRUNG)
 def test_passive_force_is_mujocos(name):
     q, v, expected = states(name)
     forces = np.array([s.passive for s in expected])
@@ -71,7 +76,7 @@ def test_a_model_without_springs_and_dampers_has_no_passive_force(name):
     assert not np.any(sampled(mechanism(name).dynamics.passive, q, v))
 
 
-@pytest.mark.parametrize("name", TREES)
+@over(TREES)
 def test_an_open_tree_accelerates_as_in_mujoco_under_its_motors(name):
     chain = mechanism(name)
     q, v, passive_only = states(name)
@@ -83,7 +88,7 @@ def test_an_open_tree_accelerates_as_in_mujoco_under_its_motors(name):
     assert worst_relative_error(actual, expected) < TREE_ACCELERATION
 
 
-@pytest.mark.parametrize("name", TREES)
+@over(TREES)
 def test_kinetic_energy_is_mujocos(name):
     q, v, expected = states(name)
     kinetic = np.array([s.energy[1] for s in expected])
@@ -91,7 +96,7 @@ def test_kinetic_energy_is_mujocos(name):
     assert relative_error(actual, kinetic[:100]) < ENERGY
 
 
-@pytest.mark.parametrize("name", TREES)
+@over(TREES)
 def test_potential_energy_is_mujocos(name):
     q, v, expected = states(name)
     potential = np.array([s.energy[0] for s in expected])

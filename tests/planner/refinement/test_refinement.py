@@ -7,6 +7,7 @@ from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import REFINED_DEG, REFINED_TIME
 
 
+@pytest.mark.slow
 def test_least_times_are_exact_to_a_billionth_and_their_state_to_a_millionth_of_a_degree():
     for name, key in (("knee-sprint", "shank_s"), ("knee-sprint-bare", "unloaded_s")):
         plan = optimal(name)

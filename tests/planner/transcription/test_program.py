@@ -120,6 +120,7 @@ def test_the_assembled_hessian_is_the_upper_triangle_of_the_lagrangian_s(case):
         assert_same(transcribed.program.functions["hess_lag"](*at), hessian(*at))
 
 
+@pytest.mark.slow
 @every_case
 def test_the_assembled_derivatives_agree_with_differences_along_a_random_direction(case):
     transcribed = built(case)
