@@ -73,10 +73,6 @@ def _breaks(value: object) -> np.ndarray:
     return breaks
 
 
-# Iterations for solves that only look for the reason.
-_HURRIED = 200
-
-
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SolverSettings:
     """How a program is solved: by which solver, compiled or not, in how many starts, and how long it may take [s].
@@ -99,15 +95,6 @@ class SolverSettings:
         _set(self, "starts", whole(self.starts, "solver.starts", 1, MAX_STARTS))
         if self.max_iterations is not None:
             _set(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, _MAX_ITERATIONS))
-
-    def hurried(self) -> "SolverSettings":
-        """Return settings for solves beside the first, that look for a reason or another start: few iterations.
-
-        They are compiled as the first one is. Each may be another program, so that "always" costs a second or so for each,
-        once; measured on the reasons of a knee's and a five-bar's infeasible reaches, 1.7 s to 5.3 s more of processor time
-        the first time, and 0.2 s to 5.3 s less from the second time on. "auto" compiles none but large meshes.
-        """
-        return replace(self, max_iterations=_HURRIED)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
