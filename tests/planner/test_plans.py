@@ -38,8 +38,16 @@ from tests.support.tolerances_planner import (
 )
 
 REACHES = ("knee-reach", "knee-sprint", "knee-sprint-bare")
-every_plan = pytest.mark.parametrize("name", KNEE_PROBLEMS)
-every_reach = pytest.mark.parametrize("name", REACHES)
+
+
+def over(names: tuple[str, ...]) -> pytest.MarkDecorator:
+    """Return the parametrization by built-in problem; sprints, whose switches are searched for, are slow."""
+    return pytest.mark.parametrize(
+        "name", [pytest.param(name, marks=pytest.mark.slow) if "sprint" in name else name for name in names]
+    )
+
+
+every_plan, every_reach = over(KNEE_PROBLEMS), over(REACHES)
 
 
 def carried_by(name: str) -> FourBar:
@@ -66,6 +74,7 @@ def test_the_oracle_has_the_reference_table_s_inertia_and_weight():
 # Least time.
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "key"), [("knee-sprint", "shank_s"), ("knee-sprint-bare", "unloaded_s")])
 def test_a_sprint_takes_the_reference_table_s_least_time(name, key):
     expected = KNEE_TABLE["min_time_rest_to_rest"][key]
@@ -119,6 +128,7 @@ def test_a_lower_limit_on_one_side_moves_the_switch_and_the_time():
     assert plan.trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
 
 
+@pytest.mark.slow
 def test_a_sprint_is_at_a_limit_at_every_instant():
     plan = optimal("knee-sprint")
     effort = np.abs(plan.trajectory.effort_at(dense(plan, 20)))
