@@ -14,7 +14,7 @@ from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Say, silent
-from linkplan.planner.search import attempts, duration_continuation, last_resorts, margin_continuation, starts
+from linkplan.planner.search import attempts, duration_continuation, last_resorts, margin_continuation, starts, waiting
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Repair, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
 
@@ -83,10 +83,17 @@ RUNGS: tuple[Rung, ...] = (
             not search.solved
             and all(attempts.unsound(plan) for plan in search.plans[:1])
             and not search.only_time_counts
-            and starts.enough_time(search)
+            and search.quickest is not None
+            and not starts.no_time(search)
             and search.quickest.boundaries_s is None
         ),
         climb=duration_continuation.from_lengthening,
+        budget=PATIENT,
+    ),
+    Rung(
+        name="the least time, and waiting",
+        tried=lambda search: not search.solved and waiting.may_wait(search),
+        climb=waiting.from_waiting,
         budget=PATIENT,
     ),
     Rung(

@@ -51,6 +51,9 @@ class Search:
     history: list[Step] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
     verdicts: list[Plan] = field(default_factory=list)  # answers that no further rung would change
+    # The plan of least time, once it was looked for: from the phase plane's motion, and by the first rungs of the ladder.
+    least_times: list[Plan | None] = field(default_factory=list)
+    shortest: list[Plan | None] = field(default_factory=list)
 
     @cached_property
     def quickest(self) -> Guess | None:

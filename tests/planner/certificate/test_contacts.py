@@ -226,7 +226,7 @@ FOOT = """
 
 
 def met_by_the_foot(*heights: float) -> tuple[float | None, float]:
-    """Return when the foot collides on its way through heights [m] at 0, 1, 2 ... s, if it does, and how deep it gets [m]."""
+    """Return when the foot collides on its way through heights [m] at 0, 1, 2 ... s, if so, and how deep it gets [m]."""
     mechanism, time = load_mechanism(FOOT), np.arange(float(len(heights)))
 
     def position_at(t: np.ndarray) -> np.ndarray:
