@@ -13,6 +13,7 @@ from linkplan.planner.closed_chain.prescribed_plan import plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.settings import CERTIFYING
 from linkplan.planner.refinement.history import Say, silent
 from linkplan.planner.search import attempts, duration_continuation, last_resorts, margin_continuation, starts, waiting
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Repair, Rung, Search, climb
@@ -163,7 +164,7 @@ def plan_motion(problem: PlanningProblem, say: Say = silent, rungs: Sequence[Run
     Raises:
         ProblemError: when start, goal or reference contradict the mechanism itself.
     """
-    deadline = time.monotonic() + problem.solver.max_time_s
+    deadline = time.monotonic() + (1 - CERTIFYING) * problem.solver.max_time_s
     start_pose = start_pose_of(problem)
     if problem.motion.kind == "track":
         return plan_prescribed(problem, start_pose, say)

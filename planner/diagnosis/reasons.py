@@ -102,6 +102,9 @@ def ranges(search: Search) -> Plan | None:
 
 def nothing_found(search: Search) -> Plan:
     """Return the plan that says that neither a motion nor a reason was found."""
+    stopped = solver_stopped(search)  # on the way to a reason
+    if stopped is not None:
+        return stopped
     status = search.history[-1].solver_status if search.history else "no initial guess closes the kinematic loops"
     return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status})")
 

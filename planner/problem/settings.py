@@ -75,6 +75,8 @@ def _breaks(value: object) -> np.ndarray:
 
 # Iterations for solves that only look for the reason.
 _HURRIED = 200
+# The share of a plan's time that is kept for its certificate: solves end before that.
+CERTIFYING = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -99,6 +101,11 @@ class SolverSettings:
         _set(self, "starts", whole(self.starts, "solver.starts", 1, MAX_STARTS))
         if self.max_iterations is not None:
             _set(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, _MAX_ITERATIONS))
+
+    @property
+    def judged_until(self) -> float:
+        """When certificates are to be done, on the monotonic clock [s]; infinite where there is no such instant."""
+        return np.inf if self.deadline is None else self.deadline + CERTIFYING * self.max_time_s
 
     def hurried(self) -> "SolverSettings":
         """Return settings for solves beside the first, that look for a reason or another start: few iterations.

@@ -165,4 +165,8 @@ def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
             if plan is not None:
                 search.plans.append(plan)
     best = search.best
-    return None if best is None else replace(best, problem=search.problem, history=tuple(search.history))
+    if best is None:
+        return None
+    cut = best.status == "optimal" and search.stopped == OUT_OF_TIME
+    said = f"; the best found within its {search.problem.solver.max_time_s:g} s (solver.max_time_s)" if cut else ""
+    return replace(best, problem=search.problem, history=tuple(search.history), message=best.message + said)
