@@ -84,9 +84,7 @@ RUNGS: tuple[Rung, ...] = (
             not search.solved
             and all(attempts.unsound(plan) for plan in search.plans[:1])
             and not search.only_time_counts
-            and search.quickest is not None
-            and not starts.no_time(search)
-            and search.quickest.boundaries_s is None
+            and duration_continuation.may_be_lengthened(search)
         ),
         climb=duration_continuation.from_lengthening,
         budget=PATIENT,

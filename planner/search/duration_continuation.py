@@ -21,9 +21,10 @@ from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.durations import longest
 from linkplan.planner.search.first_mesh import PER_SWING, graded_mesh
 from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.least_time import shortest_motion
 from linkplan.planner.search.margin_continuation import nears_singular
 from linkplan.planner.search.phase_plane import stretched
-from linkplan.planner.search.starts import least_time_motion
+from linkplan.planner.search.starts import least_time_motion, no_time, with_switch_times
 from linkplan.planner.transcription.mesh import Mesh, uniform
 
 # By how much a motion is continued at a time, the least that is tried where that is too much, and how often at the most.
@@ -58,10 +59,10 @@ class Continued:
 def from_lengthening(search: Search, budget: Budget) -> Plan | None:
     """Return a plan reached from the motion of least time step by step; None where that is lost on the way."""
     problem = search.within(budget)
-    swung = least_time_motion(search, budget)
+    swung, swings = _quickest(search, budget)
     if swung is None or swung.duration_s > longest(problem):
         return None
-    n_intervals = max(2 * problem.mesh.intervals, PER_SWING * search.quickest.swings)
+    n_intervals = max(2 * problem.mesh.intervals, PER_SWING * swings)
     at = continued(problem, swung, n_intervals, search.history, search.say)
     if at is None:
         return None
@@ -79,6 +80,24 @@ def from_lengthening(search: Search, budget: Budget) -> Plan | None:
         else ""
     )
     return replace(plan, message=plan.message + said)
+
+
+def may_be_lengthened(search: Search) -> bool:
+    """Return whether a least-time motion is known, or worth looking for, from which a longer one may be continued."""
+    problem = search.problem
+    if search.quickest is not None:
+        return search.quickest.boundaries_s is None and not no_time(search)
+    motion = problem.motion
+    of_fixed_length = motion.kind == "reach" and motion.duration_s is not None and not motion.stays and not motion.waypoints
+    return of_fixed_length and bool(np.all(np.isfinite(problem.limits.effort)))
+
+
+def _quickest(search: Search, budget: Budget) -> tuple[Guess | None, int]:
+    """Return the motion of least time with its switch times, and its swings: the phase plane's, else the ladder's."""
+    if search.quickest is not None:
+        return least_time_motion(search, budget), search.quickest.swings
+    plan = shortest_motion(search)
+    return (None if plan is None else with_switch_times(plan)), 1
 
 
 def continued(

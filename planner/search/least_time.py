@@ -1,5 +1,6 @@
 """The motion of least time between a problem's states: looked for once, shared by rungs and diagnoses."""
 
+import time
 from dataclasses import replace
 
 from linkplan.planner.plan import Plan
@@ -16,6 +17,8 @@ _RUNGS = (
         budget=HURRIED,
     ),
 )
+# The share of the time left that it may take: what it is wanted for takes some too.
+_SHARE = 0.5
 
 
 def shortest_motion(search: Search) -> Plan | None:
@@ -25,7 +28,9 @@ def shortest_motion(search: Search) -> Plan | None:
         motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         free = replace(search.within(PATIENT), objective="time", motion=motion, guess=None)
         search.say("looking for the shortest feasible duration")
-        plan = climb(search.of_another(free), _RUNGS)
+        now = time.monotonic()
+        other = replace(search.of_another(free), deadline=now + _SHARE * (search.deadline - now))
+        plan = climb(other, _RUNGS)
         search.shortest.append(plan if plan is not None and plan.status == "optimal" else None)
     found += [plan for plan in search.shortest if plan is not None]
     return min(found, key=lambda plan: plan.trajectory.duration_s, default=None)

@@ -109,8 +109,11 @@ def quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
 def least_time_motion(search: Search, budget: Budget) -> Guess | None:
     """Return the motion of least time, with its switch times, as a start for another objective; None without one."""
     plan = least_time_plan(search, budget)
-    if plan is None or plan.trajectory is None:
-        return None
+    return None if plan is None or plan.trajectory is None else with_switch_times(plan)
+
+
+def with_switch_times(plan: Plan) -> Guess:
+    """Return a plan's motion as a guess that knows the switch times of its mesh."""
     guess = motion_of(plan.trajectory)
     if plan.solved is None or plan.solved.program.mesh.n_phases > 1:
         return guess

@@ -96,10 +96,10 @@ def _rested(motion: Guess, wait: float, effort: np.ndarray, *, first: bool) -> G
 
 
 def _held(problem: PlanningProblem, end: str) -> np.ndarray | None:
-    """Return the effort (n_u,) that holds start or goal, at rest there; None where it moves or is beyond the limits."""
+    """Return the effort (n_u,) that holds start or goal, at rest there; None where none within the limits does."""
     motion, mechanism, limit = problem.motion, problem.mechanism, problem.limits.effort
     speed = getattr(motion, f"{end}_speed")
-    if speed is None or np.any(speed != 0):
+    if speed is not None and np.any(speed != 0):
         return None
     still = np.zeros((1, mechanism.dof))
     effort, missed = needed_effort(mechanism, close_at(mechanism, getattr(motion, end))[None], still, still)
