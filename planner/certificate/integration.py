@@ -64,9 +64,7 @@ def integrate(
         return whole
 
 
-def _in_one_go(
-    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: float
-) -> Integrated:
+def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: float) -> Integrated:
     """Return the errors of one integration, sampled in the middle of every interval and on both sides of every break."""
     n_q, independent = mechanism.n_q, mechanism.independent
     start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]

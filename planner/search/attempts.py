@@ -93,11 +93,13 @@ def certified(
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
         return Plan(problem=problem, status="failed", message=message, history=tuple(history))
+    solved_for = better.solution
     better, change = unsmoothed(case, better, history, say)
     solution = better.solution
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
     plan = finished(problem, better.motion, better.certificate, objective, history, None)
-    said = f"; a mesh twice as fine still changed its objective by {change:.1g} of itself" if change > MOVES else ""
+    moved = change if better.solution is not solved_for else better.moved
+    said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > MOVES else ""
     if plan.status == "optimal":
         plan = replace(plan, message=plan.message + said)
     return replace(plan, solved=replace(solution.transcribed, start=solution.x))

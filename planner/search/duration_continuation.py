@@ -134,9 +134,7 @@ def continued(
     if quickest.switch_times_s is not None:
         mesh, durations = graded_mesh(quickest, quickest.switch_times_s, n_intervals)
         shares = durations / durations.sum()
-    begin = Continued(
-        start=quickest, mesh=mesh, shares=shares, scheme=problem.mesh.scheme, longest_s=quickest.duration_s
-    )
+    begin = Continued(start=quickest, mesh=mesh, shares=shares, scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
     whole = min(DURATION_FACTOR, longest(problem) / quickest.duration_s)
     least = min(_LEAST, whole**_PART)
     steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, least=least, most=_STEPS)
