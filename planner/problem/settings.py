@@ -73,6 +73,10 @@ def _breaks(value: object) -> np.ndarray:
     return breaks
 
 
+# The share of a plan's time that is kept for its certificate: solves end before that.
+CERTIFYING = 0.1
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SolverSettings:
     """How a program is solved: by which solver, compiled or not, in how many starts, and how long it may take [s].
@@ -95,6 +99,11 @@ class SolverSettings:
         _set(self, "starts", whole(self.starts, "solver.starts", 1, MAX_STARTS))
         if self.max_iterations is not None:
             _set(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, _MAX_ITERATIONS))
+
+    @property
+    def judged_until(self) -> float:
+        """When certificates are to be done, on the monotonic clock [s]; infinite where there is no such instant."""
+        return np.inf if self.deadline is None else self.deadline + CERTIFYING * self.max_time_s
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
