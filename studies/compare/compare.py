@@ -101,7 +101,7 @@ def build_tracker(asked: Asked, plan: Plan, reference: SampledReference) -> Trac
             velocity_weight=velocity,
             effort_weight=np.where(np.isfinite(limit), limit, np.maximum(plan.certificate.peak_effort, 1.0)),
         )
-    feedback = pd(mechanism, reference, settings.kp, settings.kd)
+    feedback = pd(mechanism, reference, *settings.gains(mechanism.independent_joints))
     return feedback if name == "pd" else Feedforward(reference=reference, feedback=feedback)
 
 

@@ -97,7 +97,7 @@ def _to_track(plan: object, tracking: object) -> planned.Plan:
     if not isinstance(tracking, Mapping):
         raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
     table = plan.problem.to_dict().get("tracking", {}) | plain(tracking)
-    settings = tracking_from_tables({"tracking": table})
+    settings = tracking_from_tables({"tracking": table}, plan.answer.problem.mechanism)
     return replace(plan.answer, problem=replace(plan.answer.problem, tracking=settings))
 
 
