@@ -129,7 +129,7 @@ def mechanism_from_tables(tables: Tables, folder: Path | None = None) -> Mechani
 
 
 def tracking_from_tables(tables: Tables, mechanism: Mechanism | None = None) -> Tracking:
-    """Return the tracking settings of a file's [tracking] table; with a mechanism, gains by joint are checked against its own."""
+    """Return the tracking settings of a file's [tracking] table; with a mechanism, gains by joint are checked."""
     _check_keys(tables)
     return _tracking(tables.get("tracking", {}), mechanism)
 

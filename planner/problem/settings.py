@@ -115,9 +115,9 @@ class Tracking:
     """How a plan is tracked: PD gains per actuated joint, sampling, delay, and LQR weights.
 
     kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators: one number for
-    all, or one for each joint by name. LQR weighs a position error of `lqr_position` [rad], a velocity error of `lqr_velocity` and an effort of the whole limit alike; on a
-    slide of `lqr_position_m` [m] and `lqr_velocity_m_s`. The delay is a whole number of control periods where a motion is
-    tracked; a loop's frequency response may be asked for at any.
+    all, or one for each joint by name. LQR weighs a position error of `lqr_position` [rad], a velocity error of
+    `lqr_velocity` and an effort of the whole limit alike; on a slide of `lqr_position_m` [m] and `lqr_velocity_m_s`. The
+    delay is a whole number of control periods where a motion is tracked; a loop's frequency response may have any.
     """
 
     kp: float | Mapping[str, float] = 200.0

@@ -127,3 +127,11 @@ def test_tune_writes_gains_that_a_problem_file_takes_and_a_figure(tracker, ask, 
 
 def _margins(said: dict) -> list[dict]:
     return [next(iter(point["loops"].values())) for point in said["points"]]
+
+
+@pytest.mark.parametrize("option", ["--map", "--large"])
+def test_what_needs_a_single_freedom_is_refused_before_any_work(option, ask):
+    code, out, err = ask("bode", "five-bar", option)
+    assert (code, out) == (2, "")
+    assert f"{option} needs a mechanism of one degree of freedom; 'five-bar' has 2" in err
+    assert "bode: predicted" not in err
