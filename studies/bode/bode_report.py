@@ -1,6 +1,7 @@
 """What `linkplan bode` says: a record for files, a table for people."""
 
 from linkplan.studies.bode.bode import BodeStudy
+from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.frequency.excitation import EXCITATIONS
 from linkplan.studies.frequency.feedback_loops import broken_at
 from linkplan.studies.output.tables import table
@@ -50,6 +51,7 @@ def bode_record(study: BodeStudy) -> dict:
         "tracker": study.law,
         "gains": {name: getattr(settings, name) for name in names},
         "disputed": list(study.disputed),
+        "softness": softness_of(study),
         "points": list(by_pose.values()),
         "worst": {},
         "measurement": None,
@@ -154,4 +156,11 @@ def bode_text(study: BodeStudy) -> str:
         ]
     elif study.method is not None:
         lines += ["", "not measured: an unstable feedback loop holds no operating point"]
-    return "\n".join(lines)
+    note = softness_of(study)
+    return "\n".join([*lines, *(["", f"note: {note}"] if note else [])])
+
+
+def softness_of(study: BodeStudy) -> str | None:
+    """Return the sentence on the closure gap at the poses that are held, None where it is small."""
+    gaps = [held_gap(study.mechanism, entry.point.pose, entry.point.hold) for entry in study.points if entry.channel == 0]
+    return gap_sentence(study.mechanism, max(gaps), " while the poses are held")

@@ -38,8 +38,8 @@ def _points_table(found: Inspection) -> str:
     independent = mechanism.independent_joints
     head = [f"{j.name} [{j.unit}]" for j in mechanism.joints]
     head += [f"M_{a.name}{b.name}" for i, a in enumerate(independent) for b in independent[i:]]
-    head += [f"gravity {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
-    head += [f"hold {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
+    head += [f"gravity alone {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
+    head += [f"hold all {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
     head += [f"{a.name}->{j.name}" for a in mechanism.actuators for j in independent]
     rows = []
     for point in found.points:

@@ -85,7 +85,8 @@ def run_tune(arguments: argparse.Namespace) -> int:
     from linkplan.controllers.sampling import sampling
     from linkplan.studies.bode.poses import loop_poses
     from linkplan.studies.frequency.feedback_loops import operating_point
-    from linkplan.studies.tune.tune import Wanted, tune, tune_record, tune_text
+    from linkplan.studies.tune.tune import Wanted, tune
+    from linkplan.studies.tune.tune_report import tune_record, tune_text
 
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     target, say = output_folder(arguments), progress(arguments)
@@ -105,7 +106,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
     said, text = tune_record(found) | {"note": note}, tune_text(found) + (f"\nnote: {note}" if note else "")
     if target is not None:
         from linkplan.studies.tune.draw_tune import tune_figure
-        from linkplan.studies.tune.tune import tracking_table
+        from linkplan.studies.tune.tune_report import tracking_table
 
         def write(place: Path) -> None:
             write_json(place / "tune.json", said)

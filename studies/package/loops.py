@@ -24,6 +24,7 @@ from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import METHODS, Setup
 from linkplan.studies.frequency.feedback_loops import operating_point
 from linkplan.studies.tune import tune as tuning
+from linkplan.studies.tune import tune_report
 from linkplan.subjects import Subject, poses_of, subject_of
 
 if TYPE_CHECKING:
@@ -232,13 +233,13 @@ class TuneResult:
     @property
     def tracking(self) -> dict[str, float]:
         """The gains as the `tracking` table that problems, `track`, `compare` and `bode` take."""
-        return tuning.tracking_values(self.tuning)
+        return tune_report.tracking_values(self.tuning)
 
     def to_dict(self) -> dict:
         """Return all figures by name, in JSON's own types."""
         from linkplan.planner.files.folders import plain_record
 
-        return plain_record(tuning.tune_record(self.tuning) | {"note": self.note})
+        return plain_record(tune_report.tune_record(self.tuning) | {"note": self.note})
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of bandwidth and margins over the poses; it is saved at `path` where one is given."""
@@ -247,7 +248,7 @@ class TuneResult:
         return tune_figure(self.tuning, path)
 
     def __str__(self) -> str:
-        return tuning.tune_text(self.tuning) + _noted(self.note)
+        return tune_report.tune_text(self.tuning) + _noted(self.note)
 
     def __repr__(self) -> str:
         return f"TuneResult({self.tuning.mechanism.name!r}: {self.message})"
