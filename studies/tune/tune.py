@@ -221,8 +221,10 @@ def _settings(points, wanted: Wanted, settings: Tracking, law: str, natural: flo
     # The stationary LQR of a double integrator has kp = u / s_w and kd^2 = 2 J kp + (u / v_w)^2: weights for these gains.
     limit = _effort_weight(points)
     extra = max(kd**2 - 2 * inertia * kp, (1e-4 * kd) ** 2)
-    position, velocity = (float(np.clip(value, *LQR_ERRORS)) for value in (limit / kp, limit / np.sqrt(extra)))
-    if points[0].mechanism.independent_joints[0].kind == "hinge":
+    hinge = points[0].mechanism.independent_joints[0].kind == "hinge"
+    ends = np.radians(LQR_ERRORS) if hinge else LQR_ERRORS  # those are of degrees
+    position, velocity = (float(np.clip(value, *ends)) for value in (limit / kp, limit / np.sqrt(extra)))
+    if hinge:
         return replace(settings, lqr_position=position, lqr_velocity=velocity)
     return replace(settings, lqr_position_m=position, lqr_velocity_m_s=velocity)
 
