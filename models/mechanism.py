@@ -22,6 +22,7 @@ from linkplan.models.errors import AssemblyError, ModelError
 from linkplan.models.library import compile_model
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree
+from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import Inertial, build_tree
 from linkplan.models.tree.joints import Joint, index_of, read_joints
@@ -184,6 +185,7 @@ def load_mechanism(
     payload: Payload | str | Mapping | None = None,
     home: Mapping[str, float] | None = None,
     independent: Sequence[str] | None = None,
+    solref: str | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -193,6 +195,7 @@ def load_mechanism(
         home: joint positions by name [rad or m] at which to assemble. Independent joints are held there; the others
             choose the branch. Without it the model's keyframe "home", else its reference pose, is the guess.
         independent: names of joints to be independent coordinates; by default the actuated ones are, as far as they can.
+        solref: "stiff" for the stiffest equality constraints in simulation that the timestep admits; by default the model's.
 
     Raises:
         ModelError: when the model cannot be used, or the named joints cannot be its coordinates.
@@ -200,6 +203,7 @@ def load_mechanism(
     """
     payload = payload_from(payload)
     name, model = compile_model(source, payload)
+    set_softness(model, solref)
     joints = read_joints(name, model)
     reference_qpos = _reference_qpos(model)
     tree = build_tree(model, reference_qpos)
@@ -262,7 +266,7 @@ def load_mechanism(
         coordinates=tree.coordinates,
         passive_dofs=passive_dofs,
         notes=tuple(notes),
-        source=_table_of(source, payload, home, independent, joints),
+        source=_table_of(source, payload, home, independent, joints) | ({} if solref is None else {"solref": solref}),
     )
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False

@@ -22,7 +22,7 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 ROOMS = {
     "models": (
         "errors", "names", "catalogue", "payload", "library", "digest", "tree", "closure", "reduction", "actuation", "audit",
-        "mechanism", "poses",
+        "stiffness", "mechanism", "poses",
     ),
     "planner": (
         "trajectory", "transcription", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain", "ode",

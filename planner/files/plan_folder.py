@@ -114,13 +114,14 @@ def _contact_record(meeting: Meeting) -> dict:
     }
 
 
-def write_plan(plan: Plan, folder: Path, place: Path | None = None) -> None:
+def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bool = False) -> None:
     """Write a plan's files into an existing, empty folder.
 
     Args:
         plan: with a motion.
         folder: where to write.
         place: where the folder will stand in the end, if not there: the model's path is kept as seen from it, too.
+        jumps: whether trajectory.csv has both sides of a jump in effort, at one time.
 
     Raises:
         PlanFileError: when the plan has no motion.
@@ -131,7 +132,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None) -> None:
     trajectory = plan.trajectory
     arrays = {name: getattr(trajectory, name) for name in ARRAYS}
     np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)
-    _write_csv(plan, folder / "trajectory.csv")
+    _write_csv(plan, folder / "trajectory.csv", jumps)
 
 
 def _from(place: Path, problem: PlanningProblem) -> str | None:
@@ -145,8 +146,8 @@ def _from(place: Path, problem: PlanningProblem) -> str | None:
         return None
 
 
-def _write_csv(plan: Plan, path: Path) -> None:
-    columns = motion_table(plan).columns()
+def _write_csv(plan: Plan, path: Path, jumps: bool) -> None:
+    columns = motion_table(plan, jumps=jumps).columns()
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)

@@ -86,6 +86,8 @@ def path_text(path: KinematicLoopPath) -> str:
         lines.append(table([column.title for column in varying], [[column.cell(k) for column in varying] for k in at]))
     if not acts(path).all():
         constant.append("all other ratios 0")
+    hold = "hold and force are" if mechanism.actuators else "force is"
+    lines.append(f"weight alone is without springs; {hold} with everything at rest, weight and springs")
     if constant:
         lines.append(f"the same at every pose: {', '.join(constant)}")
     return "\n".join([*lines, *weight_sentences(path), *unheld_sentences(path)])
@@ -126,7 +128,9 @@ def quantities(path: KinematicLoopPath) -> list[Column]:
             values = path.reflected_inertia[:, j]
             add(f"inertia at {actuator.name}", "kg m2" if actuator.unit == "N.m" else "kg", values, values)
     for i, joint in independent:
-        add(f"weight {joint.name}", effort_unit(joint), path.gravity_effort[:, i], path.gravity_effort)
+        add(f"weight alone {joint.name}", effort_unit(joint), path.gravity_effort[:, i], path.gravity_effort)
+    for j, actuator in actuators:
+        add(f"hold {actuator.name}", actuator.unit, path.holding_effort[:, j], path.holding_effort)
     for i, joint in independent:
         if actuators:
             add(f"available {joint.name}", effort_unit(joint), path.available_effort[:, i], path.available_effort)

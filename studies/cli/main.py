@@ -78,6 +78,7 @@ def build_parser() -> argparse.ArgumentParser:
         "a built-in problem or a TOML file; paths in it (model, guess.plan) are from its own folder, else the working folder"
     )
     plan.add_argument("problem", metavar="PROBLEM", help=text)
+    plan.add_argument("--jumps", action="store_true", help="trajectory.csv has both sides of a jump in effort, at one time")
 
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
     batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
@@ -142,7 +143,7 @@ def _loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tracker", default="pd", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
     parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
     parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
-    _at(parser, "a pose to analyse; may be given again (default: five over the motion or the reach)")
+    _at(parser, "a pose to analyse; may be given again (default: over the motion or the reach)")
 
 
 def _at(parser: argparse.ArgumentParser, text: str) -> None:

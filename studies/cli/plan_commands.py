@@ -23,7 +23,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
     if plan.status == "optimal" and target is not None:
-        write_whole(target, lambda place: save_plan(plan, place, target))
+        write_whole(target, lambda place: save_plan(plan, place, target, jumps=arguments.jumps))
         say(f"saved in {target}")
     elif target is not None:
         say(f"nothing written: {plan.status}")

@@ -82,8 +82,10 @@ def run_compare(arguments: argparse.Namespace) -> int:
 def _save_tracking(comparison, said: dict, place: Path, name: str, document: dict | None = None) -> None:
     from linkplan.studies.compare.document import KP
     from linkplan.studies.compare.draw_tracking import comparison_figure, document_figure
+    from linkplan.studies.compare.time_series import save_time_series
 
     write_json(place / f"{name}.json", said)
+    save_time_series(comparison, place)
     comparison_figure(comparison, place / f"{name}.png")
     if document:
         document_figure(document, KP, place / "desired_and_actual.png")

@@ -11,7 +11,7 @@ import numpy as np
 from linkplan.controllers.batch import BatchControlLoop
 from linkplan.models.errors import LinkplanError
 from linkplan.studies.frequency.excitation import Measurement, Setup, quantities, signal_amplitude
-from linkplan.studies.frequency.feedback_loops import FeedbackLoop, actuator_of
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort
 
 # A repetition holds this many cycles of the lowest frequency asked for; lines are odd multiples of its own rate.
 _CYCLES = 3
@@ -57,7 +57,7 @@ def run(
     everyone = np.arange(n)
     state = np.array([loop.point.state for loop, _ in rows])
     hold = np.array([loop.point.hold for loop, _ in rows])
-    actuator = np.array([actuator_of(loop.point, channel) for loop, _ in rows])
+    read, pushes = (np.array(of) for of in zip(*[channel_effort(loop.point, channel) for loop, _ in rows], strict=True))
     effort = np.array([excitation == "effort" for _, excitation in rows])
     batch = BatchControlLoop(
         mechanism,
@@ -80,10 +80,10 @@ def run(
         reference, push = np.repeat(state[None], N, axis=0), hold + size[:, :, None] * ahead.transpose(1, 0, 2)
         reference[:, ~effort, channel] += put_in[:, ~effort]
         reference[:, :, n_s + channel] += size * rate.T
-        push[:, everyone, actuator] += np.where(effort, put_in, 0.0)
+        push += np.where(effort, put_in, 0.0)[:, :, None] * pushes
         x, commands = batch.run(everyone, reference, push)
         cut = np.any((commands < low) | (commands > high), axis=2).sum(axis=0)
-        command = commands[:, everyone, actuator] - hold[everyone, actuator]
+        command = np.sum((commands - hold) * read, axis=2)
         log = np.stack([put_in, command, x[:, :, channel] - state[:, channel]], axis=2)
         say(f"{batch.k} control periods, {repetition + 1} repetitions")
         kept = [*kept, np.fft.rfft(log, axis=0) * 2 / N][-setup.windows :]

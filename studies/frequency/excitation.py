@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
-from linkplan.studies.frequency.feedback_loops import FeedbackLoop, actuator_of, quantity_unit
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort, quantity_unit
 from linkplan.studies.frequency.response import Response
 
 EXCITATIONS = {
@@ -105,10 +105,11 @@ def whole_samples(frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray
 
 
 def command_headroom(loop: FeedbackLoop, effort_limit: np.ndarray, channel: int) -> float:
-    """Return the effort [N.m or N] between the holding effort and the nearer limit of a channel's actuator."""
-    actuator = actuator_of(loop.point, channel)
-    low, high = effort_limit[actuator]
-    return float(min(high - loop.point.hold[actuator], loop.point.hold[actuator] - low))
+    """Return the effort [N.m or N] at a channel that takes some actuator from its holding effort to the nearer limit."""
+    _, push = channel_effort(loop.point, channel)
+    low, high = effort_limit.T
+    with np.errstate(divide="ignore"):
+        return float((np.minimum(high - loop.point.hold, loop.point.hold - low) / np.abs(push)).min())
 
 
 def signal_amplitude(

@@ -9,7 +9,8 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
-from linkplan.studies.tune.tune import Wanted, motor_gains, tune, tune_record, tune_text
+from linkplan.studies.tune.tune import Wanted, tune
+from linkplan.studies.tune.tune_report import motor_gains, tune_record, tune_text
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
 
