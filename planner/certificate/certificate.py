@@ -150,7 +150,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         )
     if boundary_error > BOUNDARY_SHARE:
         failures.append(f"the motion misses its boundary conditions by {boundary_error:.3g} of its range or largest speed")
-    if closure_gap > CLOSURE_M:
+    if closure_gap > max(CLOSURE_M, mechanism.closed_m):
         failures.append(f"a kinematic loop opens by {closure_gap:.3g} m at t = {worst['closure_gap_m']:.4g} s")
     if not in_deg <= INTEGRATION_DEG or not in_m <= INTEGRATION_M:
         apart = f"{in_m:.3g} m (allowed: {INTEGRATION_M:g} m)" if in_m > INTEGRATION_M else ""
