@@ -14,6 +14,7 @@ import scipy.optimize
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
 from linkplan.models.tree.joints import Joint, where
 
 _STEP = 0.035  # two degrees [rad]; on a slide, this share of the model's extent
@@ -23,6 +24,8 @@ _NEWTON_STEPS = 12
 _MOST_STEPS = 1e5
 # A rate of a dependent joint below this share of the independent one's is rounding.
 _STILL = 1e-9
+# A range is left where a joint stands outside it by more than this [rad or m], what assembly and rounding leave.
+_RANGE_SLACK = 1e-8
 # Paths of more samples than this are solved together.
 _FEWEST_AT_ONCE = 20
 
@@ -104,9 +107,19 @@ def _follow_at_once(mechanism: Mechanism, path: np.ndarray, q: np.ndarray) -> np
     else:
         return None
     moved = np.max(np.abs(poses[:, dependent] - predicted) / step_size[dependent], initial=0.0)
+    if mechanism.projected and not _stays_on_branch(mechanism, poses):
+        return None
     by_block = determinants.reshape(-1, len(path))
     one_sign = np.all(np.all(by_block > 0, axis=1) | np.all(by_block < 0, axis=1))
     return poses if moved < 0.25 and one_sign else None
+
+
+def _stays_on_branch(mechanism: Mechanism, poses: np.ndarray) -> bool:
+    """Return whether all rows of overconstrained loops are closed at poses (n, n_q), and no block folds between two."""
+    if np.any(mechanism.gaps_m(poses) > mechanism.closed_m):
+        return False
+    turned = sampled(mechanism.dynamics.orientation, poses[:-1], poses[1:]) if len(poses) > 1 else np.ones(1)
+    return bool(np.all(turned > 0))
 
 
 def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
@@ -148,7 +161,8 @@ def _advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[n
         trial, gamma_trial, dets_trial = _correct(mechanism, trial)
         moved = np.max(np.abs(trial[dependent] - predicted) / step_size[dependent], initial=0.0)
         turned = np.max(np.abs(gamma_trial - gamma), initial=0.0) > 0.5 * (1 + np.max(np.abs(gamma), initial=0.0))
-        if np.isfinite(moved) and moved < 0.25 and not turned and np.all(dets_trial * determinants > 0):
+        regular = np.isfinite(moved) and moved < 0.25 and not turned and np.all(dets_trial * determinants > 0)
+        if regular and (not mechanism.projected or _stays_on_branch(mechanism, np.array([q, trial]))):
             q, gamma, determinants = trial, gamma_trial, dets_trial
             share = min(1.0, 2 * share)
             continue
@@ -263,7 +277,9 @@ def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
     for i in mechanism.dependent:
         joint = mechanism.joints[i]
         for limit, outside in ((joint.upper, trial[i] - joint.upper), (joint.lower, joint.lower - trial[i])):
-            if not outside > 0:
+            outward = trial[i] - q[i] if limit == joint.upper else q[i] - trial[i]
+            # A joint that does not move with the coordinate, or comes back into its range, does not stop it.
+            if not outside > _RANGE_SLACK or not outward > _STILL * _step_sizes(mechanism)[i]:
                 continue
             pose = _pose_where(mechanism, q, trial, coordinate, lambda p, i=i, limit=limit: p[i] - limit)
             distance = abs(pose[mechanism.independent[coordinate]] - q[mechanism.independent[coordinate]])
@@ -295,11 +311,16 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
     at_home = np.where(at_home == 0, 1.0, at_home)
     block = int(np.argmin(np.abs(here / at_home)))  # the loops that fold
 
+    def fold(q: np.ndarray) -> float:
+        if mechanism.projected:
+            return float(mechanism.dynamics.orientation(near, q)[block]) / here[block] / at_home[block]
+        return float(mechanism.dynamics.block_singularity(q)[block]) / at_home[block]
+
     def system(x: np.ndarray) -> np.ndarray:
         q = np.array(near)
         q[free] = x
         phi = np.array(mechanism.dynamics.independent_closure(q)).ravel()
-        return np.append(phi, float(mechanism.dynamics.block_singularity(q)[block]) / at_home[block])
+        return np.append(phi, fold(q))
 
     solution = scipy.optimize.root(system, near[free], tol=1e-14)
     pose = np.array(near)
