@@ -319,14 +319,17 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
     def system(x: np.ndarray) -> np.ndarray:
         q = np.array(near)
         q[free] = x
-        phi = np.array(mechanism.dynamics.independent_closure(q)).ravel()
+        phi = np.array(closure(q)).ravel()
         return np.append(phi, fold(q))
 
-    solution = scipy.optimize.root(system, near[free], tol=1e-14)
+    # Normal equations are blind to the gap that opens where J_z loses rank: all rows are looked at there.
+    closure = mechanism.dynamics.closure if mechanism.projected else mechanism.dynamics.independent_closure
+    method = "lm" if mechanism.projected else "hybr"
+    solution = scipy.optimize.root(system, near[free], tol=1e-14, method=method)
     pose = np.array(near)
     pose[free] = solution.x
     close = np.max(np.abs(pose - near) / _step_sizes(mechanism)) < 4
-    return pose if close and np.abs(system(solution.x)).max() < 1e-8 else np.array(near)
+    return pose if close and np.abs(system(solution.x)).max() < max(1e-8, mechanism.closed_m) else np.array(near)
 
 
 def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[tuple[int, float], ...]:
