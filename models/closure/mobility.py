@@ -70,7 +70,10 @@ def judge_mobility(loop: KinematicLoop, pose: np.ndarray, unit: np.ndarray, tole
         unit: what counts as a radian for each joint (n_q,) [rad or m].
         tolerance_m: the gap [m] that bearings and rounding are allowed.
     """
-    jacobian = loop.residual(pose)[1] * unit
+    phi, jacobian = loop.residual(pose)
+    jacobian = jacobian * unit
+    if loop.gap(phi) > loop.closed_m:  # points of the file that are rounded: nothing closes further
+        loop = replace(loop, closed_m=tolerance_m)
     if not jacobian.size:
         return Mobility(loop=loop, freed_m=(), locked=(), noise=0.0)
     _, values, directions = np.linalg.svd(jacobian)
