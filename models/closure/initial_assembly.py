@@ -159,7 +159,9 @@ def refuse_singular_assembly(
                 " locked there; name another pose with mechanism.home_deg"
             )
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])
-    there = max((numerical_rank(loop.residual(neighbour)[1] * unit, loop.rank_tolerance) for neighbour in neighbours), default=rank)
+    there = max(
+        (numerical_rank(loop.residual(neighbour)[1] * unit, loop.rank_tolerance) for neighbour in neighbours), default=rank
+    )
     if there != rank:
         raise AssemblyError(
             f"mechanism '{name}' is assembled in a singular pose: its closure has rank {rank} there and {there} next"

@@ -167,6 +167,8 @@ def lost_freedoms(joints, actuators, dynamics, poses, mobility: Mobility, tolera
     maps = [np.array(dynamics.effort_map(q)).reshape(gammas[0].shape[1], -1) for q in poses]
     full = [np.array(dynamics.effort_matrix(q)).reshape(len(joints), -1) for q in poses]
     for j, actuator in enumerate(actuators):
-        if all(np.abs(m[:, j]).max() <= _NOTHING * max(np.abs(b[:, j]).max(), _NOTHING) for m, b in zip(maps, full, strict=True)):
+        if all(
+            np.abs(m[:, j]).max() <= _NOTHING * max(np.abs(b[:, j]).max(), _NOTHING) for m, b in zip(maps, full, strict=True)
+        ):
             notes.append(f"actuator {actuator.name} has no effect: the loops hold what it acts on, {actuator.target}")
     return notes

@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy.interpolate
 import scipy.optimize
 
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
+from linkplan.models.poses.singular_poses import closure_rank, dips, is_branching, least_values, vanishes
 from linkplan.models.tree.joints import Joint, where
 
 _STEP = 0.035  # two degrees [rad]; on a slide, this share of the model's extent
@@ -26,6 +28,8 @@ _MOST_STEPS = 1e5
 _STILL = 1e-9
 # A range is left where a joint stands outside it by more than this [rad or m], what assembly and rounding leave.
 _RANGE_SLACK = 1e-8
+# Neighbours to either side of a spline of poses: with these its error at half degree steps is below 1e-8.
+_SPLINED = 5
 # Paths of more samples than this are solved together.
 _FEWEST_AT_ONCE = 20
 
@@ -203,7 +207,9 @@ class Reach:
     """What one independent joint can do while the other independent joints stay at home.
 
     `poses` (n, n_q) samples the interval, ends included. `toggles` are (dependent joint, independent position) where a
-    dependent joint turns back: the dead centres of that joint. `singular` are positions where J_z loses rank.
+    dependent joint turns back: the dead centres of that joint. `singular` are positions where J_z loses rank, by crossing
+    zero at an end or by touching it on the way; `branching` are (position, rank of the closure there) of those among them
+    where J loses rank as well: there the mechanism may branch, at the others the coordinate alone is at a dead centre.
     """
 
     coordinate: int
@@ -211,6 +217,7 @@ class Reach:
     upper: End
     poses: np.ndarray
     singular: tuple[float, ...]
+    branching: tuple[tuple[float, int], ...]
     toggles: tuple[tuple[int, float], ...]
 
     @property
@@ -224,18 +231,48 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
     down, lower, singular_down = _walk(mechanism, coordinate, -1)
     up, upper, singular_up = _walk(mechanism, coordinate, +1)
     poses = np.array([*down[::-1], mechanism.home, *up])
+    index = int(mechanism.independent[coordinate])
+    singular = sorted([*singular_down, *singular_up, *_touched(mechanism, coordinate, poses)], key=lambda pose: pose[index])
     return Reach(
         coordinate=coordinate,
         lower=lower,
         upper=upper,
         poses=poses,
-        singular=(*singular_down, *singular_up),
+        singular=tuple(float(pose[index]) for pose in singular),
+        branching=tuple(
+            (float(pose[index]), closure_rank(mechanism, pose)) for pose in singular if is_branching(mechanism, pose)
+        ),
         toggles=_toggles(mechanism, coordinate, poses),
     )
 
 
-def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.ndarray], End, list[float]]:
-    """Return the poses from home (left out) to the end in one direction, the end, and a singular position if one."""
+def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:
+    """Return the poses inside a reach at which J_z loses rank though no determinant changes sign."""
+    index, found = int(mechanism.independent[coordinate]), []
+    for k in dips(mechanism, poses):
+        # Next to such a pose Newton has no ground; the motion through it is smooth, and a spline of its neighbours exact enough.
+        near = poses[max(0, k - _SPLINED) : k + _SPLINED + 1]
+        motion = scipy.interpolate.CubicSpline(near[:, index], near)
+
+        def least(x: float, motion: scipy.interpolate.CubicSpline = motion) -> float:
+            return float(least_values(mechanism, motion(x))[1])
+
+        ends = (float(poses[k - 1, index]), float(poses[k + 1, index]))
+        x = scipy.optimize.minimize_scalar(least, bounds=ends, method="bounded", options={"xatol": 1e-12}).x
+        if vanishes(mechanism, motion(x)):
+            found.append(motion(x))
+    return found
+
+
+def _at(mechanism: Mechanism, start: np.ndarray, coordinate: int, x: float) -> np.ndarray:
+    """Return the pose where one coordinate stands at x, led there from `start`; the last one before where it cannot."""
+    s = start[mechanism.independent].copy()
+    s[coordinate] = x
+    return _advance(mechanism, start, s)[0]
+
+
+def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.ndarray], End, list[np.ndarray]]:
+    """Return the poses from home (left out) to the end in one direction, the end, and a singular pose if one."""
     index = int(mechanism.independent[coordinate])
     joint = mechanism.joints[index]
     step = _step_sizes(mechanism)[index] / 2
@@ -259,7 +296,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
         if not arrived:
             pose = _singular_pose(mechanism, trial, coordinate)
             poses.append(trial)
-            return poses, End(position=float(pose[index]), reason="singular pose", joint=None), [float(pose[index])]
+            return poses, End(position=float(pose[index]), reason="singular pose", joint=None), [pose]
         poses.append(trial)
         q = trial
         if final:
@@ -293,9 +330,7 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
     index = mechanism.independent[coordinate]
 
     def pose_at(x: float) -> np.ndarray:
-        s = q[mechanism.independent].copy()
-        s[coordinate] = x
-        return _advance(mechanism, q, s)[0]
+        return _at(mechanism, q, coordinate, x)
 
     a, b = q[index], trial[index]
     if function(q) * function(trial) >= 0 or function(pose_at(a)) * function(pose_at(b)) >= 0:

@@ -129,3 +129,23 @@ def coupled_cranks(noise: float = 0.0, pivots: tuple = ((0, 0), (0.2, 0), (0.1, 
         f'<body name="plate" pos="{tip[0]} 0 {tip[1]}"><joint name="P" axis="{axis()}"/><geom type="box" size="0.1 0.01 0.01" pos="0.1 0 0" mass="0.3"/>{eyes}</body>'
         f'</body>{others}</worldbody><equality>{ties}</equality><actuator><motor joint="O0" ctrlrange="-2 2"/></actuator></mujoco>'
     )
+
+
+def sarrus(drawn: float = 0.5) -> str:
+    """Return Sarrus' linkage: a plate that two pairs of links, hinged across one another, guide up and down through flat."""
+    length, arm = 0.1, 0.05
+    c, s = length * np.cos(drawn), length * np.sin(drawn)
+    up, out = f"{c} 0 {s}", f"{-c} 0 {s}"
+    across, back = f"0 {c} {s}", f"0 {-c} {s}"
+    return (
+        f"{HEAD.format(name='sarrus')}<worldbody>"
+        f'<body name="a1" pos="{arm} 0 0"><joint name="A1" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 {up}" mass="0.05"/>'
+        f'<body name="a2" pos="{up}"><joint name="A2" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 {out}" mass="0.05"/>'
+        f'<body name="plate" pos="{out}"><joint name="A3" axis="0 -1 0"/><geom pos="{-arm} 0 0" mass="0.2"/>'
+        f'<site name="pa" pos="{-arm - 0.05} {arm} 0"/><site name="pb" pos="{-arm + 0.05} {arm} 0"/></body></body></body>'
+        f'<body name="b1" pos="0 {arm} 0"><joint name="B1" axis="1 0 0"/><geom type="capsule" fromto="0 0 0 {across}" mass="0.05"/>'
+        f'<body name="b2" pos="{across}"><joint name="B2" axis="1 0 0"/><geom type="capsule" fromto="0 0 0 {back}" mass="0.05"/>'
+        f'<site name="qa" pos="-0.05 {-c} {s}"/><site name="qb" pos="0.05 {-c} {s}"/></body></body></worldbody>'
+        '<equality><connect name="a" site1="pa" site2="qa"/><connect name="b" site1="pb" site2="qb"/></equality>'
+        '<actuator><motor joint="A1" ctrlrange="-2 2"/></actuator></mujoco>'
+    )
