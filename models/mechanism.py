@@ -11,7 +11,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.actuation.actuators import Actuator, effort_matrix, read_actuators
+from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
 from linkplan.models.actuation.transmission import TRN_TENDON
 from linkplan.models.closure.equations import Closure, read_closures
 from linkplan.models.closure.initial_assembly import assemble, home_positions, poses_about, refuse_singular_assembly
@@ -128,7 +128,8 @@ class Mechanism:
         closures = read_closures(self.model, tree)
         matrix = effort_matrix(self.model, tree, self.actuators)
         rows, projected = self.closure_rows, self.projected
-        return reduce_tree(tree, closures, matrix, rows, self.independent, self.dependent, pi, projected)
+        long = lengths(self.model, tree, self.actuators)
+        return reduce_tree(tree, closures, matrix, rows, self.independent, self.dependent, pi, projected, long)
 
     def joint_index(self, name: str, error: type[Exception] = ModelError) -> int:
         """Return the index of a joint by name."""
@@ -247,7 +248,8 @@ def load_mechanism(
     B = effort_matrix(model, tree, actuators)
     sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
     projected = projected_loops(sparse, rows.tolist(), dependent.tolist(), pose, mobility.noise * _NOISE_ROOM)
-    dynamics = reduce_tree(tree, closures, B, rows, free, dependent, projected=projected)
+    long = lengths(model, tree, actuators)
+    dynamics = reduce_tree(tree, closures, B, rows, free, dependent, projected=projected, lengths=long)
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
     weight = ca.Function("weight", [tree.q], [tree.gravity])
     passive_dofs, notes = find_passive_dofs(

@@ -46,6 +46,7 @@ class ReducedDynamics:
     reduced_inertia: ca.Function  # q -> Gamma^T M Gamma (n_s, n_s)
     gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that holds the weight
     effort_matrix: ca.Function  # q -> B (n_q, n_u), each actuator's generalised effort
+    actuator_length: ca.Function  # q -> l (n_u,), MuJoCo's, not a number for sites and slider-cranks
     effort_map: ca.Function  # q -> Gamma^T B (n_s, n_u)
     inverse_dynamics: ca.Function  # q, v, a -> Gamma^T B u that the motion needs (n_s,)
     residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
@@ -65,6 +66,7 @@ def reduce_tree(
     dependent: np.ndarray,
     parameters: ca.SX | None = None,
     projected: Sequence[ProjectedLoops] = (),
+    lengths: ca.SX | None = None,
 ) -> ReducedDynamics:
     """Return the reduced dynamics of `tree` under its closures, of whose equations phi (n_rows,) `rows` are independent.
 
@@ -142,6 +144,7 @@ def reduce_tree(
         reduced_inertia=function("reduced_inertia", [q], inertia),
         gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
         effort_matrix=function("effort_matrix", [q], B),
+        actuator_length=function("actuator_length", [q], ca.SX(n_u, 1) if lengths is None else lengths),
         effort_map=function("effort_map", [q], effort_map),
         inverse_dynamics=function("inverse_dynamics", [q, v, a], inverse),
         residual=function("residual", [q, v, a, u], inverse - effort_map @ u),

@@ -167,6 +167,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     cut = control_excess(mechanism, q, v, u) if servos else np.zeros_like(u)
     unmendable = []
     for j in np.flatnonzero(cut.max(axis=0) > RANGE_SLACK):
+        if mechanism.actuators[j].limits_control:
+            continue  # a limit of the program, among the margins
         at = int(np.argmax(cut[:, j]))
         unmendable.append(
             f"{mechanism.actuators[j].name} would need a ctrl {cut[at, j]:.3g} beyond its range at t = {time[at]:.4g} s to"
