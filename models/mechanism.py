@@ -45,8 +45,9 @@ class Mechanism:
 
     Its coordinates q (n_q,) are internal ones, see `models.tree.coordinates`; `independent` and `dependent` are indices into
     them. `home` (n_q,) closes the loops; `home_gap_m` is how far they stood open at the model's own reference pose, before
-    assembly; `closed_m` is the gap [m] below which they count as closed, more than rounding where the file's own numbers leave
-    more. Overconstrained loops are `projected`: closed in the normal equations of all their rows. `passive_dofs` are passive degrees of freedom: coordinates that can move alone while all other bodies rest and
+    assembly; `closed_m` is the gap [m] below which they count as closed, more than rounding where the file's own numbers
+    leave more. Overconstrained loops are `projected`: closed in the normal equations of all their rows. `passive_dofs` are
+    passive degrees of freedom: coordinates that can move alone while all other bodies rest and
     that no actuator drives, as a rod between two ball joints spins; `notes` are sentences on what is worth knowing of the
     assembly. `source` is what it was loaded from, as the [mechanism] table of a problem file.
     """

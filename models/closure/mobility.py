@@ -1,8 +1,8 @@
 """Mobility: which of a closure's weak constraints are a mechanism's, and which a file's rounding.
 
 A singular value of J that is small beside the others may lock a motion, or be what is left of joint axes written with seven
-digits: numbers alone do not tell. The motion does: it is tried by a finite amount, the loops are closed by least squares without
-the weak constraint, and what stays open is a length. Within `closure_tolerance_m` the motion is free, as it is in a
+digits: numbers alone do not tell. The motion does: it is tried by a finite amount, the loops are closed by least squares
+without the weak constraint, and what stays open is a length. Within `closure_tolerance_m` the motion is free, as it is in a
 machine with play in its bearings and in a simulator.
 """
 
@@ -16,7 +16,7 @@ from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.rank import RANK_TOLERANCE, WEAK
 from linkplan.models.errors import ModelError
 
-# How far a doubtful motion is tried [rad; on a slide, of the model's extent]: half a right angle in steps that Newton follows.
+# How far a doubtful motion is tried [rad; on a slide, of the model's extent]: half a right angle, in steps for Newton.
 _TRIED = 0.75
 _STEP = 0.05
 # A doubtful motion counts as tried where so much of it was made: less is next to an end of the reach.
@@ -145,8 +145,8 @@ def lost_freedoms(joints, actuators, dynamics, poses, mobility: Mobility, tolera
     notes = []
     if mobility.freed_m:
         notes.append(
-            f"{len(mobility.freed_m)} motion{'s' if len(mobility.freed_m) > 1 else ''} that the file's rounding alone forbids"
-            f" taken as free: the loops gape by {max(mobility.freed_m):.2g} m along"
+            f"{len(mobility.freed_m)} motion{'s' if len(mobility.freed_m) > 1 else ''} that the file's rounding alone"
+            f" forbids taken as free: the loops gape by {max(mobility.freed_m):.2g} m along"
             f" {'them' if len(mobility.freed_m) > 1 else 'it'} (closure_tolerance_m = {tolerance_m:g})"
         )
     for direction, gap in mobility.locked:

@@ -1,14 +1,14 @@
 """Overconstrained closures: which of their rows depend on one another only where the loops are closed.
 
-A planar loop's third row is a constant combination of the other two wherever the joints stand, closed or not: two rows chosen
-once serve everywhere. The rows of a Bennett linkage, of coupled cranks or of Bricard's depend on one another on the closed
+A planar loop's third row is a constant combination of the other two wherever the joints stand, closed or not: two rows
+chosen once serve everywhere. The rows of a Bennett linkage, of coupled cranks or of Bricard's depend on one another on the closed
 poses only, by a combination that turns with the mechanism; rows chosen at one pose lose rank at another where the
 mechanism is regular. Such rows are all kept, and the closure is solved in their normal equations,
 
     E phi = 0,   E = D J_z^T   (D constant, positive),
 
-whose matrix E J_z = D J_z^T J_z is regular wherever J_z has full column rank (Golub & Van Loan, Matrix Computations, 5.3). On
-closed poses velocities, accelerations and forces are exact: E (J q' = 0) has the same solution, and E^T (E J_z)^-T gives
+whose matrix E J_z = D J_z^T J_z is regular wherever J_z has full column rank (Golub & Van Loan, Matrix Computations, 5.3).
+On closed poses velocities, accelerations and forces are exact: E (J q' = 0) has the same solution, and E^T (E J_z)^-T gives
 the least forces on all rows.
 """
 

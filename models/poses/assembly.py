@@ -250,7 +250,7 @@ def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[n
     """Return the poses inside a reach at which J_z loses rank though no determinant changes sign."""
     index, found = int(mechanism.independent[coordinate]), []
     for k in dips(mechanism, poses):
-        # Next to such a pose Newton has no ground; the motion through it is smooth, and a spline of its neighbours exact enough.
+        # Next to such a pose Newton has no ground; the motion is smooth, and a spline of its neighbours exact enough.
         near = poses[max(0, k - _SPLINED) : k + _SPLINED + 1]
         motion = scipy.interpolate.CubicSpline(near[:, index], near)
 

@@ -72,10 +72,8 @@ class NodeTerms:
     def kinds(self) -> tuple[str, ...]:
         """What each path quantity is, but for those of the objective."""
         listed = {"speed": self.speed_joints, "motor": self.motors, "power": self.powers, "closure_force": self.closures}
-        return tuple(kind for kind, items in listed.items() for _ in items) + (
-            *("singular",) * self.singular,
-            *("control",) * len(self.controls),
-        )
+        named = tuple(kind for kind, items in listed.items() for _ in items)
+        return (*named, *("singular",) * self.singular, *("control",) * len(self.controls))
 
 
 @functools.lru_cache(maxsize=16)

@@ -143,10 +143,9 @@ FALSE = {
         replaced(RSSR, 'type="ball" damping="0.001"', 'type="ball" damping="0.001 0.2"'),
         ["damping", "ball", "rod"],
     ),
-    "weight taken off": (replaced(GRIPPER, '<body name="palm"', '<body gravcomp="1" name="palm"'), ["gravcomp", "palm"]),
-    "weight taken off by a motor": (
+    "weight taken off by a motor that is clamped": (
         replaced(
-            replaced(LEG, '<joint name="pitch"/>', '<joint name="pitch" actuatorgravcomp="true"/>'),
+            replaced(LEG, '<joint name="pitch"/>', '<joint name="pitch" actuatorgravcomp="true" actuatorfrcrange="-9 9"/>'),
             '<body name="thigh">',
             '<body name="thigh" gravcomp="1">',
         ),

@@ -28,7 +28,7 @@ def turn(angle: float) -> np.ndarray:
 
 
 def bennett_follower(theta: np.ndarray) -> np.ndarray:
-    """Return the angle of the next hinge: tan(theta / 2) tan(phi / 2) = sin((beta + alpha) / 2) / sin((beta - alpha) / 2)."""
+    """Return the next hinge's angle: tan(theta / 2) tan(phi / 2) = sin((beta + alpha) / 2) / sin((beta - alpha) / 2)."""
     ratio = np.sin((BENNETT_BETA + BENNETT_ALPHA) / 2) / np.sin((BENNETT_BETA - BENNETT_ALPHA) / 2)
     return 2 * np.arctan2(ratio * np.cos(np.asarray(theta) / 2), np.sin(np.asarray(theta) / 2))
 
@@ -49,7 +49,8 @@ def closed_chain(name: str, links: list[tuple[float, float, float]], angles: lis
         axis = np.array([0.0, 0, 1]) + noise * rng.normal(size=3)
         tip = (turn(-angle) @ step)[:3, 3]
         body += (
-            f'<body name="L{k}" pos="{numbers(frame[:3, 3])}" quat="{numbers(quat)}"><joint name="H{k}" axis="{numbers(axis)}"/>'
+            f'<body name="L{k}" pos="{numbers(frame[:3, 3])}" quat="{numbers(quat)}">'
+            f'<joint name="H{k}" axis="{numbers(axis)}"/>'
             f'<geom type="capsule" fromto="0 0 0 {numbers(tip)}" mass="0.05"/>'
         )
         tail += "</body>"
@@ -72,7 +73,6 @@ def closed_chain(name: str, links: list[tuple[float, float, float]], angles: lis
 
 
 def _quaternion(R: np.ndarray) -> np.ndarray:
-    w, x, y, z = (0.0, 0.0, 0.0, 0.0)
     K = np.array(
         [
             [R[0, 0] + R[1, 1] + R[2, 2], R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]],
@@ -117,7 +117,8 @@ def coupled_cranks(noise: float = 0.0, pivots: tuple = ((0, 0), (0.2, 0), (0.1, 
 
     others = "".join(
         f'<body name="crank{k}" pos="{x} 0 {z}"><joint name="O{k}" axis="{axis()}"/>'
-        f'<geom type="capsule" fromto="0 0 0 {tip[0]} 0 {tip[1]}" mass="0.1"/><site name="tip{k}" pos="{tip[0]} 0 {tip[1]}"/></body>'
+        f'<geom type="capsule" fromto="0 0 0 {tip[0]} 0 {tip[1]}" mass="0.1"/>'
+        f'<site name="tip{k}" pos="{tip[0]} 0 {tip[1]}"/></body>'
         for k, (x, z) in enumerate(pivots)
         if k
     )
@@ -126,8 +127,10 @@ def coupled_cranks(noise: float = 0.0, pivots: tuple = ((0, 0), (0.2, 0), (0.1, 
     return (
         f'{HEAD.format(name="cranks")}<worldbody><body name="crank0"><joint name="O0" axis="{axis()}"/>'
         f'<geom type="capsule" fromto="0 0 0 {tip[0]} 0 {tip[1]}" mass="0.1"/>'
-        f'<body name="plate" pos="{tip[0]} 0 {tip[1]}"><joint name="P" axis="{axis()}"/><geom type="box" size="0.1 0.01 0.01" pos="0.1 0 0" mass="0.3"/>{eyes}</body>'
-        f'</body>{others}</worldbody><equality>{ties}</equality><actuator><motor joint="O0" ctrlrange="-2 2"/></actuator></mujoco>'
+        f'<body name="plate" pos="{tip[0]} 0 {tip[1]}"><joint name="P" axis="{axis()}"/>'
+        f'<geom type="box" size="0.1 0.01 0.01" pos="0.1 0 0" mass="0.3"/>{eyes}</body>'
+        f"</body>{others}</worldbody><equality>{ties}</equality>"
+        '<actuator><motor joint="O0" ctrlrange="-2 2"/></actuator></mujoco>'
     )
 
 
@@ -139,12 +142,15 @@ def sarrus(drawn: float = 0.5) -> str:
     across, back = f"0 {c} {s}", f"0 {-c} {s}"
     return (
         f"{HEAD.format(name='sarrus')}<worldbody>"
-        f'<body name="a1" pos="{arm} 0 0"><joint name="A1" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 {up}" mass="0.05"/>'
+        f'<body name="a1" pos="{arm} 0 0"><joint name="A1" axis="0 -1 0"/>'
+        f'<geom type="capsule" fromto="0 0 0 {up}" mass="0.05"/>'
         f'<body name="a2" pos="{up}"><joint name="A2" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 {out}" mass="0.05"/>'
         f'<body name="plate" pos="{out}"><joint name="A3" axis="0 -1 0"/><geom pos="{-arm} 0 0" mass="0.2"/>'
         f'<site name="pa" pos="{-arm - 0.05} {arm} 0"/><site name="pb" pos="{-arm + 0.05} {arm} 0"/></body></body></body>'
-        f'<body name="b1" pos="0 {arm} 0"><joint name="B1" axis="1 0 0"/><geom type="capsule" fromto="0 0 0 {across}" mass="0.05"/>'
-        f'<body name="b2" pos="{across}"><joint name="B2" axis="1 0 0"/><geom type="capsule" fromto="0 0 0 {back}" mass="0.05"/>'
+        f'<body name="b1" pos="0 {arm} 0"><joint name="B1" axis="1 0 0"/>'
+        f'<geom type="capsule" fromto="0 0 0 {across}" mass="0.05"/>'
+        f'<body name="b2" pos="{across}"><joint name="B2" axis="1 0 0"/>'
+        f'<geom type="capsule" fromto="0 0 0 {back}" mass="0.05"/>'
         f'<site name="qa" pos="-0.05 {-c} {s}"/><site name="qb" pos="0.05 {-c} {s}"/></body></body></worldbody>'
         '<equality><connect name="a" site1="pa" site2="qa"/><connect name="b" site1="pb" site2="qb"/></equality>'
         '<actuator><motor joint="A1" ctrlrange="-2 2"/></actuator></mujoco>'

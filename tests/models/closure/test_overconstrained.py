@@ -13,7 +13,7 @@ from linkplan.models.poses.assembly import close_at, follow, reach
 from tests.support.linkages import LINKAGES, WELDED
 from tests.support.mechanisms import replaced
 from tests.support.overconstrained import bennett, bennett_follower, bricard, bricard_follower, coupled_cranks
-from tests.support.tolerances import ANGLE_RAD, RANDOM_LIMIT, REDUCED, relative_error
+from tests.support.tolerances import ANGLE_RAD, RANDOM_LIMIT, relative_error
 
 NOISE = 1e-7
 # Gap [m] of links of a decimetre whose axes are off by NOISE: a few times their product.
