@@ -154,7 +154,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         )
     if boundary_error > BOUNDARY_SHARE:
         failures.append(f"the motion misses its boundary conditions by {boundary_error:.3g} of its range or largest speed")
-    if closure_gap > CLOSURE_M:
+    if closure_gap > max(CLOSURE_M, mechanism.closed_m):
         failures.append(f"a kinematic loop opens by {closure_gap:.3g} m at t = {worst['closure_gap_m']:.4g} s")
     if not in_deg <= INTEGRATION_DEG or not in_m <= INTEGRATION_M:
         apart = f"{in_m:.3g} m (allowed: {INTEGRATION_M:g} m)" if in_m > INTEGRATION_M else ""
@@ -171,6 +171,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     cut = control_excess(mechanism, q, v, u) if servos else np.zeros_like(u)
     unmendable = []
     for j in np.flatnonzero(cut.max(axis=0) > RANGE_SLACK):
+        if mechanism.actuators[j].limits_control:
+            continue  # a limit of the program, among the margins
         at = int(np.argmax(cut[:, j]))
         unmendable.append(
             f"{mechanism.actuators[j].name} would need a ctrl {cut[at, j]:.3g} beyond its range at t = {time[at]:.4g} s to"

@@ -3,7 +3,15 @@
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.closed_chain.mechanics import RUNNING, WITH_EFFORT, NodeTerms, Scales, mechanism_system, node_numbers
+from linkplan.planner.closed_chain.mechanics import (
+    RUNNING,
+    WITH_EFFORT,
+    NodeTerms,
+    Scales,
+    control_unit,
+    mechanism_system,
+    node_numbers,
+)
 from linkplan.planner.problem.objective import QUADRATIC, Objective
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.tightening import Tightening, tightening_over
@@ -50,6 +58,7 @@ def formulate(
         powers=tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.power).any(axis=1))),
         closures=limits.limited_closures,
         singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
+        controls=tuple(j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control),
     )
     rows = IntervalRows(
         costs=costs,
@@ -85,15 +94,15 @@ def formulate(
     }
     limited = [("speed", joint) for joint in speed_joints] + [("motor", j) for j in motors]
     limited += [("power", j) for j in asked.powers] + [("closure_force", c) for c in asked.closures]
-    limited += [("singular_margin", block) for block in range(asked.singular)] + [
-        ("work", j) for j in range(n_u if works else 0)
-    ]
+    limited += [("singular_margin", block) for block in range(asked.singular)]
+    limited += [("control", j) for j in asked.controls] + [("work", j) for j in range(n_u if works else 0)]
     path = [
         limits.speed[list(speed_joints)] * scales.time_s,
         np.tile([-1.0, 1.0], (len(motors), 1)),
         limits.power[list(asked.powers)] / scales.power,
         np.tile([-np.inf, 1.0], (len(asked.closures), 1)),
         np.tile([limits.singular_margin, np.inf], (asked.singular, 1)),
+        np.array([_control_range(problem, j) for j in asked.controls]),
         np.tile([0.0, np.inf], (n_u if works else 0, 1)),
     ]
     path = np.vstack([part.reshape(-1, 2) for part in path])
@@ -135,6 +144,12 @@ def formulate(
 def is_smoothed(objective: Objective) -> bool:
     """Return whether a weight on the squared effort rate stands beside an objective: alone it lets efforts chatter."""
     return objective.has("tracking", "work") and not objective.has(*QUADRATIC)
+
+
+def _control_range(problem: PlanningProblem, j: int) -> tuple[float, float]:
+    """Return a servo's ctrlrange in the program's unit."""
+    actuator, unit = problem.mechanism.actuators[j], control_unit(problem.mechanism, j)
+    return actuator.control_lower / unit, actuator.control_upper / unit
 
 
 def _speed_limited(problem: PlanningProblem) -> tuple[tuple[int, ...], tuple[int, ...]]:

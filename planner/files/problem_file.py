@@ -33,7 +33,7 @@ from linkplan.planner.problem.values import number
 from linkplan.planner.trajectory import Trajectory
 
 KEYS: Mapping[str, tuple[str, ...]] = {
-    "mechanism": ("model", "payload", "home_deg", "home_m", "independent", "solref"),
+    "mechanism": ("model", "payload", "home_deg", "home_m", "independent", "closure_tolerance_m", "solref"),
     "motion": MOTION_KEYS,
     "reference": ("amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg", "frequency_hz"),
     "objective": ("minimize",),
@@ -163,6 +163,7 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
         home=_home(section),
         independent=section.get("independent"),
         solref=section.get("solref"),
+        closure_tolerance_m=section.get("closure_tolerance_m"),
     )
     joint_values(section, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
     return replace(mechanism, source=copy.deepcopy(section))

@@ -152,16 +152,30 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
                     problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
                 else:  # the coordinate has no range of its own that says otherwise: the stop is meant
                     notes.append(stop)
-        for position in can.singular:
-            notes.append(
-                f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: the motion ends or branches"
-                " there"
-            )
+        notes += _singular_notes(mechanism, can)
         notes += _toggle_notes(mechanism, can) if index not in mechanism.passive_dofs else []
     notes += feeble_drives(mechanism)
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
     return problems, notes
+
+
+def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
+    """Return a sentence on each singular pose of a reach: a dead centre of its coordinate, or a pose that branches."""
+    joint, branching, said = mechanism.joints[mechanism.independent[can.coordinate]], dict(can.branching), []
+    for position in can.singular:
+        at = f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}"
+        if position in branching:
+            said.append(
+                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}: the mechanism may"
+                " go over to another branch there, and forces on the loops grow without bound; no other coordinate mends it"
+            )
+        else:
+            said.append(
+                f"{at}: a dead centre of {joint.name}, the closure keeps its rank: the mechanism moves on there, but"
+                f" {joint.name} does not fix how; mechanism.independent with another joint leads through"
+            )
+    return said
 
 
 def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
@@ -242,6 +256,7 @@ def inspection_record(found: Inspection) -> dict:
             joint.name: [can.lower.reason, can.upper.reason] for joint, can in zip(independent, found.reaches, strict=True)
         },
         "singular_deg": [joint.shown(position) for joint, can in hinges for position in can.singular],
+        "branching_deg": [joint.shown(position) for joint, can in hinges for position, _ in can.branching],
         "toggle_deg": [joint.shown(position) for joint, can in hinges for _, position in can.toggles],
         "actuators": {
             a.name: {
