@@ -13,6 +13,7 @@ from linkplan.models.catalogue import is_file
 from linkplan.models.digest import part_hashes
 from linkplan.models.errors import AssemblyError, LinkplanError, PlanFileError
 from linkplan.models.poses.contacts import Meeting
+from linkplan.models.reading import read_file, too_deep
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.collisions import with_contacts
 from linkplan.planner.certificate.margins import Margin
@@ -25,6 +26,8 @@ from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
 FORMAT = 1
+# A plan of the largest mesh has some hundred kilobytes of words; more than this is something else.
+MOST_JSON_BYTES = 64_000_000
 STATUSES = ("optimal", "infeasible", "failed")
 
 
@@ -267,11 +270,9 @@ def mujoco_version() -> str:
 
 def _read_json(path: Path) -> dict:
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PlanFileError(f"'{path}' cannot be read: {error.strerror}") from error
+        said = json.loads(read_file(path, f"'{path}'", MOST_JSON_BYTES, PlanFileError).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise PlanFileError(f"'{path}' is truncated or not JSON: {error}") from error
-    if not isinstance(said, dict) or not isinstance(said.get("problem", {}), dict):
+    if not isinstance(said, dict) or not isinstance(said.get("problem", {}), dict) or too_deep(said):
         raise PlanFileError(f"'{path}' is not a plan")
     return said
