@@ -3,7 +3,6 @@
 A message is one line that says what was asked, what is legal and what was got.
 """
 
-
 # A refusal quotes what it was given; what is longer than this is a file's content and not a name.
 _LONGEST = 4000
 
@@ -36,6 +35,10 @@ class ProblemError(LinkplanError):
 
 class PlanFileError(LinkplanError):
     """A plan folder that cannot be read or written."""
+
+
+class CertificateError(PlanFileError):
+    """A saved plan whose motion does not pass its certificate when it is read."""
 
 
 class InfeasibleError(LinkplanError):

@@ -85,7 +85,9 @@ def read_file_head(place: Path, model: Path) -> None:
     if not place.is_file():
         raise ModelError(f"model '{model}' names '{place}', which is not a regular file")
     if place.stat().st_size > _MOST_ASSET_BYTES:
-        raise ModelError(f"model '{model}' names '{place}' of {place.stat().st_size} bytes; at most {_MOST_ASSET_BYTES} are read")
+        raise ModelError(
+            f"model '{model}' names '{place}' of {place.stat().st_size} bytes; at most {_MOST_ASSET_BYTES} are read"
+        )
 
 
 def _is_included(content: bytes, named: str) -> bool:
@@ -132,7 +134,7 @@ def refuse_text(text: str | bytes, path: Path | None) -> list[str]:
                 continue
             most = _MOST_MEMORY if name == "memory" else _COUNTS[name]
             if asked > most:
-                raise ModelError(f"{what} has {name} = \"{shown(value, 40)}\"; at most {most} is read")
+                raise ModelError(f'{what} has {name} = "{shown(value, 40)}"; at most {most} is read')
             made *= max(1, int(asked)) if name == "count" else 1
     if made > _MOST_BODIES:
         raise ModelError(f"{what} repeats its elements {made} times by count; at most {_MOST_BODIES}")
@@ -213,7 +215,9 @@ def _refuse_names(name: str, model: mujoco.MjModel) -> None:
         except UnicodeDecodeError as error:
             raise ModelError(f"model '{name}' has a name that is not UTF-8 text: {word[:40]!r}") from error
         if text and not text.isprintable():
-            raise ModelError(f"model '{name}' has a name with characters that cannot be shown: '{one_line(shown(text, 60))}'")
+            raise ModelError(
+                f"model '{name}' has a name with characters that cannot be shown: '{one_line(shown(text, 60))}'"
+            )
 
 
 def _where(model: mujoco.MjModel, field: str, bad: np.ndarray) -> str:

@@ -94,7 +94,13 @@ def _listed(value: object) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _is_a_folder_name(name: str) -> bool:
-    return name.isprintable() and bool(name) and name[0] != "." and not set(name) & set('/\\:*?"<>|') and len(name.encode()) < 100
+    return (
+        name.isprintable()
+        and bool(name)
+        and name[0] != "."
+        and not set(name) & set('/\\:*?"<>|')
+        and len(name.encode()) < 100
+    )
 
 
 def _swept(value: object) -> list[tuple[str, tuple[str, ...]]]:

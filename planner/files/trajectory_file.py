@@ -37,7 +37,8 @@ def read_trajectory(path: Path) -> Trajectory:
     except PlanFileError:
         raise
     except Exception as error:  # a zip file's and a header's parsers raise some fifteen kinds on damaged bytes
-        raise PlanFileError(f"'{path}' is truncated or not a trajectory: {one_line(error) or type(error).__name__}") from error
+        why = one_line(error) or type(error).__name__
+        raise PlanFileError(f"'{path}' is truncated or not a trajectory: {why}") from error
 
 
 def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
