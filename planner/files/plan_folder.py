@@ -232,7 +232,7 @@ def _problem_again(said: dict, folder: Path) -> PlanningProblem:
     if isinstance(guess, dict) and isinstance(guess.get("plan"), str) and not Path(guess["plan"]).is_dir():
         del said["problem"]["guess"]  # where the solver once began; the motion is here without it
     refusal, changed = None, ""
-    for model in dict.fromkeys(models):
+    for model in dict.fromkeys(model for model in models if model is None or isinstance(model, str)):
         if isinstance(section, dict):
             section["model"] = model
         try:
@@ -246,7 +246,8 @@ def _problem_again(said: dict, folder: Path) -> PlanningProblem:
         changed = changed or f"model '{model}' has changed since '{folder}' was planned, in its {' and '.join(different)}"
     if changed:
         raise PlanFileError(f"{changed}; plan it again")
-    raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built again: {refusal}") from refusal
+    why = refusal or "mechanism.model is no name"
+    raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built again: {why}") from refusal
 
 
 def _changed(said: dict, problem: PlanningProblem) -> list[str]:

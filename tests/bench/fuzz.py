@@ -168,7 +168,7 @@ def mutated_folder(rng: random.Random, plan: Path, folder: Path) -> None:
         name = rng.choice(list(arrays))
         value = arrays[name]
         arrays[name] = rng.choice([
-            value * rng.choice([0.0, 0.5, 1.001, -1.0, 1e10]) if value.dtype != bool else ~value, value[..., :1],
+            value * rng.choice([0.0, 0.5, 1.001, -1.0, 1e10]) if value.dtype != bool else ~value, value.reshape(-1)[:1],
             value.astype(complex) if value.dtype != bool else value, np.array("x"), np.zeros((0, 3)), value.astype(np.float16),
         ])  # fmt: skip
         np.savez_compressed(folder / "trajectory.npz", **arrays)
