@@ -38,6 +38,8 @@ _NOT_NEGATIVE = {
     "dof_damping": "damping", "tendon_frictionloss": "frictionloss", "tendon_damping": "damping",
     "tendon_armature": "armature", "actuator_armature": "armature", "actuator_damping": "damping",
 }  # fmt: skip
+# What the compiler works out of the others, for its own scaling: huge where something is nearly massless.
+_DERIVED = ("oct_coeff", "actuator_acc0", "body_invweight0", "dof_invweight0", "tendon_invweight0")
 # The simulator's step [s]: below the first no computer gets anywhere, above the last nothing moves as it should.
 _TIMESTEP_S = (1e-8, 1.0)
 # Which of mjModel's names a field's prefix has, for a refusal that names the element.
@@ -167,12 +169,6 @@ def refuse_unusable(name: str, model: mujoco.MjModel) -> None:
         ModelError: naming the element and the field.
     """
     _refuse_names(name, model)
-    for what, value in _numbers(model):
-        bad = ~np.isfinite(value) | (np.abs(value) > _LARGEST)
-        if np.any(bad):
-            got = float(value[bad].ravel()[0])
-            legal = "not finite (nan or inf)" if not np.isfinite(got) else f"beyond {_LARGEST:g}"
-            raise ModelError(f"model '{name}' holds a number that is {legal}: {_where(model, what, bad)} is {got:g}")
     step = float(model.opt.timestep)
     if not _TIMESTEP_S[0] <= step <= _TIMESTEP_S[1]:
         raise ModelError(
@@ -193,13 +189,19 @@ def refuse_unusable(name: str, model: mujoco.MjModel) -> None:
         if np.any(bad):
             low, high = value[bad][0]
             raise ModelError(f"model '{name}' has {_where(model, field, bad)} = {low:g} to {high:g}, which is no range")
+    for what, value in _numbers(model):
+        bad = ~np.isfinite(value) | (np.abs(value) > _LARGEST)
+        if np.any(bad):
+            got = float(value[bad].ravel()[0])
+            legal = "not finite (nan or inf)" if not np.isfinite(got) else f"beyond {_LARGEST:g}"
+            raise ModelError(f"model '{name}' holds a number that is {legal}: {_where(model, what, bad)} is {got:g}")
 
 
 def _numbers(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
     """Yield every array of floats of a model and of its options, by its name."""
     for owner, prefix in ((model, ""), (model.opt, "option ")):
         for field in dir(owner):
-            if field.startswith("_") or field.endswith(("_user", "_numeric")) or field in ("oct_coeff",):
+            if field.startswith("_") or field.endswith(("_user", "_numeric")) or field in _DERIVED:
                 continue
             value = getattr(owner, field)
             if isinstance(value, float):

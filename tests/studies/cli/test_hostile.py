@@ -121,9 +121,7 @@ def test_a_comma_is_no_decimal_point(angle, ask):
 
 
 def test_a_rod_without_mass_is_a_problem(ask):
-    import re
-
-    light = re.sub(r'mass="[\d.e-]+"', 'mass="1e-9"', CRANK, count=1)
+    light = CRANK.replace('mass="0.2"', 'mass="1e-9"')
     assert light != CRANK
     whole = load_mechanism(light)
     from linkplan.studies.check.inspection import inspect
