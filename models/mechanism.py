@@ -214,6 +214,8 @@ def load_mechanism(
         ModelError: when the model cannot be used, or the named joints cannot be its coordinates.
         AssemblyError: when its loops do not close at, or near, the pose asked.
     """
+    if independent is not None:
+        _names_of(independent)
     payload = payload_from(payload)
     name, model = compile_model(source, payload)
     set_softness(model, solref)
@@ -341,12 +343,16 @@ def _refuse_beyond_charts(name: str, coordinates: Coordinates, pose: np.ndarray)
         )
 
 
+def _names_of(asked: object) -> None:
+    """Refuse what is no list of joint names."""
+    if not isinstance(asked, list | tuple) or not all(isinstance(joint, str) for joint in asked):
+        raise ModelError(f"mechanism.independent is a list of joint names, got {asked!r}")
+
+
 def _named(name: str, joints: tuple[Joint, ...], asked: Sequence[str] | None, dof: int) -> list[int]:
     """Return the indices of the joints named as independent coordinates."""
     if asked is None:
         return []
-    if isinstance(asked, str) or not all(isinstance(joint, str) for joint in asked):
-        raise ModelError(f"mechanism.independent is a list of joint names, got {asked!r}")
     named = [index_of(name, joints, joint) for joint in asked]
     if len(set(named)) < len(named) or len(named) > dof:
         raise ModelError(

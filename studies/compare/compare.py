@@ -23,6 +23,8 @@ from linkplan.studies.compare.user_tracker import Asked, users_tracker
 
 # Below this many control periods in a motion a table of tracking errors says more about sampling than about trackers.
 FEWEST_SAMPLES = 10
+# More control instants than this take a gigabyte to log, and minutes; more of the simulator's steps take an hour.
+MOST_INSTANTS, MOST_STEPS = 2e6, 1e8
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -78,6 +80,14 @@ def tracking_reference(plan: Plan) -> SampledReference:
             f"tracking.period_s = {settings.period_s:g} s leaves fewer than {FEWEST_SAMPLES} control instants in a motion of"
             f" {trajectory.duration_s:.4g} s; at most {trajectory.duration_s / FEWEST_SAMPLES:.2g} s"
         )
+    instants = duration / settings.period_s
+    steps = instants * max(1.0, settings.period_s / float(plan.problem.mechanism.model.opt.timestep))
+    for many, what, most in ((instants, "control instants", MOST_INSTANTS), (steps, "simulator steps", MOST_STEPS)):
+        if many > most:
+            raise ProblemError(
+                f"tracking over {duration:g} s with tracking.period_s = {settings.period_s:g} s has {many:.3g} {what}; at most"
+                f" {most:g} are run"
+            )
     return sample(plan.problem.mechanism, trajectory, settings.period_s, duration)
 
 

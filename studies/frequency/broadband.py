@@ -10,7 +10,7 @@ import numpy as np
 
 from linkplan.controllers.batch import BatchControlLoop
 from linkplan.models.errors import LinkplanError
-from linkplan.studies.frequency.excitation import Measurement, Setup, quantities, signal_amplitude
+from linkplan.studies.frequency.excitation import Measurement, Setup, quantities, refuse_long, signal_amplitude
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort
 
 # A repetition holds this many cycles of the lowest frequency asked for; lines are odd multiples of its own rate.
@@ -33,6 +33,8 @@ def run(
     N, lines = signal_lines(frequency_hz, timing.period_s)
     frequency = lines / (N * timing.period_s)
     rows = [(loop, excitation) for loop in loops for excitation in excitations]
+    # reference and push of every row, their spectra, and the windows kept
+    refuse_long(float(N), float(frequency[0]), float(len(rows)), bytes_a_sample=8 * (8 * mechanism.dof + 16))
     signal, rate = (np.zeros((len(rows), N)) for _ in range(2))
     ahead = np.zeros((len(rows), N, mechanism.n_u))
     for row, (loop, excitation) in enumerate(rows):
@@ -119,6 +121,7 @@ def signal_lines(frequency_hz: np.ndarray, period_s: float) -> tuple[int, np.nda
             f"{frequency[-1]:.6g} Hz is above the Nyquist frequency, {0.5 / period_s:.6g} Hz at a control period of"
             f" {period_s:g} s"
         )
+    refuse_long(_CYCLES / (frequency[0] * period_s), float(frequency[0]), 1.0)
     N = 4 * int(np.ceil(_CYCLES / (4 * frequency[0] * period_s)))
     lines = np.unique(2 * np.round((frequency * N * period_s - 1) / 2).astype(int) + 1)
     lines = lines[(lines >= 1) & (lines < N // 2)]

@@ -9,7 +9,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from linkplan.controllers.batch import BatchControlLoop
-from linkplan.studies.frequency.excitation import Measurement, Setup, quantities, signal_amplitude, whole_samples
+from linkplan.studies.frequency.excitation import (
+    Measurement,
+    Setup,
+    quantities,
+    refuse_long,
+    signal_amplitude,
+    whole_samples,
+)
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort
 
 # Harmonics of the fundamental that count as distortion.
@@ -36,6 +43,8 @@ def run(
     timing, mechanism = loops[0].timing, loops[0].point.mechanism
     cycles, samples = whole_samples(frequency_hz, timing.period_s)
     frequency = cycles / (samples * timing.period_s)
+    each = float(np.maximum(samples, _FEWEST_SAMPLES).sum()) * len(loops) * len(excitations)
+    refuse_long(float(samples.max()), float(frequency[0]), each / float(samples.max()))
     n_f = len(frequency)
     rows = [(loop, excitation) for loop in loops for excitation in excitations]
     n = len(rows) * n_f

@@ -42,13 +42,18 @@ def plan(problem: Problem | str | Path, progress: Progress | None = None) -> Pla
     return Plan(problem=asked, answer=plan_motion(asked.planning, listener(progress)))
 
 
-def read_plan(folder: str | Path) -> Plan:
+def read_plan(folder: str | Path, *, anyway: bool = False) -> Plan:
     """Return a saved plan: its problem built again, its certificate made anew from the motion on disk.
 
+    Args:
+        folder: where it was saved.
+        anyway: whether a plan whose motion does not pass its certificate is returned, its status "failed", and not refused.
+
     Raises:
+        CertificateError: when the motion does not pass.
         LinkplanError: when the folder or a file in it is missing, truncated, no plan's, or its model has changed since.
     """
-    answer, note = plan_folder.read_plan(folder), plan_folder.unchecked(folder)
+    answer, note = plan_folder.read_plan(folder, anyway=anyway), plan_folder.unchecked(folder)
     if note is not None:
         LOG.warning("%s: %s", folder, note)
     return Plan(problem=Problem(planning=answer.problem), answer=answer)
