@@ -166,9 +166,9 @@ def default_poses(
         low, high, shares = float(np.min(positions)), float(np.max(positions)), np.linspace(0.0, 1.0, POINTS)
     else:
         low, high = most_of_reach(mechanism, 0)
-        if turns(mechanism, 0):  # its ends are one pose
-            low, high = low, high - (high - low) / len(_OVER_THE_REACH)
         shares = (np.array(_OVER_THE_REACH) - _OVER_THE_REACH[0]) / (_OVER_THE_REACH[-1] - _OVER_THE_REACH[0])
+        if turns(mechanism, 0):  # there are no ends: as many poses a turn, evenly
+            high, shares = high - (high - low) / len(shares), np.linspace(0.0, 1.0, len(shares))
     looked = np.linspace(low, high, _LOOKED)
     held = np.array([is_held(mechanism, np.array([position]), effort_limit) for position in looked])
     if held.all() or not held.any():  # where none is held, the first one's refusal says why

@@ -68,12 +68,19 @@ def test_a_narrow_peak_of_sensitivity_is_met_between_frequencies():
     assert coarse < (1 - ON_A_GRID) * dense  # a grid of the margins' own density misses it
 
 
+def test_a_crank_that_nothing_stops_is_looked_at_over_its_whole_turn():
+    mechanism = load_mechanism("slider-crank")
+    looked = loop_poses(mechanism, None, mechanism.effort_limit)
+    assert np.degrees([looked.line.low, looked.line.high]) == pytest.approx([-180.0, 180.0])
+    assert np.diff(np.degrees(looked.positions[:, 0])) == pytest.approx(np.full(6, 360 / 7))
+
+
 @pytest.mark.slow
 def test_gains_found_keep_what_is_wanted_over_a_whole_turn_of_a_crank():
     mechanism = load_mechanism("slider-crank")
     looked = loop_poses(mechanism, None, mechanism.effort_limit)
     assert np.ptp(looked.line.states) == pytest.approx(2 * np.pi)
-    points = [operating_point(mechanism, s) for s in looked.positions]
+    points = [operating_point(mechanism, np.array([s])) for s in (-np.pi, 0.0)]
     timing, settings = sampling(mechanism, 1e-3), Tracking(period_s=1e-3)
     wanted = Wanted(bandwidth_hz=30.0, phase_margin_deg=60.0)
 

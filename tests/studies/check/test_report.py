@@ -332,3 +332,10 @@ def test_the_table_tells_weight_alone_from_what_holds_weight_and_springs():
     assert path.ratio[:, 0, 0] * columns[f"hold {actuator}"] == pytest.approx(both, rel=1e-9, abs=1e-12)
     text = path_text(path)
     assert "weight alone is without springs; hold and force are with everything at rest, weight and springs" in text
+
+
+def test_an_angle_that_is_rounding_of_zero_is_said_as_zero():
+    joint = load_mechanism("optimus-knee").independent_joints[0]
+    assert joint.said(-1.2e-10) == "0"
+    assert joint.said(np.radians(-12.3456)) == "-12.35"
+    assert joint.said(np.radians(1e-6)) == "1e-06"

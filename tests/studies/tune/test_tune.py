@@ -40,7 +40,7 @@ def test_gains_found_do_what_is_wanted_at_every_angle(payload, law, bandwidth, p
         gain = law_gain(point, law, settings, mechanism.effort_limit)
         bounds = margins(feedback_loop(point, gain, found.timing))
         assert bounds.stable
-        assert bounds.bandwidth_hz >= bandwidth
+        assert (bounds.bandwidth_hz or np.inf) >= bandwidth  # none: it reaches the Nyquist frequency
         assert bounds.phase_margin_deg >= phase
 
 
