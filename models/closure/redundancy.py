@@ -2,7 +2,8 @@
 
 A planar loop's third row is a constant combination of the other two wherever the joints stand, closed or not: two rows
 chosen once serve everywhere. The rows of a Bennett linkage, of coupled cranks or of Bricard's depend on one another on
-the closed poses only, by a combination that turns with the mechanism; rows chosen at one pose lose rank at another where the
+the closed
+poses only, by a combination that turns with the mechanism; rows chosen at one pose lose rank at another where the
 mechanism is regular. Such rows are all kept, and the closure is solved in their normal equations,
 
     E phi = 0,   E = D J_z^T   (D constant, positive),

@@ -70,15 +70,18 @@ def quickest(mechanism: Mechanism) -> float:
         return y[0]
 
     at_goal.terminal = at_start.terminal = True
-    ahead = scipy.integrate.solve_ivp(flow(True), (0, 0.05), [0.0, 0.0], events=at_goal, **kept)
-    back = scipy.integrate.solve_ivp(flow(False), (0, -0.05), [GOAL, 0.0], events=at_start, **kept)
+    ahead = scipy.integrate.solve_ivp(flow(True), (0, 0.2), [0.0, 0.0], events=at_goal, **kept)
+    back = scipy.integrate.solve_ivp(flow(False), (0, -0.2), [GOAL, 0.0], events=at_start, **kept)
 
-    def apart(times: np.ndarray) -> np.ndarray:
-        return (ahead.sol(times[0]) - back.sol(-times[1])) * [1.0, 0.01]
+    def before_goal(s: float) -> float:
+        return scipy.optimize.brentq(lambda x: back.sol(x)[0] - s, back.t[-1], 0.0, xtol=1e-14)
 
-    found = scipy.optimize.fsolve(apart, [0.03, 0.02], xtol=1e-12)
-    assert np.abs(apart(found)).max() < 1e-9
-    return float(found.sum())
+    def apart(time: float) -> float:
+        s, v = ahead.sol(time)
+        return float(v - back.sol(before_goal(s))[1])
+
+    switch = scipy.optimize.brentq(apart, 1e-4, ahead.t[-1] * 0.999, xtol=1e-14)
+    return float(switch - before_goal(ahead.sol(switch)[0]))
 
 
 @pytest.mark.slow
