@@ -28,7 +28,7 @@ _COUNTS = {
 }  # fmt: skip
 _MOST_MEMORY = 1_000_000_000
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
-_ATTRIBUTE = re.compile(rb"""([A-Za-z_]\w*)\s*=\s*("([^"]*)"|'([^']*)')""")
+_ATTRIBUTE = re.compile(rb"""(?<!\w)([A-Za-z_]\w*)\s*=\s*("([^"]*)"|'([^']*)')""")
 _COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
 _MOST_BODIES, _DEEPEST = 5000, 400
 

@@ -194,7 +194,7 @@ def command_line(rng: random.Random, plan: Path) -> list[str]:
                       "tracking.duration_s=1e9", "motion.duration_s=1e6", "mechanism.independent=3", "mechanism.home_deg.O=1e300",
                       "pd", "lqr", "none", "a.b=[" + "[" * 3000, "/dev/full", "\udcff", ""]  # fmt: skip
             line.append(rng.choice(values))
-    if command == "bode" and rng.random() < 0.7:
+    if command == "bode":
         line += ["--measure", "none"]
     if command == "plan":
         line += ["--set", "mesh.intervals=10", "--set", "solver.max_time_s=5"]
@@ -266,10 +266,13 @@ def _child(numbers: list[int], seed: int, plan: Path, pipe) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (mapped + LIMIT_BYTES, mapped + LIMIT_BYTES))
     for number in numbers:
         pipe.send((number, None))
-        signal.alarm(LIMIT_S)  # its default action ends the process, in the midst of compiled code too
+        # Their default actions end the process, in the midst of compiled code too: of processor time, and of waiting.
+        signal.setitimer(signal.ITIMER_PROF, LIMIT_S)
+        signal.alarm(3 * LIMIT_S)
         begin = time.monotonic()
         kind, code, wrong = run_case(number, seed, plan)
         signal.alarm(0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
         outcome = Outcome(number=number, kind=kind, code=code, seconds=time.monotonic() - begin, wrong=wrong)
         pipe.send((number, outcome))
     pipe.send((None, None))
@@ -298,7 +301,11 @@ def fuzz(numbers: list[int], seed: int, plan: Path) -> list[Outcome]:
                     waiting = waiting[waiting.index(number) + 1 :]
         except EOFError:
             child.join()
-            why = f"no answer within {LIMIT_S} s" if child.exitcode == -signal.SIGALRM else f"ended by {child.exitcode}"
+            why = (
+                f"no answer within {LIMIT_S} s"
+                if child.exitcode in (-signal.SIGALRM, -signal.SIGPROF)
+                else f"ended by {child.exitcode}"
+            )
             kind = KINDS[current % len(KINDS)]
             found.append(Outcome(number=current, kind=kind, code=None, seconds=float(LIMIT_S), wrong=why))
             print(f"case {current} ({kind}): {why}", flush=True)

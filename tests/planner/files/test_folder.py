@@ -214,7 +214,7 @@ def flipped(folder: Path) -> None:
 
 
 def as_npy(folder: Path) -> None:
-    np.saved_plan(folder / "one.npy", np.eye(3))
+    np.save(folder / "one.npy", np.eye(3))
     (folder / "one.npy").rename(folder / "trajectory.npz")
 
 

@@ -227,3 +227,9 @@ def test_no_hostile_input_of_a_sample_gets_through(tmp_path):
     assert len(found) == 24
     assert not [outcome for outcome in found if outcome.wrong]
     shutil.rmtree(tmp_path, ignore_errors=True)
+
+
+def test_a_model_with_a_word_of_a_million_letters_is_looked_through_at_once():
+    from linkplan.models.model_door import refuse_text
+
+    assert refuse_text("<mujoco>" + "a" * 1_000_000 + "</mujoco>", None) == []
