@@ -61,7 +61,8 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
         raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
     if not is_there(path):
         raise ModelError(
-            f"unknown model '{shown(text)}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
+            f"unknown model '{shown(text)}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)})"
+            " nor a file"
         )
     if not read_file(path, f"model '{text}'", MOST_BYTES, ModelError).strip():
         raise ModelError(f"model '{text}' is empty; a model is an MJCF file")

@@ -21,10 +21,11 @@ MOST_BYTES, _MOST_ASSET_BYTES, _MOST_INCLUDES = 32_000_000, 500_000_000, 1000
 _LARGEST = 1e12
 # Attributes of MJCF that ask for room: at most so much of each (arena memory [bytes] apart).
 _COUNTS = {
-    "count": 10_000, "nrow": 4096, "ncol": 4096, "width": 16_384, "height": 16_384, "nuserdata": 1_000_000, "njmax": 1_000_000,
-    "nconmax": 1_000_000, "nstack": 10_000_000, "nkey": 100_000, "nuser_body": 1000, "nuser_jnt": 1000, "nuser_geom": 1000,
-    "nuser_site": 1000, "nuser_cam": 1000, "nuser_tendon": 1000, "nuser_actuator": 1000, "nuser_sensor": 1000,
-    "offwidth": 16_384, "offheight": 16_384, "size": 100_000, "nsample": 1_000_000, "resolution": 16_384,
+    "count": 10_000, "nrow": 4096, "ncol": 4096, "width": 16_384, "height": 16_384,
+    "nuserdata": 1_000_000, "njmax": 1_000_000, "nconmax": 1_000_000, "nstack": 10_000_000, "nkey": 100_000,
+    "nuser_body": 1000, "nuser_jnt": 1000, "nuser_geom": 1000, "nuser_site": 1000, "nuser_cam": 1000,
+    "nuser_tendon": 1000, "nuser_actuator": 1000, "nuser_sensor": 1000, "offwidth": 16_384, "offheight": 16_384,
+    "size": 100_000, "nsample": 1_000_000, "resolution": 16_384,
 }  # fmt: skip
 _MOST_MEMORY = 1_000_000_000
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
@@ -44,8 +45,8 @@ _DERIVED = ("oct_coeff", "actuator_acc0", "body_invweight0", "dof_invweight0", "
 _TIMESTEP_S = (1e-8, 1.0)
 # Which of mjModel's names a field's prefix has, for a refusal that names the element.
 _OWNERS = {
-    "body": "body", "jnt": "joint", "geom": "geom", "site": "site", "tendon": "tendon", "actuator": "actuator", "eq": "equality",
-    "key": "key", "mesh": "mesh", "cam": "camera", "sensor": "sensor",
+    "body": "body", "jnt": "joint", "geom": "geom", "site": "site", "tendon": "tendon", "actuator": "actuator",
+    "eq": "equality", "key": "key", "mesh": "mesh", "cam": "camera", "sensor": "sensor",
 }  # fmt: skip
 _KINDS = {
     "body": mujoco.mjtObj.mjOBJ_BODY, "joint": mujoco.mjtObj.mjOBJ_JOINT, "geom": mujoco.mjtObj.mjOBJ_GEOM,
@@ -180,8 +181,8 @@ def refuse_unusable(name: str, model: mujoco.MjModel) -> None:
         if value is not None and np.any(np.asarray(value) < 0):
             bad = np.asarray(value) < 0
             raise ModelError(
-                f"model '{name}' has {_where(model, field, bad)} = {float(np.asarray(value)[bad].ravel()[0]):g}; {word} is at"
-                " least 0"
+                f"model '{name}' has {_where(model, field, bad)} = {float(np.asarray(value)[bad].ravel()[0]):g}; {word}"
+                " is at least 0"
             )
     for field in ("jnt_range", "tendon_range", "actuator_ctrlrange", "actuator_forcerange", "jnt_actfrcrange"):
         value = np.asarray(getattr(model, field, np.zeros((0, 2)))).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""The door for what others wrote: regular files of bounded size, texts that can be shown, TOML that cannot break its reader."""
+"""The door for what others wrote: regular files of bounded size, texts that can be shown, TOML that can be read."""
 
 import os
 import stat
@@ -14,7 +14,7 @@ _DEEPEST = 100
 
 
 def shown(text: object, most: int = 200) -> str:
-    """Return `text` as a terminal may show it: control characters, surrogates and their like escaped, no longer than `most`."""
+    """Return `text` as a terminal may show it: control characters and surrogates escaped, no longer than `most`."""
     said = "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii") for c in str(text))
     return said if len(said) <= most else f"{said[: most // 2]}...{said[-most // 4 :]}"
 

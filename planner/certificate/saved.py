@@ -1,5 +1,6 @@
-"""What a certificate leaves to whoever made the motion, judged again where a plan is read: its duration, its reference, the
-pose in the middle of a periodic motion, and the objective's value as the integral that it is.
+"""What a certificate leaves to whoever made the motion, judged again where a plan is read.
+
+Its duration, its reference, the pose in the middle of a periodic motion, and the objective's value as an integral.
 """
 
 import numpy as np

@@ -8,18 +8,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.diagnosis.infeasibility import effort_sentence
 from linkplan.planner.diagnosis.relaxation import RELAXABLE, least_of, violated_sentence, without
 from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import attempt
 from linkplan.planner.search.durations import longest, may_swing
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Search
 from linkplan.planner.search.least_limit import least_limit_of_starts
 from linkplan.planner.search.presolve import plain_contradiction
+from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import enough_time
 from linkplan.planner.solvers.outcome import why_stopped
 
@@ -121,7 +120,7 @@ def _without(search: Search, what: str) -> Plan | None:
         return None
     mesh, durations = first_mesh(problem, guess)
     word = f"without limits on {what}"
-    found = attempt(case_of(relaxed), guess, mesh, durations, word, search.history, search.say)
+    found = solve_from(relaxed, guess, mesh, durations, word, search.history, search.say)
     if found is None:
         return None
     motion = found.motion

@@ -105,7 +105,7 @@ class PlanningProblem:
         if periods * self.mesh.intervals > MAX_INTERVALS:
             raise ProblemError(
                 f"motion.duration_s = {self.motion.duration_s:g} s is {periods:.6g} periods of the reference; with"
-                f" mesh.intervals = {self.mesh.intervals} each, at most {MAX_INTERVALS / self.mesh.intervals:.6g} are planned"
+                f" mesh.intervals = {self.mesh.intervals} each, at most {MAX_INTERVALS / self.mesh.intervals:.6g} may be"
             )
 
     def _check_objective(self) -> None:

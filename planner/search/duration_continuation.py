@@ -24,6 +24,7 @@ from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.least_time import shortest_motion
 from linkplan.planner.search.margin_continuation import nears_singular
 from linkplan.planner.search.phase_plane import stretched
+from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import least_time_motion, no_time, with_switch_times
 from linkplan.planner.transcription.mesh import Mesh, uniform
 
@@ -70,7 +71,7 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
     if problem.motion.duration_s is None:  # where the motion ends before that, it is as good as without
         final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
     durations, what = at.shares * at.start.duration_s, "at its full length"
-    found = attempt(case_of(final), at.start, at.mesh, durations, what, search.history, search.say, warm=True)
+    found = solve_from(final, at.start, at.mesh, durations, what, search.history, search.say, warm=True)
     plan = None if found is None else certified(final, found, search.history, search.say, warm=True)
     if plan is None or plan.status != "optimal":
         return None

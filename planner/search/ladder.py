@@ -14,10 +14,10 @@ import numpy as np
 from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import Found
 from linkplan.planner.refinement.history import Say, Step, silent
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
 from linkplan.planner.search.phase_plane import least_time_guess
+from linkplan.planner.search.solving import Found
 from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME
 
 # So little of a search's time [s] is none: a solver that stops at its limit stops a hair before or after it.

@@ -6,15 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses, users_guess
 from linkplan.planner.plan import Plan
-from linkplan.planner.refinement.case import attempt
 from linkplan.planner.search.attempts import certified, plan_from
 from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.phase_plane import phase_plane_guess, stretched
+from linkplan.planner.search.solving import solve_from
 
 # Perturbed guesses tried after the first failure, where the user asks for no further starts.
 _PERTURBATIONS = 3
@@ -142,7 +141,7 @@ def best_of_several(search: Search, budget: Budget) -> Plan | None:
     for number, (what, guess) in enumerate(itertools.islice(closed, wanted), start=1):
         mesh, durations = first_mesh(problem, guess)
         word = f"start {number} of {wanted}, {what}"
-        solved = attempt(case_of(problem), guess, mesh, durations, word, search.history, search.say)
+        solved = solve_from(problem, guess, mesh, durations, word, search.history, search.say)
         if solved is not None:
             found.append((solved.solution.objective, number, solved))
     missed = None

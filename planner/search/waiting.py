@@ -11,14 +11,13 @@ import numpy as np
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import attempt
 from linkplan.planner.search.attempts import refined
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.least_time import shortest_motion
+from linkplan.planner.search.solving import solve_from
 from linkplan.planner.transcription.mesh import Mesh
 
 # Efforts that hold a pose are within their limits and miss no more than this share of the largest; a wait shorter than this
@@ -47,8 +46,8 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
         return None
     for what, guess, mesh, durations in _waits(problem, quick, wait):
         for warm in (True, False):
-            found = attempt(
-                case_of(replace(problem, guess=None)), guess, mesh, durations, what, search.history, search.say, warm=warm
+            found = solve_from(
+                replace(problem, guess=None), guess, mesh, durations, what, search.history, search.say, warm=warm
             )
             plan = None if found is None else refined(search, problem, found)
             if plan is not None and plan.status == "optimal":

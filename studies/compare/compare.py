@@ -85,8 +85,8 @@ def tracking_reference(plan: Plan) -> SampledReference:
     for many, what, most in ((instants, "control instants", MOST_INSTANTS), (steps, "simulator steps", MOST_STEPS)):
         if many > most:
             raise ProblemError(
-                f"tracking over {duration:g} s with tracking.period_s = {settings.period_s:g} s has {many:.3g} {what}; at most"
-                f" {most:g} are run"
+                f"tracking over {duration:g} s with tracking.period_s = {settings.period_s:g} s has {many:.3g} {what};"
+                f" at most {most:g} are run"
             )
     return sample(plan.problem.mechanism, trajectory, settings.period_s, duration)
 

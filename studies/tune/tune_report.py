@@ -6,7 +6,7 @@ from linkplan.studies.output.tables import table
 from linkplan.studies.tune.tune import Tuning
 
 
-def motor_gains(tuning: Tuning) -> dict[str, float]:
+def motor_gains(tuning: Tuning) -> dict:
     """Return PD gains on the motor's side of the transmission: its torque over its own angle, both through the gear."""
     actuator = tuning.mechanism.actuators[0]
     settings = tuning.best.settings
@@ -42,7 +42,7 @@ def tune_record(tuning: Tuning) -> dict:
     }
 
 
-def tracking_values(tuning: Tuning) -> dict[str, float]:
+def tracking_values(tuning: Tuning) -> dict:
     """Return the gains by the keys of the [tracking] table of a problem file."""
     settings, joint = tuning.best.settings, tuning.mechanism.independent_joints[0]
     values = {"kp": settings.kp, "kd": settings.kd}

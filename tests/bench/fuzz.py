@@ -49,13 +49,13 @@ NUMBERS = (
     "0.5",
     "3",
 )
-WORDS = ('""', '"none"', '"$x^$"', '"=1+1"', '"\\u001b[31m"', '"../.."', '"/dev/zero"', "true", "1979-05-27", "[]", "{}", "[1, 2]",
-         "[[1], [2]]", "{ O = 1 }", '["O"]', "[nan]", "[inf, -inf]", "[" * 3000)  # fmt: skip
+WORDS = ('""', '"none"', '"$x^$"', '"=1+1"', '"\\u001b[31m"', '"../.."', '"/dev/zero"', "true", "1979-05-27", "[]", "{}",
+         "[1, 2]", "[[1], [2]]", "{ O = 1 }", '["O"]', "[nan]", "[inf, -inf]", "[" * 3000)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Outcome:
-    """What became of a case: its number, kind, exit code (None where the child died), seconds, and what was wrong, if anything."""
+    """What became of a case: its number, kind, exit code (None where the child died), seconds, and what was wrong."""
 
     number: int
     kind: str
@@ -104,10 +104,7 @@ def mutated_toml(rng: random.Random) -> bytes:
     for _ in range(rng.randint(1, 3)):
         section = rng.choice(list(KEYS))
         keys = KEYS[section] or ("act_O",)
-        if rng.random() < 0.7 and lines.get(section):
-            key = rng.choice(list(lines[section]))
-        else:
-            key = rng.choice(keys)
+        key = rng.choice(list(lines[section]) if rng.random() < 0.7 and lines.get(section) else keys)
         before = lines.setdefault(section, {}).get(key, "{ O = 1.0 }")
         number = rng.choice(NUMBERS)
         inner = re.sub(r"-?\d+(\.\d+)?", lambda _, number=number: number, before, count=1)
@@ -135,7 +132,8 @@ def mutated_mjcf(rng: random.Random) -> bytes:
                 '<asset><hfield name="h" nrow="{0}" ncol="{0}" size="1 1 1 1"/></asset>', '<include file="/dev/zero"/>',
                 '<include file="pipe.xml"/>', '<option gravity="0 0 {}"/>', '<option><flag gravity="disable"/></option>',
                 '<worldbody><replicate count="{}"><site pos="1 0 0"/></replicate></worldbody>',
-                '<asset><hfield name="h" nrow="3" ncol="3" size="1 1 1 1"/></asset><worldbody><geom type="hfield" hfield="h"/></worldbody>',
+                '<asset><hfield name="h" nrow="3" ncol="3" size="1 1 1 1"/></asset>'
+                '<worldbody><geom type="hfield" hfield="h"/></worldbody>',
                 '<default><joint armature="{}"/></default>', '<default><geom solref="{} 1"/></default>',
                 '<default><motor gear="{}"/></default>', '<default><joint damping="{}" frictionloss="{}"/></default>',
             ])  # fmt: skip
@@ -169,7 +167,8 @@ def mutated_folder(rng: random.Random, plan: Path, folder: Path) -> None:
         value = arrays[name]
         arrays[name] = rng.choice([
             value * rng.choice([0.0, 0.5, 1.001, -1.0, 1e10]) if value.dtype != bool else ~value, value.reshape(-1)[:1],
-            value.astype(complex) if value.dtype != bool else value, np.array("x"), np.zeros((0, 3)), value.astype(np.float16),
+            value.astype(complex) if value.dtype != bool else value, np.array("x"), np.zeros((0, 3)),
+            value.astype(np.float16),
         ])  # fmt: skip
         np.savez_compressed(folder / "trajectory.npz", **arrays)
     else:
@@ -185,13 +184,14 @@ def command_line(rng: random.Random, plan: Path) -> list[str]:
     elif command not in ("list", ""):
         line.append(rng.choice([*MODELS, *PROBLEMS, "nothing", "/dev/zero", ".", "", "\udce9", "x" * 5000]))
     options = ["--at-deg", "--set", "--kp", "--kd", "--period-s", "--delay-periods", "--from-hz", "--to-hz", "--frequencies",
-               "--amplitude-deg", "--measure", "--tracker", "--mass-factor", "--bandwidth-hz", "--phase-margin-deg", "--json",
-               "--anyway", "--slow", "--seconds", "--version", "-o"]  # fmt: skip
+               "--amplitude-deg", "--measure", "--tracker", "--mass-factor", "--bandwidth-hz", "--phase-margin-deg",
+               "--json", "--anyway", "--slow", "--seconds", "--version", "-o"]  # fmt: skip
     for option in rng.sample(options, rng.randint(0, 3)):
         line.append(option)
         if option not in ("--json", "--anyway", "--version"):
-            values = [*NUMBERS, "O=1,5", "O=nan", "O=1,O=2", "=", "tracking.kp=1e300", "tracking.period_s=1e9", "mesh.intervals=1e9",
-                      "tracking.duration_s=1e9", "motion.duration_s=1e6", "mechanism.independent=3", "mechanism.home_deg.O=1e300",
+            values = [*NUMBERS, "O=1,5", "O=nan", "O=1,O=2", "=", "tracking.kp=1e300", "tracking.period_s=1e9",
+                      "mesh.intervals=1e9", "tracking.duration_s=1e9", "motion.duration_s=1e6", "mechanism.independent=3",
+                      "mechanism.home_deg.O=1e300",
                       "pd", "lqr", "none", "a.b=[" + "[" * 3000, "/dev/full", "\udcff", ""]  # fmt: skip
             line.append(rng.choice(values))
     if command == "bode":

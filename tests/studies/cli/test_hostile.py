@@ -1,4 +1,4 @@
-"""Hostile input: what is nonsense is refused in one line, what is too large before it is asked for, and nothing else escapes."""
+"""Hostile input: nonsense is refused in one line, what is too large before it is asked for, and nothing escapes."""
 
 import json
 import os
@@ -120,7 +120,7 @@ def test_a_comma_is_no_decimal_point(angle, ask):
     assert "--at-deg" in err
 
 
-def test_a_rod_without_mass_is_a_problem(ask):
+def test_a_rod_without_mass_is_a_problem():
     light = CRANK.replace('mass="0.2"', 'mass="1e-9"')
     assert light != CRANK
     whole = load_mechanism(light)
@@ -152,7 +152,7 @@ def test_an_unclosed_quote_in_cc_is_no_compiler(monkeypatch):
 def test_what_nobody_foresaw_is_one_line_and_a_file(ask, monkeypatch, tmp_path):
     from linkplan.studies.cli import list_command
 
-    def fails(arguments):
+    def fails(_arguments):
         raise ZeroDivisionError("oh")
 
     monkeypatch.setattr(list_command, "run_list", fails)
@@ -215,7 +215,8 @@ def test_a_plan_that_passes_is_read_and_its_objective_is_its_integral(tmp_path):
 
 def test_an_array_that_declares_more_than_it_may_is_refused_before_it_is_read(tmp_path):
     folder = saved_plan("knee-reach", tmp_path)
-    np.savez_compressed(folder / "trajectory.npz", **{name: np.zeros(9_000_000) for name in ("breaks_s", "position", "velocity", "effort", "start_pose", "periodic")})  # fmt: skip
+    names = ("breaks_s", "position", "velocity", "effort", "start_pose", "periodic")
+    np.savez_compressed(folder / "trajectory.npz", **{name: np.zeros(9_000_000) for name in names})
     assert (folder / "trajectory.npz").stat().st_size < 1_000_000
     with pytest.raises(PlanFileError, match="bytes"):
         read_plan(folder)
