@@ -84,12 +84,14 @@ def _rested(motion: Guess, wait: float, effort: np.ndarray, *, first: bool) -> G
     def inside(at: np.ndarray) -> np.ndarray:
         return np.clip(np.asarray(at) - begin, 0.0, duration)
 
+    planned = motion.effort
+    assert planned is not None  # of a motion that was solved for
     return replace(
         motion,
         position=lambda t: motion.position(inside(t)),
         velocity=lambda t: np.where(moving(t), motion.velocity(inside(t)), 0.0),
         acceleration=lambda t: np.where(moving(t), motion.acceleration(inside(t)), 0.0),
-        effort=lambda t: np.where(moving(t), motion.effort(inside(t)), effort),
+        effort=lambda t: np.where(moving(t), planned(inside(t)), effort),
         duration_s=duration + wait,
     )
 

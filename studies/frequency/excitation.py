@@ -45,7 +45,7 @@ def refuse_long(samples: float, lowest_hz: float, copies: float, *, bytes_a_samp
     if samples > most:
         raise LinkplanError(
             f"{lowest_hz:g} Hz takes windows of {samples:.3g} control periods in {copies:g} simulations at once; at most"
-            f" {most:.3g} are kept, as from about {lowest_hz * samples / most:.3g} Hz on (--from-hz), or with a longer"
+            f" {most:.3g} are kept, as from about {lowest_hz * samples / most:.3g} Hz on, or with a longer"
             " control period"
         )
 
