@@ -12,7 +12,7 @@ import pytest
 from linkplan.models.errors import PlanFileError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.folders import plain, write_json, write_whole
+from linkplan.planner.files.folders import MANIFEST, plain, write_json, write_whole
 from linkplan.planner.files.plan_folder import FORMAT, read_plan, record, write_plan
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.plans import optimal, planned, saved_plan
@@ -68,7 +68,7 @@ def test_overrides_outlive_the_folder(tmp_path):
 
 
 def test_a_folder_holds_the_plan_s_three_files(saved):
-    assert sorted(path.name for path in saved.iterdir()) == FILES
+    assert sorted(path.name for path in saved.iterdir()) == [MANIFEST, *FILES]
 
 
 def test_the_record_is_json_with_its_units_in_its_names(saved):
@@ -199,7 +199,7 @@ def flipped(folder: Path) -> None:
 
 
 def as_npy(folder: Path) -> None:
-    np.saved_plan(folder / "one.npy", np.eye(3))
+    np.save(folder / "one.npy", np.eye(3))
     (folder / "one.npy").rename(folder / "trajectory.npz")
 
 
