@@ -22,6 +22,10 @@ MOST_DELAY_PERIODS = 1000
 _ON_STEP = 1e-6
 
 
+# More simulator steps than this in one control period are no feedback loop.
+MOST_SUBSTEPS = 100_000
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Sampling:
     """A control period [s] of `substeps` simulator steps, and a computing delay of `delay_steps` simulator steps."""
@@ -91,6 +95,11 @@ def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0, 
         raise LinkplanError(f"the control period is a positive number of seconds, got {period_s:g}")
     if not (np.isfinite(delay_periods) and 0 <= delay_periods <= MOST_DELAY_PERIODS):
         raise LinkplanError(f"the delay is from 0 to {MOST_DELAY_PERIODS} control periods, got {delay_periods:g}")
+    if substeps is None and period_s > MOST_SUBSTEPS * float(mechanism.model.opt.timestep):
+        raise LinkplanError(
+            f"a control period of {period_s:g} s is {period_s / float(mechanism.model.opt.timestep):.3g} simulator steps; at"
+            f" most {MOST_SUBSTEPS} are run"
+        )
     if substeps is None:
         fewest = max(1, int(np.ceil(period_s / float(mechanism.model.opt.timestep) - 1e-9)))
         off = [abs(delay_periods * n - round(delay_periods * n)) < _ON_STEP for n in range(fewest, 20 * fewest + 1)]

@@ -84,9 +84,11 @@ def _tendon_lengths(model: mujoco.MjModel) -> tuple[tuple[ca.SX | None, ...], ca
 
 
 def _surroundings(model: mujoco.MjModel):
+    # On joints whose actuators carry it, MuJoCo clamps gravity compensation with their sum.
+    clamped = any(model.jnt_actgravcomp[j] and model.jnt_actfrclimited[j] for j in range(model.njnt))
     for body in range(1, model.nbody):
-        if model.body_gravcomp[body] != 0:
-            yield f"gravcomp of body {model.body(body).name or body}"
+        if clamped and model.body_gravcomp[body] != 0:
+            yield f"gravcomp of body {model.body(body).name or body}, clamped by a joint's actuatorfrcrange"
     if model.opt.density > 0 or model.opt.viscosity > 0 or np.any(model.opt.wind != 0):
         yield "fluid forces (option density, viscosity or wind)"
     if model.nflex:

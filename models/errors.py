@@ -3,10 +3,15 @@
 A message is one line that says what was asked, what is legal and what was got.
 """
 
+# A refusal quotes what it was given; what is longer than this is a file's content and not a name.
+_LONGEST = 4000
+
 
 def one_line(text: object) -> str:
-    """Return `text` as one line, white space folded."""
-    return " ".join(str(text).split())
+    """Return `text` as one line: white space folded, and what a terminal would obey in place of showing escaped."""
+    folded = " ".join(str(text).split())
+    said = "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii") for c in folded)
+    return said if len(said) <= _LONGEST else f"{said[: _LONGEST // 2]} ... {said[-_LONGEST // 4 :]}"
 
 
 class LinkplanError(Exception):
@@ -30,6 +35,10 @@ class ProblemError(LinkplanError):
 
 class PlanFileError(LinkplanError):
     """A plan folder that cannot be read or written."""
+
+
+class CertificateError(PlanFileError):
+    """A saved plan whose motion does not pass its certificate when it is read."""
 
 
 class InfeasibleError(LinkplanError):

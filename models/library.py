@@ -7,10 +7,12 @@ import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import MODELS as BUILT_IN
-from linkplan.models.catalogue import built_in_text, is_file, is_folder, is_text
+from linkplan.models.catalogue import built_in_text, is_file, is_folder, is_text, is_there
 from linkplan.models.errors import ModelError, one_line
+from linkplan.models.model_door import MOST_BYTES, refuse_files, refuse_text, refuse_unusable
 from linkplan.models.names import nearest
 from linkplan.models.payload import Payload, attach
+from linkplan.models.reading import read_file, shown
 
 __all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
@@ -29,11 +31,12 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
         if payload is not None:
             attach(spec, payload)
         model = spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        shown = "MJCF text" if is_text(str(source)) else source
-        raise ModelError(f"model '{shown}' does not compile: {one_line(error)}") from error
+    except (ValueError, mujoco.FatalError, UnicodeDecodeError) as error:
+        what = "MJCF text" if is_text(str(source)) else source
+        raise ModelError(f"model '{what}' does not compile: {one_line(error)}") from error
     finally:
         mujoco.set_mju_user_warning(None)
+    refuse_unusable(name, model)
     if any("nan" in text.lower() for text in said) or not np.all(np.isfinite(model.opt.gravity)):
         raise ModelError(
             f"model '{name}' holds a number that is not finite (nan or inf): {one_line(' '.join(said)) or 'gravity'}"
@@ -45,26 +48,27 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
 
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     text = str(source)
+    if not text.isprintable() and not is_text(text):
+        raise ModelError(f"a model's name has characters that cannot be shown: '{text}'")
     if text in BUILT_IN:
         return text, _parse(text, built_in_text(text))
     if is_text(text):
+        refuse_text(text, None)
         spec = _parse("MJCF text", text)
         return spec.modelname or "MJCF text", spec
-    path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."
+    path = Path(text)
     if is_folder(path):
         raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
-    if not is_file(path):
+    if not is_there(path):
         raise ModelError(
-            f"unknown model '{shown}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
+            f"unknown model '{shown(text)}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)})"
+            " nor a file"
         )
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"model '{text}' cannot be read: {error.strerror}") from error
-    if not content.strip():
+    if not read_file(path, f"model '{text}'", MOST_BYTES, ModelError).strip():
         raise ModelError(f"model '{text}' is empty; a model is an MJCF file")
+    refuse_files(path)
     try:
-        return path.stem, mujoco.MjSpec.from_file(str(path))
+        return shown(path.stem), mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
         raise ModelError(f"model '{text}' does not parse: {one_line(error)}") from error
 

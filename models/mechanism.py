@@ -11,17 +11,20 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.actuation.actuators import Actuator, effort_matrix, read_actuators
+from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
 from linkplan.models.actuation.transmission import TRN_TENDON
 from linkplan.models.closure.equations import Closure, read_closures
 from linkplan.models.closure.initial_assembly import assemble, home_positions, poses_about, refuse_singular_assembly
+from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.passive_freedom import find_passive_dofs
 from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank, weak_rank
+from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
 from linkplan.models.errors import AssemblyError, ModelError
 from linkplan.models.library import compile_model
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree
+from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import Inertial, build_tree
 from linkplan.models.tree.joints import Joint, index_of, read_joints
@@ -31,6 +34,8 @@ from linkplan.models.tree.tendons import is_fixed, tendon_joints
 # A named choice of coordinates is refused where a column of J_z is left with less than this share of itself: the pose
 # is then within some microradians of a dead centre of the choice.
 _SINGULAR_CHOICE = 1e-6
+# Jacobians away from home show so many times the noise of the file that home's does.
+_NOISE_ROOM = 1e4
 # The rank at the reference pose means something where the loops are closed there, up to a file's rounding.
 _CLOSED_REFERENCE_M = 1e-6
 
@@ -41,7 +46,9 @@ class Mechanism:
 
     Its coordinates q (n_q,) are internal ones, see `models.tree.coordinates`; `independent` and `dependent` are indices into
     them. `home` (n_q,) closes the loops; `home_gap_m` is how far they stood open at the model's own reference pose, before
-    assembly. `passive_dofs` are passive degrees of freedom: coordinates that can move alone while all other bodies rest and
+    assembly; `closed_m` is the gap [m] below which they count as closed, more than rounding where the file's own numbers
+    leave more. Overconstrained loops are `projected`: closed in the normal equations of all their rows. `passive_dofs` are
+    passive degrees of freedom: coordinates that can move alone while all other bodies rest and
     that no actuator drives, as a rod between two ball joints spins; `notes` are sentences on what is worth knowing of the
     assembly. `source` is what it was loaded from, as the [mechanism] table of a problem file.
     """
@@ -52,12 +59,14 @@ class Mechanism:
     joints: tuple[Joint, ...]
     actuators: tuple[Actuator, ...]
     closures: tuple[Closure, ...]
-    closure_rows: np.ndarray  # independent rows of phi
+    closure_rows: np.ndarray  # rows of phi that are independent at home
+    projected: tuple[ProjectedLoops, ...]
     independent: np.ndarray
     dependent: np.ndarray
     home: np.ndarray
     reference: np.ndarray
     home_gap_m: float
+    closed_m: float
     extent_m: float  # of what moves: a length to compare lengths with
     dynamics: ReducedDynamics
     coordinates: Coordinates
@@ -120,7 +129,9 @@ class Mechanism:
         tree = build_tree(self.model, self.qpos_of(np.zeros(self.n_q)), {self.model.body(BODY_NAME).id: own})
         closures = read_closures(self.model, tree)
         matrix = effort_matrix(self.model, tree, self.actuators)
-        return reduce_tree(tree, closures, matrix, self.closure_rows, self.independent, self.dependent, pi)
+        rows, projected = self.closure_rows, self.projected
+        long = lengths(self.model, tree, self.actuators)
+        return reduce_tree(tree, closures, matrix, rows, self.independent, self.dependent, pi, projected, long)
 
     def joint_index(self, name: str, error: type[Exception] = ModelError) -> int:
         """Return the index of a joint by name."""
@@ -184,6 +195,8 @@ def load_mechanism(
     payload: Payload | str | Mapping | None = None,
     home: Mapping[str, float] | None = None,
     independent: Sequence[str] | None = None,
+    solref: str | None = None,
+    closure_tolerance_m: float | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -193,13 +206,19 @@ def load_mechanism(
         home: joint positions by name [rad or m] at which to assemble. Independent joints are held there; the others
             choose the branch. Without it the model's keyframe "home", else its reference pose, is the guess.
         independent: names of joints to be independent coordinates; by default the actuated ones are, as far as they can.
+        solref: "stiff" for the stiffest equality constraints in simulation that the timestep admits; by default the model's.
+        closure_tolerance_m: the gap [m] up to which a motion that the file's rounding alone forbids is free; by default a
+            micrometre, or a hundred thousandth of a small mechanism.
 
     Raises:
         ModelError: when the model cannot be used, or the named joints cannot be its coordinates.
         AssemblyError: when its loops do not close at, or near, the pose asked.
     """
+    if independent is not None:
+        _names_of(independent)
     payload = payload_from(payload)
     name, model = compile_model(source, payload)
+    set_softness(model, solref)
     joints = read_joints(name, model)
     reference_qpos = _reference_qpos(model)
     tree = build_tree(model, reference_qpos)
@@ -211,28 +230,34 @@ def load_mechanism(
         rows=tuple(closure.rows for closure in closures),
     )
 
-    reference = tree.coordinates.q_of(reference_qpos)
-    pose = assemble(name, joints, loop, reference, home_positions(name, joints, home))
-    _refuse_beyond_charts(name, tree.coordinates, pose)
     extent = extent_m(model)
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])  # what counts as a radian
+    tolerance = closure_tolerance(closure_tolerance_m, extent)
+    reference = tree.coordinates.q_of(reference_qpos)
+    pose = assemble(name, joints, loop, reference, home_positions(name, joints, home), tolerance)
+    _refuse_beyond_charts(name, tree.coordinates, pose)
+    mobility = judge_mobility(loop, pose, unit, tolerance)
+    loop, share = mobility.loop, mobility.loop.rank_tolerance
     about = poses_about(loop, pose, unit)
     jacobians = [loop.residual(q)[1] * unit for q in (pose, *about)]
-    rank = numerical_rank(jacobians[0])
+    rank = numerical_rank(jacobians[0], share)
     if rank == len(joints):
         raise ModelError(
             f"mechanism '{name}' is locked: {len(joints)} joints less {rank} independent closure rows leave 0 degrees of"
-            f" freedom{_hint(weak_rank(jacobians[0]))}"
+            f" freedom{_hint(weak_rank(jacobians[0], share), mobility.locked, tolerance)}"
         )
-    ordinary = [jacobian for jacobian in jacobians if numerical_rank(jacobian) == rank]
-    rows = independent_rows(ordinary, rank)
+    ordinary = [jacobian for jacobian in jacobians if numerical_rank(jacobian, share) == rank]
+    rows = independent_rows(ordinary, rank, share)
     named = _named(name, joints, independent, len(joints) - rank)
     dependent = _choose_dependent(joints, model, jacobians[0][rows], rank, actuators, named)
     free = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
     refuse_singular_assembly(name, joints, loop, pose, rank, free, extent, about)
     B = effort_matrix(model, tree, actuators)
-    dynamics = reduce_tree(tree, closures, B, rows, free, dependent)
-    poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian) == rank]
+    sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
+    projected = projected_loops(sparse, rows.tolist(), dependent.tolist(), pose, mobility.noise * _NOISE_ROOM)
+    long = lengths(model, tree, actuators)
+    dynamics = reduce_tree(tree, closures, B, rows, free, dependent, projected=projected, lengths=long)
+    poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
     weight = ca.Function("weight", [tree.q], [tree.gravity])
     passive_dofs, notes = find_passive_dofs(
         model,
@@ -240,7 +265,8 @@ def load_mechanism(
         [np.array(dynamics.effort_matrix(q)).reshape(len(joints), -1) for q in poses],
         [np.array(weight(q)).ravel() for q in poses],
     )
-    at_reference = numerical_rank(loop.residual(reference)[1] * unit)
+    notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
+    at_reference = numerical_rank(loop.residual(reference)[1] * unit, share)
     if loop.gap(loop.residual(reference)[0]) <= _CLOSED_REFERENCE_M and at_reference != rank:
         notes.append(f"the model's reference pose is singular: the closure has rank {at_reference} there and {rank} at home")
 
@@ -252,24 +278,29 @@ def load_mechanism(
         actuators=actuators,
         closures=closures,
         closure_rows=rows,
+        projected=projected,
         independent=free,
         dependent=dependent,
         home=pose,
         reference=reference,
         home_gap_m=loop.gap(loop.residual(reference)[0]),
+        closed_m=loop.closed_m,
         extent_m=extent,
         dynamics=dynamics,
         coordinates=tree.coordinates,
         passive_dofs=passive_dofs,
         notes=tuple(notes),
-        source=_table_of(source, payload, home, independent, joints),
+        source=_table_of(source, payload, home, independent, closure_tolerance_m, joints)
+        | ({} if solref is None else {"solref": solref}),
     )
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
     return mechanism
 
 
-def _table_of(source, payload: Payload | None, home, independent, joints: tuple[Joint, ...]) -> dict[str, object]:
+def _table_of(
+    source, payload: Payload | None, home, independent, tolerance_m: float | None, joints: tuple[Joint, ...]
+) -> dict[str, object]:
     """Return what a mechanism is loaded from as the [mechanism] table of a problem file."""
     table: dict[str, object] = {"model": str(source)}
     if payload is not None:
@@ -279,15 +310,19 @@ def _table_of(source, payload: Payload | None, home, independent, joints: tuple[
             table.setdefault(f"home_{joint.unit}", {})[joint.name] = joint.shown(home[joint.name])
     if independent is not None:
         table["independent"] = list(independent)
+    if tolerance_m is not None:
+        table["closure_tolerance_m"] = tolerance_m
     return table
 
 
-def _hint(weak: int) -> str:
+def _hint(weak: int, locked, tolerance_m: float) -> str:
     if not weak:
         return ""
+    gap = max((gap for _, gap in locked), default=0.0)
+    opens = f" (moved by 0.1 rad the loops open by {gap:.3g} m; closure_tolerance_m = {tolerance_m:g})" if gap else ""
     return (
         f"; {weak} of these rows is nearly dependent on the others (1e-4 of the largest singular value): joint axes or"
-        " points meant to be aligned are slightly off"
+        f" points meant to be aligned are slightly off{opens}"
     )
 
 
@@ -308,12 +343,16 @@ def _refuse_beyond_charts(name: str, coordinates: Coordinates, pose: np.ndarray)
         )
 
 
+def _names_of(asked: object) -> None:
+    """Refuse what is no list of joint names."""
+    if not isinstance(asked, list | tuple) or not all(isinstance(joint, str) for joint in asked):
+        raise ModelError(f"mechanism.independent is a list of joint names, got {asked!r}")
+
+
 def _named(name: str, joints: tuple[Joint, ...], asked: Sequence[str] | None, dof: int) -> list[int]:
     """Return the indices of the joints named as independent coordinates."""
     if asked is None:
         return []
-    if isinstance(asked, str) or not all(isinstance(joint, str) for joint in asked):
-        raise ModelError(f"mechanism.independent is a list of joint names, got {asked!r}")
     named = [index_of(name, joints, joint) for joint in asked]
     if len(set(named)) < len(named) or len(named) > dof:
         raise ModelError(

@@ -1,5 +1,6 @@
 """Many problems that vary one, planned one after the other, warm where they differ in numbers alone."""
 
+import copy
 from collections.abc import Iterator
 
 from linkplan.models.errors import ProblemError
@@ -7,6 +8,7 @@ from linkplan.planner.files.batch_file import Batch, Case
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override, read_tables
 from linkplan.planner.plan import Plan
+from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Say, silent
 from linkplan.planner.replan import Planner
 
@@ -18,16 +20,29 @@ def plan_batch(batch: Batch, say: Say = silent) -> Iterator[tuple[Case, Plan]]:
         ProblemError: for a case whose settings cannot be used, naming it, before any is planned.
         ModelError: when a mechanism that is named cannot be used.
     """
-    problems = []
+    # Ten thousand problems take gigabytes: each is made to be checked, forgotten, and made again when its turn comes.
+    for _ in _problems(batch):
+        pass
+    planner = Planner()
+    for number, (case, problem) in enumerate(_problems(batch)):
+        say(f"{number + 1} of {len(batch.cases)}: {case.name}")
+        yield case, planner.plan(problem)
+
+
+def _problems(batch: Batch) -> Iterator[tuple[Case, PlanningProblem]]:
+    """Yield each case with its problem; one mechanism serves cases in a row that say the same of it."""
+    name, common, folder = read_tables(batch.problem)
+    asked: object = None
+    mechanism = None
     for case in batch.cases:
-        name, tables, folder = read_tables(batch.problem)
+        tables = copy.deepcopy(common)
         try:
             for setting in (*batch.common, *case.settings):
                 apply_override(tables, setting)
-            problems.append(problem_from_tables(f"{name}/{case.name}", tables, folder))
+            wanted = copy.deepcopy(tables.get("mechanism"))
+            same = mechanism is not None and wanted == asked
+            problem = problem_from_tables(f"{name}/{case.name}", tables, folder, mechanism if same else None)
         except ProblemError as error:
             raise ProblemError(f"case '{case.name}': {error}") from error
-    planner = Planner()
-    for number, (case, problem) in enumerate(zip(batch.cases, problems, strict=True)):
-        say(f"{number + 1} of {len(problems)}: {case.name}")
-        yield case, planner.plan(problem)
+        asked, mechanism = wanted, problem.mechanism
+        yield case, problem

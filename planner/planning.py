@@ -13,8 +13,9 @@ from linkplan.planner.closed_chain.prescribed_plan import plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.settings import CERTIFYING
 from linkplan.planner.refinement.history import Say, silent
-from linkplan.planner.search import attempts, duration_continuation, last_resorts, margin_continuation, starts
+from linkplan.planner.search import attempts, duration_continuation, last_resorts, margin_continuation, starts, waiting
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Repair, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
 
@@ -83,10 +84,15 @@ RUNGS: tuple[Rung, ...] = (
             not search.solved
             and all(attempts.unsound(plan) for plan in search.plans[:1])
             and not search.only_time_counts
-            and starts.enough_time(search)
-            and search.quickest.boundaries_s is None
+            and duration_continuation.may_be_lengthened(search)
         ),
         climb=duration_continuation.from_continuation,
+        budget=PATIENT,
+    ),
+    Rung(
+        name="the least time, and waiting",
+        tried=lambda search: not search.solved and waiting.may_wait(search),
+        climb=waiting.from_waiting,
         budget=PATIENT,
     ),
     Rung(
@@ -156,7 +162,7 @@ def plan_motion(problem: PlanningProblem, say: Say = silent, rungs: Sequence[Run
     Raises:
         ProblemError: when start, goal or reference contradict the mechanism itself.
     """
-    deadline = time.monotonic() + problem.solver.max_time_s
+    deadline = time.monotonic() + (1 - CERTIFYING) * problem.solver.max_time_s
     start_pose = start_pose_of(problem)
     if problem.motion.kind == "track":
         return plan_prescribed(problem, start_pose, say)

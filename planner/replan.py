@@ -18,7 +18,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.answer import finished
-from linkplan.planner.closed_chain.transcribe import is_program_of, renumbered, trajectory_of
+from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered, trajectory_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -91,7 +91,8 @@ class Planner:
             build_s=solution.transcribed.build_s,
             solve_s=solution.solve_s,
         )
-        plan = finished(problem, trajectory, certificate, solution.objective, [step], None)
+        objective = own_objective(solution.transcribed, solution.objective, trajectory)
+        plan = finished(problem, trajectory, certificate, objective, [step], None)
         if plan.status != "optimal":
             return None
         self._last = replace(solution.transcribed, start=solution.x)

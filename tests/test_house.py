@@ -21,8 +21,8 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "names", "catalogue", "payload", "library", "digest", "tree", "closure", "reduction", "actuation", "audit",
-        "mechanism", "poses",
+        "errors", "names", "reading", "catalogue", "payload", "model_door", "library", "digest", "tree",
+        "closure", "reduction", "actuation", "audit", "stiffness", "mechanism", "poses",
     ),
     "planner": (
         "trajectory", "transcription", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain", "ode",

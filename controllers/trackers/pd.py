@@ -13,13 +13,13 @@ from linkplan.models.poses.along import sampled
 class PD:
     """u = (Gamma^T B)^+ [kp (s_ref - s) + kd (v_ref - v)].
 
-    kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints; `map` (n, n_u, n_s) takes their efforts
-    to the actuators along the reference.
+    kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m], one for all or one for each (n_s,), act on the independent joints; `map`
+    (n, n_u, n_s) takes their efforts to the actuators along the reference.
     """
 
     reference: SampledReference
-    kp: float
-    kd: float
+    kp: float | np.ndarray
+    kd: float | np.ndarray
     map: np.ndarray
     name: str = "pd"
 
@@ -30,7 +30,7 @@ class PD:
         return self.map[k] @ error
 
 
-def pd(mechanism: Mechanism, reference: SampledReference, kp: float, kd: float) -> PD:
+def pd(mechanism: Mechanism, reference: SampledReference, kp: float | np.ndarray, kd: float | np.ndarray) -> PD:
     """Return the PD tracker of a reference."""
     maps = np.linalg.pinv(sampled(mechanism.dynamics.effort_map, reference.pose))
     return PD(reference=reference, kp=kp, kd=kd, map=maps)

@@ -50,6 +50,13 @@ class Actuator:
     lower: float
     upper: float
     unit: str  # "N.m" or "N"
+    has_length: bool  # whether `lengths` has it: on a hinge, slide or tendon
+
+    @property
+    def limits_control(self) -> bool:
+        """Whether its ctrlrange limits the effort by where it stands and how fast it moves: a servo of constant gain."""
+        limited = np.isfinite([self.control_lower, self.control_upper]).any()
+        return self.is_servo and bool(limited) and not any(self.gains[1:]) and self.has_length
 
     @property
     def gain(self) -> float:
@@ -163,6 +170,20 @@ def effort_matrix(model: mujoco.MjModel, tree: Tree, actuators: tuple[Actuator, 
     return ca.sparsify(ca.horzcat(ca.SX(tree.q.numel(), 0), *columns))
 
 
+def lengths(model: mujoco.MjModel, tree: Tree, actuators: tuple[Actuator, ...]) -> ca.SX:
+    """Return the actuators' lengths (n_u,) [rad or m], not a number where none is written here: sites and slider-cranks."""
+    found = []
+    for actuator in actuators:
+        first = int(model.actuator_trnid[actuator.index, 0])
+        if actuator.joint is not None:
+            found.append(actuator.gear * tree.q[actuator.joint])
+        elif int(model.actuator_trntype[actuator.index]) == int(TRN_TENDON):
+            found.append(actuator.gear * tree.tendon_lengths[first])
+        else:
+            found.append(ca.SX(np.nan))
+    return ca.vertcat(ca.SX(0, 1), *found)
+
+
 def _read(model: mujoco.MjModel, index: int) -> Actuator:
     gains, biases = _coefficients(model, index)
     channel, at = int(model.actuator_ctrladr[index]), attachment(model, index)
@@ -190,6 +211,7 @@ def _read(model: mujoco.MjModel, index: int) -> Actuator:
         lower=max((lo for lo, _ in bounds), default=-np.inf),
         upper=min((hi for _, hi in bounds), default=np.inf),
         unit=at.unit,
+        has_length=at.dof is not None or int(model.actuator_trntype[index]) == int(TRN_TENDON),
     )
 
 

@@ -2,6 +2,7 @@
 
 import numbers
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -36,28 +37,45 @@ def home_positions(name: str, joints: tuple[Joint, ...], home: Mapping[str, floa
 
 
 def assemble(
-    name: str, joints: tuple[Joint, ...], loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float]
+    name: str,
+    joints: tuple[Joint, ...],
+    loop: KinematicLoop,
+    reference: np.ndarray,
+    asked: dict[int, float],
+    tolerance_m: float = newton.CLOSED_M,
 ) -> np.ndarray:
     """Return a pose that closes every loop, with the asked joints held as far as the loops leave them free.
 
     From the reference pose along a straight line to the asked one where that closes, which stays on the reference's
-    branch; else by Newton from the asked values, which then choose the branch.
+    branch; else by Newton from the asked values, which then choose the branch. Where nothing closes to rounding, a gap
+    within `tolerance_m` [m] will do: that of a file whose points are rounded.
     """
+    try:
+        return _assemble(name, joints, loop, reference, asked)
+    except AssemblyError:
+        if tolerance_m <= loop.closed_m:
+            raise
+        return _assemble(name, joints, replace(loop, closed_m=tolerance_m), reference, asked)
+
+
+def _assemble(
+    name: str, joints: tuple[Joint, ...], loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float]
+) -> np.ndarray:
     everything = list(range(len(joints)))
     near, gap = newton.close(loop, reference, everything)
     if not asked:
-        if gap > newton.CLOSED_M:
+        if gap > loop.closed_m:
             gap = min(gap, newton.least_gap(loop, near, everything))
             raise AssemblyError(
                 f"mechanism '{name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm;"
                 " name a pose near a closed one with mechanism.home_deg"
             )
         return near
-    base = near if gap <= newton.CLOSED_M else reference
+    base = near if gap <= loop.closed_m else reference
     start = np.array([asked.get(i, base[i]) for i in everything])
     unnamed = [i for i in everything if i not in asked]
     poses = []
-    if gap <= newton.CLOSED_M:
+    if gap <= loop.closed_m:
         poses.append(newton.follow(loop, near, asked))
     # Where more joints are named than the loop leaves free, the first are held and the others choose the branch. Unnamed
     # joints may start on another branch than the reference's: each is tried all round as well.
@@ -70,7 +88,7 @@ def assemble(
             poses.append(newton.close(loop, guess, free))
             for pose, open_by in poses:
                 away = max(abs(pose[i] - value) for i, value in asked.items())
-                if open_by <= newton.CLOSED_M and away <= HOME_TOLERANCE:
+                if open_by <= loop.closed_m and away <= HOME_TOLERANCE:
                     return pose
             poses.clear()
     gap = min(newton.least_gap(loop, trial, unnamed) for trial in starts)
@@ -99,7 +117,7 @@ def poses_about(loop: KinematicLoop, home: np.ndarray, unit: np.ndarray) -> list
         unit: what counts as a radian for each joint (n_q,) [rad or m].
     """
     jacobian = loop.residual(home)[1] * unit
-    rank = numerical_rank(jacobian)
+    rank = numerical_rank(jacobian, loop.rank_tolerance)
     free = np.linalg.svd(jacobian)[2][rank:].T if jacobian.size else np.eye(len(home))
     rng = np.random.default_rng(0)
     found = []
@@ -107,7 +125,7 @@ def poses_about(loop: KinematicLoop, home: np.ndarray, unit: np.ndarray) -> list
         direction = free @ rng.normal(size=free.shape[1])
         trial = home + _NEARBY_STEP * unit * direction / np.abs(direction).max()
         pose, gap = newton.close(loop, trial, list(range(len(home))))
-        if gap <= newton.CLOSED_M:
+        if gap <= loop.closed_m:
             found.append(pose)
     return found
 
@@ -130,7 +148,7 @@ def refuse_singular_assembly(
                 trial = np.array(pose)
                 trial[index] += change * (1.0 if joints[index].kind == "hinge" else extent)
                 neighbour, gap = newton.close(loop, trial, rest)
-                if gap <= newton.CLOSED_M:
+                if gap <= loop.closed_m:
                     moved = True
                     neighbours.append(neighbour)
             if moved:
@@ -141,7 +159,9 @@ def refuse_singular_assembly(
                 " locked there; name another pose with mechanism.home_deg"
             )
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])
-    there = max((numerical_rank(loop.residual(neighbour)[1] * unit) for neighbour in neighbours), default=rank)
+    there = max(
+        (numerical_rank(loop.residual(neighbour)[1] * unit, loop.rank_tolerance) for neighbour in neighbours), default=rank
+    )
     if there != rank:
         raise AssemblyError(
             f"mechanism '{name}' is assembled in a singular pose: its closure has rank {rank} there and {there} next"

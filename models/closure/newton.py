@@ -6,6 +6,8 @@ import casadi as ca
 import numpy as np
 import scipy.optimize
 
+from linkplan.models.closure.rank import RANK_TOLERANCE
+
 # A loop counts as closed below this gap: a hundredth of the 1e-9 m that certificates promise, a hundred thousand times
 # the rounding of coordinates of order one metre.
 CLOSED_M = 1e-11
@@ -13,16 +15,24 @@ CLOSED_M = 1e-11
 _MAX_STEPS = 100
 # A step turns no joint further than this [rad or m], which keeps Newton on the branch that it starts from.
 _MAX_STEP = 0.3
+# Steps are taken along singular vectors down to this share of the largest singular value.
+_LEAST_SHARE = 1e-10
 # Two degrees, the step of `follow`.
 _FOLLOW_STEP = 0.035
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class KinematicLoop:
-    """The closure as numbers: `function` maps q to phi [m] and J, and `rows` are the rows that are one gap each."""
+    """The closure as numbers: `function` maps q to phi [m] and J, and `rows` are the rows that are one gap each.
+
+    `closed_m` is the gap [m] below which a loop counts as closed, `rank_tolerance` the share of the largest singular value
+    below which one counts as none: both larger where a file's rounding is in them, see `closure.mobility`.
+    """
 
     function: ca.Function
     rows: tuple[slice, ...]
+    closed_m: float = CLOSED_M
+    rank_tolerance: float = RANK_TOLERANCE
 
     def residual(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return phi (n_rows,) [m] and its Jacobian (n_rows, n_q)."""
@@ -44,9 +54,10 @@ def close(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> tuple[np.n
     phi, jacobian = loop.residual(q)
     if phi.size == 0 or not free:
         return q, loop.gap(phi)
+    rcond = _LEAST_SHARE if loop.rank_tolerance <= RANK_TOLERANCE else loop.rank_tolerance
     for _ in range(_MAX_STEPS):
         step = np.zeros_like(q)
-        step[free] = np.linalg.lstsq(jacobian[:, free], -phi, rcond=1e-10)[0]
+        step[free] = np.linalg.lstsq(jacobian[:, free], -phi, rcond=rcond)[0]
         size = np.abs(step).max()
         if not np.isfinite(size) or size < 1e-15:
             break
@@ -96,6 +107,6 @@ def follow(loop: KinematicLoop, start: np.ndarray, held: dict[int, float]) -> tu
         trial = np.array(q)
         trial[joints] = begin + fraction * (goal - begin)
         q, gap = close(loop, trial, free)
-        if gap > CLOSED_M:
+        if gap > loop.closed_m:
             break
     return q, gap

@@ -13,37 +13,38 @@ import scipy.linalg
 # a millionth of a link length of singular still shows 1e-6.
 RANK_TOLERANCE = 1e-9
 # Singular values between the former and this are more often a file's rounding, axes not quite parallel, than a mechanism's.
-_WEAK = 1e-4
+WEAK = 1e-4
 
 
-def numerical_rank(jacobian: np.ndarray) -> int:
-    """Return the rank of a matrix by its singular values."""
+def numerical_rank(jacobian: np.ndarray, tolerance: float = RANK_TOLERANCE) -> int:
+    """Return the rank of a matrix by its singular values, those below a share `tolerance` of the largest being none."""
     if jacobian.size == 0:
         return 0
     values = np.linalg.svd(jacobian, compute_uv=False)
-    return int(np.sum(values > RANK_TOLERANCE * max(values[0], np.finfo(float).tiny)))
+    return int(np.sum(values > tolerance * max(values[0], np.finfo(float).tiny)))
 
 
-def weak_rank(jacobian: np.ndarray) -> int:
+def weak_rank(jacobian: np.ndarray, tolerance: float = RANK_TOLERANCE) -> int:
     """Return how many singular values count towards the rank, but by a ten-thousandth of the largest only."""
     values = np.linalg.svd(jacobian, compute_uv=False) if jacobian.size else np.zeros(1)
-    return int(np.sum((values > RANK_TOLERANCE * values[0]) & (values < _WEAK * values[0])))
+    return int(np.sum((values > tolerance * values[0]) & (values < WEAK * values[0])))
 
 
-def independent_rows(jacobians: Sequence[np.ndarray], rank: int) -> np.ndarray:
+def independent_rows(jacobians: Sequence[np.ndarray], rank: int, tolerance: float = RANK_TOLERANCE) -> np.ndarray:
     """Return the indices (rank,) of rows that span the row space at every pose, in file order.
 
     Args:
         jacobians: at several closed poses (n_rows, n_q) each, the first one decisive: where the rows that serve all poses
             best do not span the row space at each of them, the rows are those of the first.
         rank: of each of them.
+        tolerance: of the rank.
     """
     if rank == 0:
         return np.zeros(0, dtype=int)
     for stack in (np.hstack(jacobians), jacobians[0]):
         pivots = scipy.linalg.qr(stack.T, mode="economic", pivoting=True)[-1]
         rows = np.sort(np.asarray(pivots)[:rank])
-        if all(numerical_rank(jacobian[rows]) == rank for jacobian in jacobians):
+        if all(numerical_rank(jacobian[rows], tolerance) == rank for jacobian in jacobians):
             break
     return rows
 

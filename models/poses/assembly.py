@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+import scipy.interpolate
 import scipy.optimize
 
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.singular_poses import closure_rank, dips, is_branching, least_values, vanishes
 from linkplan.models.tree.joints import Joint, where
 
 _STEP = 0.035  # two degrees [rad]; on a slide, this share of the model's extent
@@ -23,6 +26,10 @@ _NEWTON_STEPS = 12
 _MOST_STEPS = 1e5
 # A rate of a dependent joint below this share of the independent one's is rounding.
 _STILL = 1e-9
+# A range is left where a joint stands outside it by more than this [rad or m], what assembly and rounding leave.
+_RANGE_SLACK = 1e-8
+# Neighbours to either side of a spline of poses: with these its error at half degree steps is below 1e-8.
+_SPLINED = 5
 # Paths of more samples than this are solved together.
 _FEWEST_AT_ONCE = 20
 
@@ -104,9 +111,19 @@ def _follow_at_once(mechanism: Mechanism, path: np.ndarray, q: np.ndarray) -> np
     else:
         return None
     moved = np.max(np.abs(poses[:, dependent] - predicted) / step_size[dependent], initial=0.0)
+    if mechanism.projected and not _stays_on_branch(mechanism, poses):
+        return None
     by_block = determinants.reshape(-1, len(path))
     one_sign = np.all(np.all(by_block > 0, axis=1) | np.all(by_block < 0, axis=1))
     return poses if moved < 0.25 and one_sign else None
+
+
+def _stays_on_branch(mechanism: Mechanism, poses: np.ndarray) -> bool:
+    """Return whether all rows of overconstrained loops are closed at poses (n, n_q), and no block folds between two."""
+    if np.any(mechanism.gaps_m(poses) > mechanism.closed_m):
+        return False
+    turned = sampled(mechanism.dynamics.orientation, poses[:-1], poses[1:]) if len(poses) > 1 else np.ones(1)
+    return bool(np.all(turned > 0))
 
 
 def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
@@ -148,7 +165,8 @@ def _advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[n
         trial, gamma_trial, dets_trial = _correct(mechanism, trial)
         moved = np.max(np.abs(trial[dependent] - predicted) / step_size[dependent], initial=0.0)
         turned = np.max(np.abs(gamma_trial - gamma), initial=0.0) > 0.5 * (1 + np.max(np.abs(gamma), initial=0.0))
-        if np.isfinite(moved) and moved < 0.25 and not turned and np.all(dets_trial * determinants > 0):
+        regular = np.isfinite(moved) and moved < 0.25 and not turned and np.all(dets_trial * determinants > 0)
+        if regular and (not mechanism.projected or _stays_on_branch(mechanism, np.array([q, trial]))):
             q, gamma, determinants = trial, gamma_trial, dets_trial
             share = min(1.0, 2 * share)
             continue
@@ -189,7 +207,9 @@ class Reach:
     """What one independent joint can do while the other independent joints stay at home.
 
     `poses` (n, n_q) samples the interval, ends included. `toggles` are (dependent joint, independent position) where a
-    dependent joint turns back: the dead centres of that joint. `singular` are positions where J_z loses rank.
+    dependent joint turns back: the dead centres of that joint. `singular` are positions where J_z loses rank, by crossing
+    zero at an end or by touching it on the way; `branching` are (position, rank of the closure there) of those among them
+    where J loses rank as well: there the mechanism may branch, at the others the coordinate alone is at a dead centre.
     """
 
     coordinate: int
@@ -197,6 +217,7 @@ class Reach:
     upper: End
     poses: np.ndarray
     singular: tuple[float, ...]
+    branching: tuple[tuple[float, int], ...]
     toggles: tuple[tuple[int, float], ...]
 
     @property
@@ -210,18 +231,48 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
     down, lower, singular_down = _walk(mechanism, coordinate, -1)
     up, upper, singular_up = _walk(mechanism, coordinate, +1)
     poses = np.array([*down[::-1], mechanism.home, *up])
+    index = int(mechanism.independent[coordinate])
+    singular = sorted([*singular_down, *singular_up, *_touched(mechanism, coordinate, poses)], key=lambda pose: pose[index])
     return Reach(
         coordinate=coordinate,
         lower=lower,
         upper=upper,
         poses=poses,
-        singular=(*singular_down, *singular_up),
+        singular=tuple(float(pose[index]) for pose in singular),
+        branching=tuple(
+            (float(pose[index]), closure_rank(mechanism, pose)) for pose in singular if is_branching(mechanism, pose)
+        ),
         toggles=_toggles(mechanism, coordinate, poses),
     )
 
 
-def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.ndarray], End, list[float]]:
-    """Return the poses from home (left out) to the end in one direction, the end, and a singular position if one."""
+def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:
+    """Return the poses inside a reach at which J_z loses rank though no determinant changes sign."""
+    index, found = int(mechanism.independent[coordinate]), []
+    for k in dips(mechanism, poses):
+        # Next to such a pose Newton has no ground; the motion is smooth, and a spline of its neighbours exact enough.
+        near = poses[max(0, k - _SPLINED) : k + _SPLINED + 1]
+        motion = scipy.interpolate.CubicSpline(near[:, index], near)
+
+        def least(x: float, motion: scipy.interpolate.CubicSpline = motion) -> float:
+            return float(least_values(mechanism, motion(x))[1])
+
+        ends = (float(poses[k - 1, index]), float(poses[k + 1, index]))
+        x = scipy.optimize.minimize_scalar(least, bounds=ends, method="bounded", options={"xatol": 1e-12}).x
+        if vanishes(mechanism, motion(x)):
+            found.append(motion(x))
+    return found
+
+
+def _at(mechanism: Mechanism, start: np.ndarray, coordinate: int, x: float) -> np.ndarray:
+    """Return the pose where one coordinate stands at x, led there from `start`; the last one before where it cannot."""
+    s = start[mechanism.independent].copy()
+    s[coordinate] = x
+    return _advance(mechanism, start, s)[0]
+
+
+def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.ndarray], End, list[np.ndarray]]:
+    """Return the poses from home (left out) to the end in one direction, the end, and a singular pose if one."""
     index = int(mechanism.independent[coordinate])
     joint = mechanism.joints[index]
     step = _step_sizes(mechanism)[index] / 2
@@ -245,7 +296,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
         if not arrived:
             pose = _singular_pose(mechanism, trial, coordinate)
             poses.append(trial)
-            return poses, End(position=float(pose[index]), reason="singular pose", joint=None), [float(pose[index])]
+            return poses, End(position=float(pose[index]), reason="singular pose", joint=None), [pose]
         poses.append(trial)
         q = trial
         if final:
@@ -263,7 +314,9 @@ def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
     for i in mechanism.dependent:
         joint = mechanism.joints[i]
         for limit, outside in ((joint.upper, trial[i] - joint.upper), (joint.lower, joint.lower - trial[i])):
-            if not outside > 0:
+            outward = trial[i] - q[i] if limit == joint.upper else q[i] - trial[i]
+            # A joint that does not move with the coordinate, or comes back into its range, does not stop it.
+            if not outside > _RANGE_SLACK or not outward > _STILL * _step_sizes(mechanism)[i]:
                 continue
             pose = _pose_where(mechanism, q, trial, coordinate, lambda p, i=i, limit=limit: p[i] - limit)
             distance = abs(pose[mechanism.independent[coordinate]] - q[mechanism.independent[coordinate]])
@@ -277,9 +330,7 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
     index = mechanism.independent[coordinate]
 
     def pose_at(x: float) -> np.ndarray:
-        s = q[mechanism.independent].copy()
-        s[coordinate] = x
-        return _advance(mechanism, q, s)[0]
+        return _at(mechanism, q, coordinate, x)
 
     a, b = q[index], trial[index]
     if function(q) * function(trial) >= 0 or function(pose_at(a)) * function(pose_at(b)) >= 0:
@@ -295,17 +346,25 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
     at_home = np.where(at_home == 0, 1.0, at_home)
     block = int(np.argmin(np.abs(here / at_home)))  # the loops that fold
 
+    def fold(q: np.ndarray) -> float:
+        if mechanism.projected:
+            return float(mechanism.dynamics.orientation(near, q)[block]) / here[block] / at_home[block]
+        return float(mechanism.dynamics.block_singularity(q)[block]) / at_home[block]
+
     def system(x: np.ndarray) -> np.ndarray:
         q = np.array(near)
         q[free] = x
-        phi = np.array(mechanism.dynamics.independent_closure(q)).ravel()
-        return np.append(phi, float(mechanism.dynamics.block_singularity(q)[block]) / at_home[block])
+        phi = np.array(closure(q)).ravel()
+        return np.append(phi, fold(q))
 
-    solution = scipy.optimize.root(system, near[free], tol=1e-14)
+    # Normal equations are blind to the gap that opens where J_z loses rank: all rows are looked at there.
+    closure = mechanism.dynamics.closure if mechanism.projected else mechanism.dynamics.independent_closure
+    method = "lm" if mechanism.projected else "hybr"
+    solution = scipy.optimize.root(system, near[free], tol=1e-14, method=method)
     pose = np.array(near)
     pose[free] = solution.x
     close = np.max(np.abs(pose - near) / _step_sizes(mechanism)) < 4
-    return pose if close and np.abs(system(solution.x)).max() < 1e-8 else np.array(near)
+    return pose if close and np.abs(system(solution.x)).max() < max(1e-8, mechanism.closed_m) else np.array(near)
 
 
 def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[tuple[int, float], ...]:

@@ -17,8 +17,9 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.passive import disabled
 
-# An overlap that stays within so many times the one at home, or the least along a motion, is there by construction.
-_COMPARABLE = 2.0
+# An overlap at home is there by construction as far as it goes there, and by this share of itself more: two links on a pin
+# overlap a little more at some angles than at others. What goes deeper is a collision.
+_DEEPER = 0.1
 # Depths and distances below this share of the model's extent are rounding: resting geoms touch by as much.
 _TOUCH = 1e-6
 # Between two instants with this share of the extent or less to travel, no contact is searched for: 30 um on a leg.
@@ -44,7 +45,7 @@ class Meeting:
     """Two geoms in contact along a motion.
 
     `since` is the instant at which they meet as they do not at home: None for an overlap by construction, which is there at
-    home or all along, about as deep, or on a pin that their bodies share.
+    home, as deep, or on a pin that their bodies share.
     """
 
     first: str
@@ -131,7 +132,7 @@ def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sampl
     model, extent = mechanism.model, mechanism.extent_m
     depth = np.array([-one.clearance.get(pair, (np.inf, np.inf))[0] for _, _, one in seen])
     away = np.array([-one.away(pair) for _, _, one in seen])
-    allowed = _COMPARABLE * max(0.0, -at_home.away(pair), float(away.min())) + _TOUCH * extent
+    allowed = (1 + _DEEPER) * max(0.0, -at_home.away(pair)) + _TOUCH * extent
     deeper = np.flatnonzero(away > allowed)
     since, deepest = None, int(np.argmax(depth))
     if len(deeper):

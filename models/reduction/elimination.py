@@ -58,6 +58,14 @@ def block_determinants(A: ca.SX) -> ca.SX:
     return ca.vertcat(*[_minor(permuted[block, block]) for block in blocks])
 
 
+def block_rows(A: ca.SX) -> list[list[int]]:
+    """Return the rows of each of A's diagonal blocks, in the order of `block_determinants`."""
+    if A.shape[0] == 0:
+        return [[]]
+    rows, _, blocks = _blocks(ca.sparsify(A))
+    return [rows[block] for block in blocks]
+
+
 def determinant(A: ca.SX) -> ca.SX:
     """Return det A, with the sign that A's own order gives."""
     if A.shape[0] == 0:

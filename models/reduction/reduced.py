@@ -4,7 +4,8 @@
     Gamma^T (M q'' + h - tau_passive) = Gamma^T B u
 
 v = s' and a = s'' belong to the independent joints, z are the dependent ones, J = dphi/dq over independent rows
-(Wehage & Haug, J. Mech. Design 104, 1982). Multipliers follow from the dependent rows, J_z^T lambda = (...)_z.
+(Wehage & Haug, J. Mech. Design 104, 1982). Multipliers follow from the dependent rows, J_z^T lambda = (...)_z. Where no rows
+are independent all along, in overconstrained loops, E J stands in place of J: see `models.closure.redundancy`.
 """
 
 from collections.abc import Sequence
@@ -14,8 +15,12 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.closure.equations import Closure
-from linkplan.models.reduction.elimination import block_determinants, determinant, factorise, solve_positive
+from linkplan.models.closure.redundancy import ProjectedLoops, combination
+from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.dynamics import Tree
+
+# Below the determinant that rounding leaves of one that vanishes: its root's slope stays finite.
+_TINY = 1e-40
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -27,18 +32,21 @@ class ReducedDynamics:
     """
 
     closure: ca.Function  # q -> phi (n_rows,) [m], every row
-    independent_closure: ca.Function  # q -> phi (rank,) [m], independent rows
+    independent_closure: ca.Function  # q -> E phi (rank,) [m], independent rows or those of normal equations
     closure_jacobian: ca.Function  # q -> J (n_rows, n_q)
     closure_step: ca.Function  # q -> phi (rank,), Newton's step -J_z^-1 phi in z, Gamma, the dets of J_z's blocks
     velocity_map: ca.Function  # q -> Gamma (n_q, n_s)
     singularity: ca.Function  # q -> det J_z, zero at a singular pose
     block_singularity: ca.Function  # q -> the dets of J_z's blocks, each of loops that close together
+    orientation: ca.Function  # q_0, q -> as block_singularity, times q_0's: negative where one of the two is beyond a fold
+    projected: bool  # whether some loops are closed in normal equations, whose determinants have no sign of their own
     mass_matrix: ca.Function  # q -> M (n_q, n_q), armature included
     bias: ca.Function  # q, q' -> h (n_q,), MuJoCo's qfrc_bias
     passive: ca.Function  # q, q' -> springs and dampers (n_q,)
     reduced_inertia: ca.Function  # q -> Gamma^T M Gamma (n_s, n_s)
     gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that holds the weight
     effort_matrix: ca.Function  # q -> B (n_q, n_u), each actuator's generalised effort
+    actuator_length: ca.Function  # q -> l (n_u,), MuJoCo's, not a number for sites and slider-cranks
     effort_map: ca.Function  # q -> Gamma^T B (n_s, n_u)
     inverse_dynamics: ca.Function  # q, v, a -> Gamma^T B u that the motion needs (n_s,)
     residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
@@ -57,11 +65,13 @@ def reduce_tree(
     independent: np.ndarray,
     dependent: np.ndarray,
     parameters: ca.SX | None = None,
+    projected: Sequence[ProjectedLoops] = (),
+    lengths: ca.SX | None = None,
 ) -> ReducedDynamics:
     """Return the reduced dynamics of `tree` under its closures, of whose equations phi (n_rows,) `rows` are independent.
 
     `effort_matrix` is B (n_q, n_u), an expression of the tree's q. Where the tree has `parameters`, they are every
-    function's last input.
+    function's last input. `projected` loops are closed in the normal equations of all their rows.
     """
     further = [] if parameters is None else [parameters]
     phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
@@ -70,7 +80,8 @@ def reduce_tree(
     v, a, u = ca.SX.sym("v", n_s), ca.SX.sym("a", n_s), ca.SX.sym("u", n_u)
     jacobian = ca.jacobian(phi, q)
     chosen = [int(row) for row in rows]
-    J = jacobian[chosen, :]
+    E = combination(jacobian[:, [int(i) for i in dependent]], chosen, projected) if projected else None
+    J, independent_phi = (jacobian[chosen, :], phi[chosen]) if E is None else (E @ jacobian, E @ phi)
     J_s, J_z = J[:, [int(i) for i in independent]], J[:, [int(i) for i in dependent]]
 
     gamma_map = ca.SX.zeros(q.numel(), n_s)
@@ -79,7 +90,15 @@ def reduce_tree(
     if chosen:
         gamma_map[[int(i) for i in dependent], :] = -solve(J_s)
     det, dets = determinant(J_z), block_determinants(J_z)
-    convective = ca.Function("convective", [q, qd], [ca.jtimes(J @ qd, q, qd)])
+    both = ca.SX.sym("q_0", q.numel())
+    oriented = dets * ca.substitute(dets, q, both)
+    if projected:
+        dets, oriented = _projected_determinants(jacobian, q, both, dependent, chosen, J_z, dets, oriented, projected)
+        det = ca.SX(1)
+        for one in ca.vertsplit(dets):
+            det *= one
+    turning = ca.jtimes(J @ qd, q, qd) if E is None else E @ ca.jtimes(jacobian @ qd, q, qd)
+    convective = ca.Function("convective", [q, qd], [turning])
     rates = gamma_map @ v
     gamma = ca.SX.zeros(q.numel())
     if chosen:
@@ -96,8 +115,14 @@ def reduce_tree(
 
     force = ca.SX.zeros(phi.numel())
     if chosen:
-        force[chosen] = _solve(J_z.T, (needed - B @ u)[[int(i) for i in dependent]])
-        force = _least_norm(ca.Function("J", [q], [ca.densify(jacobian)]), chosen, [c.rows for c in closures]) @ force
+        held = _solve(J_z.T, (needed - B @ u)[[int(i) for i in dependent]])
+        if E is None:
+            force[chosen] = held
+        else:
+            force = E.T @ held
+        whole = {row for loop in projected for row in loop.rows}  # their forces are the least already
+        kept = [row for row in range(phi.numel()) if row in whole or row in chosen]
+        force = _least_norm(ca.Function("J", [q], [ca.densify(jacobian)]), kept, [c.rows for c in closures]) @ force
     kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
     def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
@@ -105,18 +130,21 @@ def reduce_tree(
 
     return ReducedDynamics(
         closure=function("closure", [q], phi),
-        independent_closure=function("independent_closure", [q], phi[chosen]),
+        independent_closure=function("independent_closure", [q], independent_phi),
         closure_jacobian=function("closure_jacobian", [q], jacobian),
-        closure_step=function("closure_step", [q], phi[chosen], -solve(phi[chosen]), gamma_map, dets),
+        closure_step=function("closure_step", [q], independent_phi, -solve(independent_phi), gamma_map, dets),
         velocity_map=function("velocity_map", [q], gamma_map),
         singularity=function("singularity", [q], det),
         block_singularity=function("block_singularity", [q], dets),
+        orientation=ca.Function("orientation", [both, q], [ca.densify(oriented)]),
+        projected=bool(projected),
         mass_matrix=function("mass_matrix", [q], tree.mass_matrix),
         bias=function("bias", [q, qd], tree.bias),
         passive=function("passive", [q, qd], tree.passive),
         reduced_inertia=function("reduced_inertia", [q], inertia),
         gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
         effort_matrix=function("effort_matrix", [q], B),
+        actuator_length=function("actuator_length", [q], ca.SX(n_u, 1) if lengths is None else lengths),
         effort_map=function("effort_map", [q], effort_map),
         inverse_dynamics=function("inverse_dynamics", [q, v, a], inverse),
         residual=function("residual", [q, v, a, u], inverse - effort_map @ u),
@@ -132,6 +160,21 @@ def reduce_tree(
         closure_force=function("closure_force", [q, v, a, u], force),
         energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),
     )
+
+
+def _projected_determinants(jacobian, q, other, dependent, chosen, A, dets, oriented, projected) -> tuple[ca.SX, ca.SX]:
+    """Return the blocks' determinants, sqrt(det J_z^T J_z) in projected loops, and det(J_z(q_0)^T J_z(q)) beside them."""
+    own, signed = ca.vertsplit(dets), ca.vertsplit(oriented)
+    J_z = jacobian[:, [int(i) for i in dependent]]
+    for block, rows in enumerate(block_rows(A)):
+        of = {chosen[row] for row in rows}
+        for loop in projected:
+            if of <= set(loop.rows):
+                own[block] = ca.sqrt(ca.fmax(own[block], _TINY))
+                here = J_z[list(loop.rows), list(loop.columns)]
+                both = ca.mtimes(ca.substitute(here, q, other).T, here)
+                signed[block] = determinant(both)
+    return ca.vertcat(*own), ca.vertcat(*signed)
 
 
 def _solve(A: ca.SX, b: ca.SX) -> ca.SX:

@@ -150,6 +150,8 @@ def build_tree(
     if not coordinates.trivial:
         passive = T.T @ passive
     of_tendons, tendon_energy = tendon_passive(model, lengths, q, qd)
+    carried = _carried(model, frames, gravity)
+    held = -ca.jacobian(carried, q).T
     return Tree(
         model=model,
         coordinates=coordinates,
@@ -160,10 +162,10 @@ def build_tree(
         inverse_dynamics=tau,
         mass_matrix=ca.jacobian(tau, qdd),
         bias=ca.substitute(tau, qdd, ca.SX.zeros(n_q)),
-        gravity=weight,
-        passive=passive + of_tendons,
+        gravity=weight - held,
+        passive=passive + of_tendons + held,
         kinetic_energy=kinetic,
-        potential_energy=potential + spring_energy + tendon_energy,
+        potential_energy=potential + spring_energy + tendon_energy + carried,
         velocity_matrix=T,
         tendon_lengths=lengths,
     )
@@ -270,6 +272,17 @@ def _rotation(axis: np.ndarray, angle: ca.SX) -> ca.SX:
     along = np.outer(a, a)
     cross = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
     return ca.DM(along) + ca.cos(angle) * ca.DM(np.eye(3) - along) + ca.sin(angle) * ca.DM(cross)
+
+
+def _carried(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM) -> ca.SX:
+    """Return the energy [J] that gravity compensation takes off the bodies' weight: sum of gravcomp m g . p."""
+    energy = ca.SX(0)
+    for body in range(1, model.nbody):
+        if model.body_gravcomp[body]:
+            frame = frames[body]
+            centre = frame.p_world_B + frame.R_world_B @ ca.DM(model.body_ipos[body])
+            energy += float(model.body_gravcomp[body] * model.body_mass[body]) * ca.dot(gravity, centre)
+    return energy
 
 
 def _newton_euler(model, frames, joints, gravity, inertials: Mapping[int, Inertial]):

@@ -10,6 +10,9 @@ from linkplan.models.errors import ModelError
 from linkplan.models.names import nearest
 from linkplan.models.tree.coordinates import BALL, CHART_RANGE, FREE, HINGE, joint_label
 
+# A position [rad or m] below this is zero to people: assembly closes loops to about 1e-12, and nobody sets an angle finer.
+_NOTHING = 1e-9
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Joint:
@@ -33,6 +36,10 @@ class Joint:
     def shown(self, position: float) -> float:
         """Return a position [rad or m] in the unit of files and messages."""
         return float(np.degrees(position)) if self.kind == "hinge" else float(position)
+
+    def said(self, position: float, digits: int = 4) -> str:
+        """Return a position [rad or m] as people read it, in so many digits: what is rounding of zero is zero."""
+        return f"{0.0 if abs(position) < _NOTHING else self.shown(position):.{digits}g}"
 
     def read(self, value: float) -> float:
         """Return a value in the unit of files and messages as a position [rad or m]."""

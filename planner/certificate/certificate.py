@@ -6,6 +6,7 @@ is integrated under the carried effort, against the planned state.
 """
 
 from dataclasses import dataclass
+from time import monotonic
 
 import numpy as np
 
@@ -129,12 +130,15 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = _boundary_error(problem, trajectory, speed)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    integrated = integrate(mechanism, trajectory, speed, np.where(hinge, np.radians(INTEGRATION_DEG), INTEGRATION_M))
+    allowed_error = np.where(hinge, np.radians(INTEGRATION_DEG), INTEGRATION_M)
+    integrated = integrate(mechanism, trajectory, speed, allowed_error, problem.solver.judged_until)
     in_deg = float(np.degrees(integrated.position[hinge].max(initial=0.0)))
     in_m = float(integrated.position[~hinge].max(initial=0.0))
     velocity_error, growth = integrated.velocity, integrated.growth
 
     failures = []
+    if not np.all(np.isfinite(integrated.position)) and monotonic() > problem.solver.judged_until:
+        failures.append(f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
     if effort_excess > 0:
         failures.append(f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s")
     allowed = max(DYNAMICS_SHARE * _generalised_peak(mechanism, q, u), _NO_EFFORT)
@@ -150,7 +154,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         )
     if boundary_error > BOUNDARY_SHARE:
         failures.append(f"the motion misses its boundary conditions by {boundary_error:.3g} of its range or largest speed")
-    if closure_gap > CLOSURE_M:
+    if closure_gap > max(CLOSURE_M, mechanism.closed_m):
         failures.append(f"a kinematic loop opens by {closure_gap:.3g} m at t = {worst['closure_gap_m']:.4g} s")
     if not in_deg <= INTEGRATION_DEG or not in_m <= INTEGRATION_M:
         apart = f"{in_m:.3g} m (allowed: {INTEGRATION_M:g} m)" if in_m > INTEGRATION_M else ""
@@ -167,6 +171,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     cut = control_excess(mechanism, q, v, u) if servos else np.zeros_like(u)
     unmendable = []
     for j in np.flatnonzero(cut.max(axis=0) > RANGE_SLACK):
+        if mechanism.actuators[j].limits_control:
+            continue  # a limit of the program, among the margins
         at = int(np.argmax(cut[:, j]))
         unmendable.append(
             f"{mechanism.actuators[j].name} would need a ctrl {cut[at, j]:.3g} beyond its range at t = {time[at]:.4g} s to"

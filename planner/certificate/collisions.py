@@ -74,6 +74,6 @@ def noted(meeting: Meeting) -> str:
         return f"contact of {who(meeting)} from t = {meeting.since:.5g} s on, {depth}"
     one, other = meeting.bodies
     return (
-        f"contact of {who(meeting)}, at home, along the whole motion, or on a pin that they share, {depth}; the simulator"
+        f"contact of {who(meeting)}, as deep at home, or on a pin that they share, {depth}; the simulator"
         f' applies them unless told <exclude body1="{one}" body2="{other}"/>'
     )

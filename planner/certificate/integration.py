@@ -41,7 +41,9 @@ class Integrated:
     restarts: int
 
 
-def integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray) -> Integrated:
+def integrate(
+    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: float = np.inf
+) -> Integrated:
     """Return the integrated model's errors against a plan.
 
     All joints are integrated, q' = Gamma v, v' = M_r^-1 (...): closure is then an outcome and not an assumption.
@@ -51,17 +53,18 @@ def integrate(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowe
         trajectory: the plan.
         speed: its largest speed [rad/s or m/s].
         allowed: errors (n_s,) [rad or m] above which the motion is checked for instability.
+        until: when integration is given up, on the monotonic clock [s].
     """
-    whole = _in_one_go(mechanism, trajectory, speed, allowed)
+    whole = _in_one_go(mechanism, trajectory, speed, allowed, until)
     if np.all(whole.position <= allowed):
         return whole
     try:
-        return _anew(mechanism, trajectory, speed, allowed) or whole
+        return _anew(mechanism, trajectory, speed, allowed, until) or whole
     except AssemblyError:  # an infeasible motion
         return whole
 
 
-def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray) -> Integrated:
+def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: float) -> Integrated:
     """Return the errors of one integration, sampled in the middle of every interval and on both sides of every break."""
     n_q, independent = mechanism.n_q, mechanism.independent
     start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
@@ -69,7 +72,7 @@ def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allow
     n = len(trajectory.breaks_s) - 1
     shares = np.array([0.0, 0.5, 1.0])
     errors, velocity_error = np.zeros((n, mechanism.dof)), 0.0
-    for k, reached in enumerate(flows(_rate(mechanism, trajectory), trajectory.breaks_s, state, shares)):
+    for k, reached in enumerate(flows(_rate(mechanism, trajectory), trajectory.breaks_s, state, shares, until)):
         if reached is None:
             errors[k:], velocity_error = np.inf, np.inf
             break
@@ -83,7 +86,9 @@ def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allow
     return Integrated(position=errors.max(axis=0), velocity=velocity_error, growth=growth, restarts=0)
 
 
-def _anew(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray) -> Integrated | None:
+def _anew(
+    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: float
+) -> Integrated | None:
     """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
     n, n_s, n_q = len(trajectory.breaks_s) - 1, mechanism.dof, mechanism.n_q
     rate_on, widths = _rate(mechanism, trajectory), np.diff(trajectory.breaks_s)
@@ -96,7 +101,7 @@ def _anew(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: n
 
     def arrives(k: int, begin: np.ndarray) -> np.ndarray | None:
         pose = poses[k] if np.array_equal(begin, begins[k]) else follow(mechanism, begin[None, :n_s], poses[k])[0]
-        reached = flow(rate_on(k), widths[k], np.concatenate([pose, begin[n_s:]]), last)
+        reached = flow(rate_on(k), widths[k], np.concatenate([pose, begin[n_s:]]), last, until)
         return None if reached is None else np.concatenate([reached[0, :n_q][mechanism.independent], reached[0, n_q:]])
 
     error, carried = np.zeros(2 * n_s), np.eye(2 * n_s)

@@ -20,6 +20,7 @@ class Margin:
     """The worst instant of one limit: `value` against `limit` in `unit`; `left` is negative where it is overrun.
 
     `what` is the limit's key in a problem file ("effort_rate", "power", "closure_force", "singular_margin", "motor"),
+    or "control" for a servo's ctrlrange,
     `item` the actuator or closure of that name.
     """
 
@@ -45,6 +46,7 @@ class Margin:
         return {
             "effort_rate": f"the effort rate of {self.name}",
             "power": f"the power of {self.name}",
+            "control": f"the ctrl of {self.name}",
             "motor": f"the torque-speed line of {self.name}",
             "closure_force": f"the closure force of {self.name}",
             "singular_margin": "the distance from a singular pose",
@@ -150,6 +152,14 @@ def margins(
         for c in limits.limited_closures:
             bounds = (-np.inf, limits.closure_force[c])
             add("closure_force", c, mechanism.closure_names[c], forces[:, c], bounds, "N")
+    servos = [j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control]
+    if servos:
+        w, length = actuator_speeds(problem, q, v), sampled(mechanism.dynamics.actuator_length, q)[:, :, 0]
+        for j in servos:
+            actuator = mechanism.actuators[j]
+            b = actuator.biases
+            ctrl = (u[:, j] - b[0] - b[1] * length[:, j] - b[2] * w[:, j]) / actuator.gain
+            add("control", j, names[j], ctrl, (actuator.control_lower, actuator.control_upper), "")
     if limits.singular_margin > 0:
         for block, ratios in enumerate(block_ratios(problem, q).T):
             add("singular_margin", block, mechanism.name, ratios, (limits.singular_margin, np.inf), "")

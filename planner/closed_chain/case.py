@@ -7,6 +7,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
+from linkplan.planner.closed_chain.formulate import SMOOTHING
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -35,6 +36,7 @@ class MechanismCase:
     tightenings: tuple[Tightening, ...] = ()
     n_tightenings: int = 0
     kinks: bool = True  # whether to look for kinks of efforts that do not jump
+    smoothing: float = SMOOTHING  # as of `formulate`
     aims: Aims = field(init=False)
 
     def __post_init__(self) -> None:
@@ -42,7 +44,8 @@ class MechanismCase:
 
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""
-        return transcribe(self.problem, start, mesh, durations, tightenings=self.tightenings, **options)
+        kept = {"tightenings": self.tightenings, "smoothing": self.smoothing}
+        return transcribe(self.problem, start, mesh, durations, **kept, **options)
 
     def motion(self, solution: Solution) -> Trajectory | None:
         """Return a solution's trajectory; None where the solver took it to another branch."""

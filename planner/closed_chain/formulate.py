@@ -3,8 +3,16 @@
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.closed_chain.mechanics import RUNNING, WITH_EFFORT, NodeTerms, Scales, mechanism_system, node_numbers
-from linkplan.planner.problem.objective import QUADRATIC
+from linkplan.planner.closed_chain.mechanics import (
+    RUNNING,
+    WITH_EFFORT,
+    NodeTerms,
+    Scales,
+    control_unit,
+    mechanism_system,
+    node_numbers,
+)
+from linkplan.planner.problem.objective import QUADRATIC, Objective
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.tightening import Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Units
@@ -23,6 +31,7 @@ def formulate(
     position_rows: bool = False,
     least_limit: bool = False,
     tightenings: tuple[Tightening, ...] = (),
+    smoothing: float = SMOOTHING,
 ) -> Formulation:
     """Return a problem's formulation.
 
@@ -32,13 +41,14 @@ def formulate(
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
         least_limit: leave the objective out: only a motion is sought.
         tightenings: how far limits are tightened over the motion, where it overran them between nodes.
+        smoothing: the weight of the squared effort rate where nothing else makes the effort smooth, in scaled units.
     """
     mechanism, limits, objective = problem.mechanism, problem.limits, problem.objective
     n_s, n_u = mechanism.dof, mechanism.n_u
     speed_columns, speed_joints = _speed_limited(problem)
     motor_columns, motors = _motors_limited(problem)
     running = () if least_limit else tuple(term for term in RUNNING if objective.has(term))
-    smoothed = objective.has("tracking", "work") and not objective.has(*QUADRATIC)
+    smoothed = is_smoothed(objective)
     rated = tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.effort_rate).any(axis=1)))
     costs = () if least_limit else _costs(problem, smoothed)
     asked = NodeTerms(
@@ -48,6 +58,7 @@ def formulate(
         powers=tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.power).any(axis=1))),
         closures=limits.limited_closures,
         singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
+        controls=tuple(j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control),
     )
     rows = IntervalRows(
         costs=costs,
@@ -83,15 +94,15 @@ def formulate(
     }
     limited = [("speed", joint) for joint in speed_joints] + [("motor", j) for j in motors]
     limited += [("power", j) for j in asked.powers] + [("closure_force", c) for c in asked.closures]
-    limited += [("singular_margin", block) for block in range(asked.singular)] + [
-        ("work", j) for j in range(n_u if works else 0)
-    ]
+    limited += [("singular_margin", block) for block in range(asked.singular)]
+    limited += [("control", j) for j in asked.controls] + [("work", j) for j in range(n_u if works else 0)]
     path = [
         limits.speed[list(speed_joints)] * scales.time_s,
         np.tile([-1.0, 1.0], (len(motors), 1)),
         limits.power[list(asked.powers)] / scales.power,
         np.tile([-np.inf, 1.0], (len(asked.closures), 1)),
         np.tile([limits.singular_margin, np.inf], (asked.singular, 1)),
+        np.array([_control_range(problem, j) for j in asked.controls]),
         np.tile([0.0, np.inf], (n_u if works else 0, 1)),
     ]
     path = np.vstack([part.reshape(-1, 2) for part in path])
@@ -117,10 +128,28 @@ def formulate(
         boundaries=phase_boundaries_of(problem, scales),
         returns=tuple(range(2 * n_s)) if problem.motion.kind == "periodic" else (),
         smooth=smoothed or objective.has("effort_rate") or bool(rated),
-        eta=_eta(problem, scales, rows, value, smoothed, lines=_own_lines(problem, motor_columns, scales)),
+        eta=_eta(
+            problem,
+            scales,
+            rows,
+            value,
+            smoothing if smoothed else 0.0,
+            lines=_own_lines(problem, motor_columns, scales),
+        ),
         theta=theta,
         tightening=tightening_over(tightenings, limited, path),
     )
+
+
+def is_smoothed(objective: Objective) -> bool:
+    """Return whether a weight on the squared effort rate stands beside an objective: alone it lets efforts chatter."""
+    return objective.has("tracking", "work") and not objective.has(*QUADRATIC)
+
+
+def _control_range(problem: PlanningProblem, j: int) -> tuple[float, float]:
+    """Return a servo's ctrlrange in the program's unit."""
+    actuator, unit = problem.mechanism.actuators[j], control_unit(problem.mechanism, j)
+    return actuator.control_lower / unit, actuator.control_upper / unit
 
 
 def _speed_limited(problem: PlanningProblem) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -192,7 +221,7 @@ def _term_units(problem: PlanningProblem, scales: Scales) -> dict[str, float]:
 
 
 def _eta(
-    problem: PlanningProblem, scales: Scales, rows: IntervalRows, value: float, smoothed: bool, lines: np.ndarray
+    problem: PlanningProblem, scales: Scales, rows: IntervalRows, value: float, smoothing: float, lines: np.ndarray
 ) -> np.ndarray:
     """Return an interval's own parameters: weights of its costs on the scaled unknowns, then the motors' lines."""
     objective, T = problem.objective, scales.time_s
@@ -200,7 +229,7 @@ def _eta(
     numbers = {
         "time": np.array([objective.weight("time") * T]),
         "effort": T * squared * (objective.weight("effort") + objective.weight("copper_loss") * _losses(problem)),
-        "effort_rate": objective.weight("effort_rate") * squared / T + (SMOOTHING * value if smoothed else 0.0),
+        "effort_rate": objective.weight("effort_rate") * squared / T + smoothing * value,
     }
     return np.concatenate([*(numbers[cost] / value for cost in rows.costs), lines])
 

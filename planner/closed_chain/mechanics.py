@@ -19,7 +19,7 @@ from linkplan.planner.transcription.system import NodeSymbols, System, node_symb
 # Terms of an objective that are integrals of a quantity at nodes.
 RUNNING = ("tracking", "work", "closure_force")
 # Path quantities that jump where the effort does.
-WITH_EFFORT = ("motor", "power", "closure_force")
+WITH_EFFORT = ("motor", "power", "closure_force", "control")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ class NodeTerms:
     """What is looked at in a node, the structure of its functions: running costs out of `RUNNING`, and path quantities.
 
     `speed_joints` are dependent joints, `motors` and `powers` actuators, `closures` those whose force is limited; `singular`
-    is the number of blocks of J_z whose determinants are.
+    is the number of blocks of J_z whose determinants are; `controls` are servos whose ctrl is.
     """
 
     running: tuple[str, ...] = ()
@@ -66,12 +66,14 @@ class NodeTerms:
     powers: tuple[int, ...] = ()
     closures: tuple[int, ...] = ()
     singular: int = 0
+    controls: tuple[int, ...] = ()
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """What each path quantity is, but for those of the objective."""
         listed = {"speed": self.speed_joints, "motor": self.motors, "power": self.powers, "closure_force": self.closures}
-        return tuple(kind for kind, items in listed.items() for _ in items) + ("singular",) * self.singular
+        named = tuple(kind for kind, items in listed.items() for _ in items)
+        return (*named, *("singular",) * self.singular, *("control",) * len(self.controls))
 
 
 @functools.lru_cache(maxsize=16)
@@ -145,7 +147,19 @@ def _path(
             path.append(ca.sumsqr(force[mechanism.closure_slice(c)]) * given["rating"][item])
     if asked.singular:
         path.append(call("block_singularity", q) * given["home"])
+    if asked.controls:
+        length, w = call("actuator_length", q), call("effort_map", q).T @ v
+        for j in asked.controls:
+            b = mechanism.actuators[j].biases
+            ctrl = (u[j] - b[0] - b[1] * length[j] - b[2] * w[j]) / mechanism.actuators[j].gain
+            path.append(ctrl / control_unit(mechanism, j))
     return path
+
+
+def control_unit(mechanism: Mechanism, actuator: int) -> float:
+    """Return the unit of a servo's ctrl in the program: the larger end of its range."""
+    ends = np.abs([mechanism.actuators[actuator].control_lower, mechanism.actuators[actuator].control_upper])
+    return float(ends[np.isfinite(ends)].max(initial=0.0)) or 1.0
 
 
 def _running(

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.closed_chain.formulate import formulate
+from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate, is_smoothed
 from linkplan.planner.closed_chain.guess import Guess, poses_along
 from linkplan.planner.closed_chain.mechanics import Scales
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -16,9 +16,9 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with
 from linkplan.planner.transcription.formulation import Formulation, Start
 from linkplan.planner.transcription.mesh import Mesh
-from linkplan.planner.transcription.schemes import scheme
+from linkplan.planner.transcription.schemes import bernstein_value, scheme
 
-__all__ = ["Transcribed", "choose_scales", "renumbered", "trajectory_of", "transcribe"]
+__all__ = ["Transcribed", "choose_scales", "own_objective", "renumbered", "trajectory_of", "transcribe"]
 
 # Samples of a guess from which units are chosen.
 _SAMPLES = 61
@@ -28,11 +28,15 @@ _LEAST_NEED = 1e-6
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Origin:
-    """What a mechanism's program was made of: the mechanism, its units, and a closed pose (n_q,) near the start."""
+    """What a mechanism's program was made of: the mechanism, its units, and a closed pose (n_q,) near the start.
+
+    `smoothing` is the weight of the squared effort rate beside the objective, in scaled units; 0 where there is none.
+    """
 
     mechanism: Mechanism
     scales: Scales
     start_pose: np.ndarray
+    smoothing: float
 
 
 def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
@@ -79,6 +83,7 @@ def transcribe(
     bang_efforts: np.ndarray | None = None,
     constrained_paths: np.ndarray | None = None,
     tightenings: tuple[Tightening, ...] = (),
+    smoothing: float = SMOOTHING,
 ) -> Transcribed:
     """Return the program of a problem on a mesh, with bounds and a starting point.
 
@@ -94,9 +99,17 @@ def transcribe(
         constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole
             segments.
         tightenings: how far limits are tightened, where a motion overran them between nodes.
+        smoothing: as of `formulate`.
     """
     scales = scales or choose_scales(problem, guess)
-    formulation = formulate(problem, scales, position_rows=position_rows, least_limit=least_limit, tightenings=tightenings)
+    formulation = formulate(
+        problem,
+        scales,
+        position_rows=position_rows,
+        least_limit=least_limit,
+        tightenings=tightenings,
+        smoothing=smoothing,
+    )
     transcribed = collocate(
         formulation,
         scheme(problem.mesh.scheme, problem.mesh.effort),
@@ -108,7 +121,8 @@ def transcribe(
         bang_efforts=bang_efforts,
         constrained_paths=constrained_paths,
     )
-    origin = Origin(mechanism=problem.mechanism, scales=scales, start_pose=np.array(guess.start_pose))
+    weight = smoothing if is_smoothed(problem.objective) and not least_limit else 0.0
+    origin = Origin(mechanism=problem.mechanism, scales=scales, start_pose=np.array(guess.start_pose), smoothing=weight)
     return replace(transcribed, origin=origin)
 
 
@@ -136,7 +150,27 @@ def is_program_of(transcribed: Transcribed, problem: PlanningProblem) -> bool:
 
 def _with_numbers_of(problem: PlanningProblem, transcribed: Transcribed) -> Formulation:
     positions = bool(transcribed.formulation.rows.position_columns)
-    return formulate(problem, transcribed.origin.scales, position_rows=positions)
+    origin = transcribed.origin
+    return formulate(problem, origin.scales, position_rows=positions, smoothing=origin.smoothing)
+
+
+def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory) -> float:
+    """Return a motion's objective in SI without the smoothing of efforts that its program had beside it.
+
+    That is smoothing x unit x T x integral of (u' / U)^2 dt, over all actuators, exact for the efforts' polynomials.
+    """
+    origin: Origin = transcribed.origin
+    if not origin.smoothing:
+        return objective
+    widths, coefficients = np.diff(motion.breaks_s), motion.effort / origin.scales.effort
+    degree = len(coefficients) - 1
+    if not degree:
+        return objective
+    slope = degree * np.diff(coefficients, axis=0) / widths[:, None]
+    nodes, weights = np.polynomial.legendre.leggauss(degree + 1)
+    squares = np.array([(bernstein_value(slope, (1 + x) / 2) ** 2).sum(axis=1) for x in nodes])
+    integral = float((weights / 2) @ squares @ widths)
+    return objective - origin.smoothing * transcribed.units.objective * origin.scales.time_s * integral
 
 
 def _start(problem: PlanningProblem, guess: Guess, scales: Scales, n_z: int) -> Start:

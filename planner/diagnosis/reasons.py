@@ -8,20 +8,22 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.diagnosis.infeasibility import effort_sentence
 from linkplan.planner.diagnosis.relaxation import RELAXABLE, least_of, violated_sentence, without
 from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import attempt
-from linkplan.planner.search.durations import may_swing
+from linkplan.planner.search.durations import longest, may_swing
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Search
 from linkplan.planner.search.least_limit import least_limit_of_starts
 from linkplan.planner.search.presolve import plain_contradiction
+from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import enough_time
 from linkplan.planner.solvers.outcome import why_stopped
+
+# Durations this near to one another, relative, are the same.
+_SAME = 1e-9
 
 
 def other_limits(problem: PlanningProblem) -> bool:
@@ -99,6 +101,9 @@ def ranges(search: Search) -> Plan | None:
 
 def nothing_found(search: Search) -> Plan:
     """Return the plan that says that neither a motion nor a reason was found."""
+    stopped = solver_stopped(search)  # on the way to a reason
+    if stopped is not None:
+        return stopped
     status = search.history[-1].solver_status if search.history else "no initial guess closes the kinematic loops"
     return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status})")
 
@@ -115,7 +120,7 @@ def _without(search: Search, what: str) -> Plan | None:
         return None
     mesh, durations = first_mesh(problem, guess)
     word = f"without limits on {what}"
-    found = attempt(case_of(relaxed), guess, mesh, durations, word, search.history, search.say)
+    found = solve_from(relaxed, guess, mesh, durations, word, search.history, search.say)
     if found is None:
         return None
     motion = found.motion
@@ -128,11 +133,19 @@ def _without(search: Search, what: str) -> Plan | None:
 
 
 def _infeasible(search: Search, sentence: str, details: dict[str, float], *, shortest: bool = True) -> Plan:
+    """Return the plan that says that no motion keeps the limits: never beside a motion that is known to.
+
+    One that takes no longer than what is asked is none of the duration asked; but it forbids the word.
+    """
     problem: PlanningProblem = search.problem
     message = sentence + (shortest_sentence(search, details) if shortest else "")
+    known, asked = details.get("shortest_duration_s"), longest(problem)
+    if known is not None and known <= asked * (1 + _SAME):
+        return _failed(search, f"a motion of {known:.7g} s keeps every limit, one of {asked:.7g} s was not found", details)
     history = tuple(search.history)
     return Plan(problem=problem, status="infeasible", message=message, history=history, details=details)
 
 
-def _failed(search: Search, reason: str) -> Plan:
-    return Plan(problem=search.problem, status="failed", message=f"failed: {reason}", history=tuple(search.history))
+def _failed(search: Search, reason: str, details: dict[str, float] | None = None) -> Plan:
+    said = f"failed: {reason}"
+    return Plan(problem=search.problem, status="failed", message=said, history=tuple(search.history), details=details or {})

@@ -1,5 +1,6 @@
 """Which limit forbids a motion: each taken away in turn, and the least that it would have to be."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -84,6 +85,8 @@ def least_of(
     endpoint = transcribed.formulation.endpoint
     solver = build_solver(transcribed.program, problem.solver, warm=True, endpoint=endpoint)
     for _ in range(_HALVINGS):
+        if problem.solver.deadline is not None and time.monotonic() > problem.solver.deadline:
+            break
         middle = 0.5 * (near + far)
         trial = run_solver(solver, renumbered(best.transcribed, scaled(problem, what, middle), best.x))
         if trial.converged:

@@ -6,14 +6,15 @@ A batch file is TOML: `problem`, a built-in name or a file; `set`, settings for 
 """
 
 import itertools
-import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from linkplan.models.catalogue import is_file
-from linkplan.models.errors import ProblemError, one_line
+from linkplan.models.catalogue import is_there
+from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
+from linkplan.models.reading import read_toml
 from linkplan.planner.files.problem_file import beside
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.toml_text import inline
@@ -48,14 +49,9 @@ def read_batch(path: str | Path) -> Batch:
         ProblemError: for anything in the file that cannot be used.
     """
     path = Path(path)
-    if not is_file(path):
+    if not is_there(path):
         raise ProblemError(f"batch '{path}' is not a file; a batch is a TOML file with problem, and [[case]] or [sweep]")
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ProblemError(f"batch '{path}' cannot be read: {error.strerror}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ProblemError(f"batch '{path}' is not TOML: {one_line(error)}") from error
+    tables = read_toml(path, f"batch '{path}'")
     for key in tables:
         if key not in KEYS:
             raise ProblemError(f"unknown key '{key}' in a batch{nearest(key, KEYS)}; keys are {', '.join(KEYS)}")
@@ -70,7 +66,7 @@ def read_batch(path: str | Path) -> Batch:
     listed = _listed(tables["case"]) if "case" in tables else _swept(tables["sweep"])
     cases = tuple(Case(name=name, settings=settings) for name, settings in listed)
     names = [case.name for case in cases]
-    twice = sorted({name for name in names if names.count(name) > 1})
+    twice = sorted(name for name, times in Counter(names).items() if times > 1)
     if twice:
         raise ProblemError(f"cases of a batch have names of their own; twice: {', '.join(twice)}")
     return Batch(problem=problem, common=common, cases=cases)
@@ -85,6 +81,8 @@ def _settings(value: object, where: str) -> tuple[str, ...]:
 def _listed(value: object) -> Iterator[tuple[str, tuple[str, ...]]]:
     if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
         raise ProblemError(f"case of a batch is a list of tables ([[case]]), got {value!r}")
+    if len(value) > MAX_CASES:
+        raise ProblemError(f"a batch has {MAX_CASES} cases at the most, got {len(value)}")
     for number, item in enumerate(value):
         for key in item:
             if key not in CASE_KEYS:
@@ -96,7 +94,13 @@ def _listed(value: object) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _is_a_folder_name(name: str) -> bool:
-    return bool(name) and name not in (".", "..") and not set(name) & set('/\\:*?"<>|\0') and len(name) < 100
+    return (
+        name.isprintable()
+        and bool(name)
+        and name[0] != "."
+        and not set(name) & set('/\\:*?"<>|')
+        and len(name.encode()) < 100
+    )
 
 
 def _swept(value: object) -> list[tuple[str, tuple[str, ...]]]:

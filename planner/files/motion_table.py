@@ -11,6 +11,9 @@ from linkplan.planner.plan import Plan
 # Steps of an interval at which a motion is written down, and between which a loop is followed.
 PER_INTERVAL = 10
 
+# Times closer than this share of the duration are one: a table's twelve digits still tell them apart.
+_HAIR = 1e-9
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MotionTable:
@@ -52,8 +55,11 @@ class MotionTable:
         return found | {f"{name}_{self.effort_unit[name].replace('.', '')}": values for name, values in self.effort.items()}
 
 
-def motion_table(plan: Plan, time_s: np.ndarray | None = None) -> MotionTable:
+def motion_table(plan: Plan, time_s: np.ndarray | None = None, *, jumps: bool = False) -> MotionTable:
     """Return a plan's motion at times (n,) [s], in any order; by default at ten instants of every interval.
+
+    Of those, times increase strictly and a break between intervals has the later one's values; with `jumps` it appears
+    twice, a hair before and at it, for an effort that jumps there.
 
     A periodic motion goes on beyond its ends; any other rests there, under the effort of the nearer end.
 
@@ -62,8 +68,8 @@ def motion_table(plan: Plan, time_s: np.ndarray | None = None) -> MotionTable:
     """
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
     dense = trajectory.dense_times(PER_INTERVAL)
-    time = dense if time_s is None else np.asarray(time_s, dtype=float)
     begin, end = trajectory.breaks_s[0], trajectory.breaks_s[-1]
+    time = (dense if jumps else _single_valued(dense)) if time_s is None else np.asarray(time_s, dtype=float)
     within = begin + np.mod(time - begin, end - begin) if trajectory.periodic else np.clip(time, begin, end)
     # Loops are followed along the motion, whatever the order and distance of the times that are asked for.
     along, back = np.unique(np.concatenate([dense, within]), return_inverse=True)
@@ -83,3 +89,13 @@ def motion_table(plan: Plan, time_s: np.ndarray | None = None) -> MotionTable:
         unit={joint.name: joint.unit for joint in mechanism.joints},
         effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},
     )
+
+
+def _single_valued(dense: np.ndarray) -> np.ndarray:
+    """Return increasing times (n,) of which none is within a hair of the next: of such, the later ones."""
+    hair = _HAIR * (dense[-1] - dense[0])
+    kept = [float(dense[-1])]
+    for time in dense[-2::-1]:
+        if kept[-1] - time > hair:
+            kept.append(float(time))
+    return np.array(kept[::-1])

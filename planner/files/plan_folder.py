@@ -4,6 +4,7 @@ import csv
 import json
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
@@ -11,11 +12,13 @@ import numpy as np
 
 from linkplan.models.catalogue import is_file
 from linkplan.models.digest import part_hashes
-from linkplan.models.errors import AssemblyError, LinkplanError, PlanFileError
+from linkplan.models.errors import AssemblyError, CertificateError, LinkplanError, PlanFileError
 from linkplan.models.poses.contacts import Meeting
+from linkplan.models.reading import read_file, too_deep
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.collisions import with_contacts
 from linkplan.planner.certificate.margins import Margin
+from linkplan.planner.certificate.saved import disagreements
 from linkplan.planner.files.folders import plain_record, write_json
 from linkplan.planner.files.motion_table import motion_table
 from linkplan.planner.files.problem_file import problem_from_tables
@@ -25,6 +28,8 @@ from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
 FORMAT = 1
+# A plan of the largest mesh has some hundred kilobytes of words; more than this is something else.
+MOST_JSON_BYTES = 64_000_000
 STATUSES = ("optimal", "infeasible", "failed")
 
 
@@ -114,13 +119,14 @@ def _contact_record(meeting: Meeting) -> dict:
     }
 
 
-def write_plan(plan: Plan, folder: Path, place: Path | None = None) -> None:
+def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bool = False) -> None:
     """Write a plan's files into an existing, empty folder.
 
     Args:
         plan: with a motion.
         folder: where to write.
         place: where the folder will stand in the end, if not there: the model's path is kept as seen from it, too.
+        jumps: whether trajectory.csv has both sides of a jump in effort, at one time.
 
     Raises:
         PlanFileError: when the plan has no motion.
@@ -131,7 +137,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None) -> None:
     trajectory = plan.trajectory
     arrays = {name: getattr(trajectory, name) for name in ARRAYS}
     np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)
-    _write_csv(plan, folder / "trajectory.csv")
+    _write_csv(plan, folder / "trajectory.csv", jumps)
 
 
 def _from(place: Path, problem: PlanningProblem) -> str | None:
@@ -145,22 +151,25 @@ def _from(place: Path, problem: PlanningProblem) -> str | None:
         return None
 
 
-def _write_csv(plan: Plan, path: Path) -> None:
-    columns = motion_table(plan).columns()
+def _write_csv(plan: Plan, path: Path, jumps: bool) -> None:
+    columns = motion_table(plan, jumps=jumps).columns()
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(columns)
+        # What begins so is a formula to a spreadsheet.
+        writer.writerow([f"'{head}" if head[:1] in "=+-@" else head for head in columns])
         writer.writerows([[f"{value:.12g}" for value in row] for row in np.column_stack(list(columns.values()))])
 
 
-def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:
+def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool = False) -> Plan:
     """Return a saved plan, its problem built again and its certificate made anew from the motion on disk.
 
     Args:
         folder: where the plan was saved.
         overrides: "key=value" settings on the saved problem, meant for those that do not change the plan (tracking).
+        anyway: whether a plan that does not pass is returned, its status "failed", and not refused.
 
     Raises:
+        CertificateError: when the motion on disk does not pass its certificate, or was never a plan that did.
         PlanFileError: when the folder, or a file in it, is missing, truncated or not a plan's.
     """
     folder = Path(folder)
@@ -196,11 +205,12 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = ()) -> Plan:
             f"'{folder / 'trajectory.npz'}' holds a motion that the mechanism cannot make: {error}"
         ) from error
     status, message = str(said["status"]), str(said["message"])
-    if status == "optimal" and not certificate.passed:
-        status, message = (
-            "failed",
-            f"failed: the motion on disk does not pass its certificate: {'; '.join(certificate.failures)}",
-        )
+    misses = (*certificate.failures, *disagreements(problem, trajectory, said.get("objective")))
+    if misses:
+        certificate = replace(certificate, failures=misses)
+        status, message = "failed", f"failed: the motion on disk does not pass its certificate: {'; '.join(misses)}"
+    if status != "optimal" and not anyway:
+        raise CertificateError(f"plan '{folder}' is not used: {message}")
     return Plan(
         problem=problem,
         status=status,
@@ -223,7 +233,7 @@ def _problem_again(said: dict, folder: Path) -> PlanningProblem:
     if isinstance(guess, dict) and isinstance(guess.get("plan"), str) and not Path(guess["plan"]).is_dir():
         del said["problem"]["guess"]  # where the solver once began; the motion is here without it
     refusal, changed = None, ""
-    for model in dict.fromkeys(models):
+    for model in dict.fromkeys(model for model in models if model is None or isinstance(model, str)):
         if isinstance(section, dict):
             section["model"] = model
         try:
@@ -237,7 +247,8 @@ def _problem_again(said: dict, folder: Path) -> PlanningProblem:
         changed = changed or f"model '{model}' has changed since '{folder}' was planned, in its {' and '.join(different)}"
     if changed:
         raise PlanFileError(f"{changed}; plan it again")
-    raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built again: {refusal}") from refusal
+    why = refusal or "mechanism.model is no name"
+    raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built again: {why}") from refusal
 
 
 def _changed(said: dict, problem: PlanningProblem) -> list[str]:
@@ -267,11 +278,9 @@ def mujoco_version() -> str:
 
 def _read_json(path: Path) -> dict:
     try:
-        said = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise PlanFileError(f"'{path}' cannot be read: {error.strerror}") from error
+        said = json.loads(read_file(path, f"'{path}'", MOST_JSON_BYTES, PlanFileError).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise PlanFileError(f"'{path}' is truncated or not JSON: {error}") from error
-    if not isinstance(said, dict) or not isinstance(said.get("problem", {}), dict):
+    if not isinstance(said, dict) or not isinstance(said.get("problem", {}), dict) or too_deep(said):
         raise PlanFileError(f"'{path}' is not a plan")
     return said

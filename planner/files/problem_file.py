@@ -33,7 +33,7 @@ from linkplan.planner.problem.values import number
 from linkplan.planner.trajectory import Trajectory
 
 KEYS: Mapping[str, tuple[str, ...]] = {
-    "mechanism": ("model", "payload", "home_deg", "home_m", "independent"),
+    "mechanism": ("model", "payload", "home_deg", "home_m", "independent", "closure_tolerance_m", "solref"),
     "motion": MOTION_KEYS,
     "reference": ("amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg", "frequency_hz"),
     "objective": ("minimize",),
@@ -114,7 +114,7 @@ def problem_from_tables(
         contacts=word(section["limits"], "limits.contacts", CONTACTS, "refuse"),
         mesh=_mesh(section["mesh"], objective),
         solver=SolverSettings(**section["solver"]),
-        tracking=_tracking(section["tracking"]),
+        tracking=_tracking(section["tracking"], mechanism),
         source=tables,
     )
     _check_poses(section["motion"], problem)
@@ -128,10 +128,10 @@ def mechanism_from_tables(tables: Tables, folder: Path | None = None) -> Mechani
     return _mechanism(tables.get("mechanism", {}), folder)
 
 
-def tracking_from_tables(tables: Tables) -> Tracking:
-    """Return the tracking settings of a file's [tracking] table."""
+def tracking_from_tables(tables: Tables, mechanism: Mechanism | None = None) -> Tracking:
+    """Return the tracking settings of a file's [tracking] table; with a mechanism, gains by joint are checked."""
     _check_keys(tables)
-    return _tracking(tables.get("tracking", {}))
+    return _tracking(tables.get("tracking", {}), mechanism)
 
 
 def _check_keys(tables: Tables) -> None:
@@ -158,7 +158,12 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
         model = str(place.resolve())
     section["model"] = model
     mechanism = load_mechanism(
-        model, payload=section.get("payload"), home=_home(section), independent=section.get("independent")
+        model,
+        payload=section.get("payload"),
+        home=_home(section),
+        independent=section.get("independent"),
+        solref=section.get("solref"),
+        closure_tolerance_m=section.get("closure_tolerance_m"),
     )
     joint_values(section, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
     return replace(mechanism, source=copy.deepcopy(section))
@@ -264,12 +269,15 @@ def _mesh(section: dict, objective: Objective) -> MeshSettings:
     return MeshSettings(**(values | section))
 
 
-def _tracking(section: dict) -> Tracking:
+def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
     values = dict(section)
     for key, in_file in (("lqr_position", "lqr_position_deg"), ("lqr_velocity", "lqr_velocity_deg_s")):
         if in_file in values:
             values[key] = np.radians(number(values.pop(in_file), f"tracking.{in_file}", positive=True))
-    return Tracking(**values)
+    found = Tracking(**values)
+    if mechanism is not None:
+        found.gains(mechanism.independent_joints)  # refuses joints that have no gain, and gains of no joint
+    return found
 
 
 def _check_poses(section: dict, problem: PlanningProblem) -> None:

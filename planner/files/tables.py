@@ -5,9 +5,11 @@ import tomllib
 from importlib import resources
 from pathlib import Path
 
-from linkplan.models.catalogue import PAYLOADS, is_file, is_folder
-from linkplan.models.errors import ProblemError, one_line
+from linkplan.models.catalogue import PAYLOADS, is_folder, is_there
+from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
+from linkplan.models.reading import parse_toml, read_toml
+from linkplan.models.reading import shown as shown_name
 
 BUILT_IN = (
     "knee-sine",
@@ -42,19 +44,11 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
     path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."
     if is_folder(path):
         raise ProblemError(f"problem '{text}' is a folder; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
-    if not is_file(path):
+    if not is_there(path):
         raise ProblemError(
             f"unknown problem '{shown}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
         )
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ProblemError(f"problem '{text}' cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ProblemError(f"problem '{text}' is not UTF-8 text") from error
-    except tomllib.TOMLDecodeError as error:
-        raise ProblemError(f"problem '{text}' is not TOML: {one_line(error)}") from error
-    return path.stem, tables, path.parent
+    return shown_name(path.stem), read_toml(path, f"problem '{text}'"), path.parent
 
 
 def apply_override(tables: Tables, override: str) -> None:
@@ -101,8 +95,8 @@ def parse_value(text: str, where: str) -> object:
         ProblemError: when the text is neither.
     """
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError as error:
+        return parse_toml(f"value = {text}", "the value")["value"]
+    except ProblemError as error:
         if re.fullmatch(r"[^\s\"'\[\]{}=,]+", text):
             return text
         raise ProblemError(

@@ -12,7 +12,7 @@ from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import KINDS, Motion, Waypoint, frozen
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import Sine
-from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+from linkplan.planner.problem.settings import MAX_INTERVALS, MeshSettings, SolverSettings, Tracking
 from linkplan.planner.trajectory import Trajectory
 
 __all__ = ["CONTACTS", "KINDS", "GuessedPath", "Limits", "Motion", "Motor", "PlanningProblem", "Waypoint"]
@@ -95,6 +95,18 @@ class PlanningProblem:
                 " between, or motion.waypoints: without them the optimum is to stand still"
             )
         self._check_shapes()
+        self._check_periods()
+
+    def _check_periods(self) -> None:
+        """Refuse a motion over more of its reference's periods than a mesh has intervals for."""
+        if self.reference is None or self.motion.duration_s is None:
+            return
+        periods = self.motion.duration_s * self.reference.frequency_hz
+        if periods * self.mesh.intervals > MAX_INTERVALS:
+            raise ProblemError(
+                f"motion.duration_s = {self.motion.duration_s:g} s is {periods:.6g} periods of the reference; with"
+                f" mesh.intervals = {self.mesh.intervals} each, at most {MAX_INTERVALS / self.mesh.intervals:.6g} may be"
+            )
 
     def _check_objective(self) -> None:
         """Refuse an objective that the motion or the actuators do not go with."""

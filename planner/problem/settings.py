@@ -3,7 +3,7 @@
 Each is checked here when it is made, by the keys that problem files have: a file's values come as they are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -73,6 +73,10 @@ def _breaks(value: object) -> np.ndarray:
     return breaks
 
 
+# The share of a plan's time that is kept for its certificate: solves end before that.
+CERTIFYING = 0.1
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SolverSettings:
     """How a program is solved: by which solver, compiled or not, in how many starts, and how long it may take [s].
@@ -96,19 +100,24 @@ class SolverSettings:
         if self.max_iterations is not None:
             _set(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, _MAX_ITERATIONS))
 
+    @property
+    def judged_until(self) -> float:
+        """When certificates are to be done, on the monotonic clock [s]; infinite where there is no such instant."""
+        return np.inf if self.deadline is None else self.deadline + CERTIFYING * self.max_time_s
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Tracking:
     """How a plan is tracked: PD gains per actuated joint, sampling, delay, and LQR weights.
 
-    kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators. LQR weighs a
-    position error of `lqr_position` [rad], a velocity error of `lqr_velocity` and an effort of the whole limit alike; on a
-    slide of `lqr_position_m` [m] and `lqr_velocity_m_s`. The delay is a whole number of control periods where a motion is
-    tracked; a loop's frequency response may be asked for at any.
+    kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators: one number for
+    all, or one for each joint by name. LQR weighs a position error of `lqr_position` [rad], a velocity error of
+    `lqr_velocity` and an effort of the whole limit alike; on a slide of `lqr_position_m` [m] and `lqr_velocity_m_s`. The
+    delay is a whole number of control periods where a motion is tracked; a loop's frequency response may have any.
     """
 
-    kp: float = 200.0
-    kd: float = 1.0
+    kp: float | Mapping[str, float] = 200.0
+    kd: float | Mapping[str, float] = 1.0
     period_s: float = 1e-4
     delay_periods: float = 0
     duration_s: float | None = None  # of the tracking run; default: the plan and a rest after it, or eight periods
@@ -119,7 +128,12 @@ class Tracking:
 
     def __post_init__(self) -> None:
         for key in ("kp", "kd"):
-            _set(self, key, number(getattr(self, key), f"tracking.{key}", least=0.0))
+            given = getattr(self, key)
+            if isinstance(given, Mapping):
+                each = {str(name): number(value, f"tracking.{key}.{name}", least=0.0) for name, value in given.items()}
+                _set(self, key, each)
+            else:
+                _set(self, key, number(given, f"tracking.{key}", least=0.0))
         _set(self, "period_s", number(self.period_s, "tracking.period_s", positive=True))
         if number(self.delay_periods, "tracking.delay_periods", least=0.0) > _MAX_DELAY:
             raise ProblemError(f"tracking.delay_periods is from 0 to {_MAX_DELAY}, got {self.delay_periods!r}")
@@ -135,6 +149,41 @@ class Tracking:
     def tracked(self) -> "Tracking":
         """Return these settings if a motion can be tracked with them: its delay is a whole number of control periods."""
         return replace(self, delay_periods=whole(self.delay_periods, "tracking.delay_periods", 0, _MAX_DELAY))
+
+    @property
+    def acts(self) -> bool:
+        """Whether any gain of PD is above zero."""
+        return any(np.any(np.array([*one.values()] if isinstance(one, Mapping) else [one])) for one in (self.kp, self.kd))
+
+    def gains(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
+        """Return kp and kd (n,) of joints.
+
+        Raises:
+            ProblemError: for a joint without a gain, or a gain of a joint that is none of these.
+        """
+        names, found = [joint.name for joint in joints], []
+        for key in ("kp", "kd"):
+            given = getattr(self, key)
+            if not isinstance(given, Mapping):
+                found.append(np.full(len(names), given))
+                continue
+            if set(given) != set(names):
+                raise ProblemError(
+                    f"tracking.{key} has a gain for each independent joint ({', '.join(names)}), got"
+                    f" {', '.join(given) or 'none'}"
+                )
+            found.append(np.array([given[name] for name in names]))
+        return found[0], found[1]
+
+    def gains_said(self) -> str:
+        """Return kp and kd in words: one number, or one for each joint by name."""
+
+        def said(given: float | Mapping[str, float]) -> str:
+            if not isinstance(given, Mapping):
+                return f"{given:g}"
+            return "{ " + ", ".join(f"{name} = {value:g}" for name, value in given.items()) + " }"
+
+        return f"kp = {said(self.kp)}, kd = {said(self.kd)}"
 
     def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
         """Return the position and velocity errors (n,) [rad or m, and per second] that weigh 1 on joints."""

@@ -1,6 +1,6 @@
 """Values of a problem: numbers and words, each refused in one line that names its key as problem files have it."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -9,6 +9,21 @@ from linkplan.models.names import choose
 
 # No quantity of a mechanism is larger in SI units or degrees.
 _LARGEST = 1e15
+
+
+# What a key may be at the most where more only asks for memory and time, in its own unit; all others stay below `_LARGEST`.
+_RANGES: Mapping[str, tuple[float, float]] = {
+    "motion.duration_s": (1e-6, 1e5),
+    "motion.min_duration_s": (1e-9, 1e5),
+    "motion.max_duration_s": (1e-6, 1e5),
+    "guess.duration_s": (1e-6, 1e5),
+    "reference.frequency_hz": (1e-5, 1e5),
+    "tracking.period_s": (1e-7, 10.0),
+    "tracking.duration_s": (1e-6, 1e5),
+    "tracking.kp": (0.0, 1e12),
+    "tracking.kd": (0.0, 1e12),
+    "solver.max_time_s": (1e-3, 1e7),
+}
 
 
 def number(value: object, key: str, *, positive: bool = False, infinite: bool = False, least: float | None = None) -> float:
@@ -26,6 +41,9 @@ def number(value: object, key: str, *, positive: bool = False, infinite: bool = 
         raise ProblemError(f"{key} is {wanted}, got {value!r}")
     if (positive and value <= 0) or (least is not None and value < least):
         raise ProblemError(f"{key} is {wanted}, got {value!r}")
+    low, high = _RANGES.get(key, (-_LARGEST, _LARGEST))
+    if np.isfinite(value) and not low <= value <= high:
+        raise ProblemError(f"{key} is {wanted} from {low:g} to {high:g}, got {value!r}")
     return float(value)
 
 

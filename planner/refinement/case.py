@@ -4,6 +4,7 @@ What is planned for stands behind `Case`: a mechanism's problem and a user's dif
 same code.
 """
 
+import time
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, Self, TypeVar
 
@@ -176,7 +177,7 @@ def attempt(
     bang_efforts: np.ndarray | None = None,
     fixed: FixedArcs | None = None,
 ) -> Found[MotionT] | None:
-    """Return what one solve leads to, noted in the history; None where it found no motion.
+    """Return what one solve leads to, noted in the history; None where it found no motion, or no time is left for it.
 
     Args:
         case: what is solved.
@@ -193,6 +194,8 @@ def attempt(
         fixed: what refinement holds along arcs; in place of `bang_efforts`.
     """
     settings = case.problem
+    if settings.solver.deadline is not None and time.monotonic() > settings.solver.deadline:
+        return None
     say(f"{what}: {settings.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
     efforts, paths = (bang_efforts, None) if fixed is None else (fixed.efforts, fixed.paths)
     try:

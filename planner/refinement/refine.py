@@ -2,11 +2,11 @@
 
 import re
 from dataclasses import dataclass, replace
-from typing import Any, Generic
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Case, CertificateT, Findings, Found, MotionT, attempt
+from linkplan.planner.refinement.case import Aims, Case, CertificateT, Findings, Found, MotionT, attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, standing_off
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.switch_search import at_bounds, is_bang_bang, settle_switch_times
@@ -46,19 +46,24 @@ _POLISHED = 3
 _TOUCHED = 1e-7
 # Answers on two meshes that are no further apart are the same motion, relative.
 _SAME = 1e-6
+# Of motions that pass, a coarser mesh's is kept where it is better than the last one by more than this share: what that mesh
+# errs by is less, so that a finer one has lost it.
+_LOST = 1e-5
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Refined(Generic[MotionT, CertificateT]):
     """A motion with its solution and certificate, which may not pass.
 
-    `settled` says whether the objective has, from mesh to mesh, where that is asked for.
+    `settled` says whether the objective has, from mesh to mesh, where that is asked for; `moved` by what share of itself it
+    changed between the last two meshes on which the motion passed.
     """
 
     motion: MotionT
     solution: Solution
     certificate: CertificateT
     settled: bool
+    moved: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -82,6 +87,9 @@ class _Judged(Generic[MotionT, CertificateT]):
         return self.found.mesh.n_intervals
 
 
+JudgedT = TypeVar("JudgedT", bound=_Judged)
+
+
 def refine(
     case: Case[MotionT, CertificateT], found: Found[MotionT], history: list[Step], say: Say, *, warm: bool = False
 ) -> Refined[MotionT, CertificateT] | None:
@@ -98,6 +106,7 @@ def refine(
         found = settle_switch_times(case, found, history, say)
     at = _judged(case, found, history)
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
+    best, moved = None, 0.0  # the best of all that passed, and by what share the last two differ
     settled, again, polished = True, 0, 0
     for turn in range(_ROUNDS):
         if at.findings is not None and not at.passed and not at.findings.mendable:
@@ -105,8 +114,10 @@ def refine(
         motion, solution, fixed = at.found.motion, at.found.solution, at.found.fixed
         off = standing_off(solution.transcribed, solution.x) if aims.bang_bang else np.zeros(at.n_intervals, dtype=bool)
         if at.passed:
-            passed = at
+            passed, best = at, better_of(best, at, aims)
             change = abs(solution.objective - before)
+            if np.isfinite(before) and solution.objective:
+                moved = change / abs(solution.objective)
             settled = aims.objective_tolerance is None or change <= aims.objective_tolerance * abs(solution.objective)
             if at.findings.exact and settled and (not off.any() or change <= _TOUCHED * abs(solution.objective)):
                 known = fixed is not None and fixed.everything and not at_bounds(solution)
@@ -163,11 +174,20 @@ def refine(
         if position_rows and not begun and aims.switches:
             finer = settle_switch_times(kept, replace(finer, fixed=None), history, say, position_rows=True)
         at = _judged(case, finer, history)
-    if passed is not None and not at.passed:
-        at = passed
+    at = better_of(best, at, aims) if at.passed else best or at
     if at.certificate is None:
         return None
-    return Refined(motion=at.found.motion, solution=at.found.solution, certificate=at.certificate, settled=settled)
+    return Refined(
+        motion=at.found.motion, solution=at.found.solution, certificate=at.certificate, settled=settled, moved=moved
+    )
+
+
+def better_of(before: JudgedT | None, now: JudgedT, aims: Aims) -> JudgedT:
+    """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had."""
+    if before is None or (aims.tolerance_given and now.findings.exact and not before.findings.exact):
+        return now
+    then, objective = before.found.solution.objective, now.found.solution.objective
+    return before if then < objective - _LOST * abs(objective) else now
 
 
 def _finer(

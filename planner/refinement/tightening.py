@@ -13,7 +13,7 @@ _FLOOR = 1e-7
 # Bounds are never tightened beyond this share of what lies between them.
 _MOST = 0.45
 # The limits that are rows of nodes, and so can be overrun between them.
-AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin")
+AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin", "control")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -8,14 +8,19 @@ from linkplan.planner.certificate.collisions import unavoidable
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
+from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search.durations import with_longer_durations
 from linkplan.planner.search.first_mesh import PER_SWING, first_mesh, graded_mesh
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
+from linkplan.planner.search.smoothing_continuation import unsmoothed
+from linkplan.planner.search.solving import Found, solve_from
+
+# An answer whose objective a finer mesh changes by more than this share is said to move.
+MOVES = 1e-4
 
 
 def plan_from(
@@ -55,13 +60,13 @@ def plan_from(
 def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -> list[Found]:
     """Return solutions from a start, the better first."""
     mesh, durations = first_mesh(problem, guess)
-    found = [attempt(case_of(problem), guess, mesh, durations, word, search.history, search.say)]
+    found = [solve_from(problem, guess, mesh, durations, word, search.history, search.say)]
     if guess.switch_times_s is not None and search.only_time_counts:
         # Its switches are known: with switch times there and efforts held between them, the instants alone are to be found.
         graded, lengths = graded_mesh(guess, guess.switch_times_s, max(problem.mesh.intervals, PER_SWING * guess.swings))
         for warm, how in ((False, "bang efforts fixed"), (True, "bang efforts fixed, warm start")):
-            attempted = attempt(
-                case_of(problem), guess, graded, lengths, f"{word}, {how}", search.history, search.say,
+            attempted = solve_from(
+                problem, guess, graded, lengths, f"{word}, {how}", search.history, search.say,
                 bang_efforts=guess.bang_efforts, warm=warm,
             )  # fmt: skip
             found.append(attempted)
@@ -83,12 +88,20 @@ def certified(
     problem: PlanningProblem, found: Found, history: list[Step], say: Say, *, warm: bool = False, kinks: bool = True
 ) -> Plan:
     """Return the plan of a solution, refined until its certificate passes; `kinks` as of `case_of`."""
-    better = refine(case_of(problem, kinks=kinks), found, history, say, warm=warm)
+    case = case_of(problem, kinks=kinks)
+    better = refine(case, found, history, say, warm=warm)
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
         return Plan(problem=problem, status="failed", message=message, history=tuple(history))
+    solved_for = better.solution
+    better, change = unsmoothed(case, better, history, say)
     solution = better.solution
-    plan = finished(problem, better.motion, better.certificate, solution.objective, history, None)
+    objective = own_objective(solution.transcribed, solution.objective, better.motion)
+    plan = finished(problem, better.motion, better.certificate, objective, history, None)
+    moved = change if better.solution is not solved_for else better.moved
+    said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > MOVES else ""
+    if plan.status == "optimal":
+        plan = replace(plan, message=plan.message + said)
     return replace(plan, solved=replace(solution.transcribed, start=solution.x))
 
 
@@ -127,6 +140,6 @@ def with_constant_efforts(search: Search, problem: PlanningProblem, found: Found
     mesh = found.mesh
     durations = np.bincount(mesh.segment, np.diff(found.motion.breaks_s))
     what = "efforts constant over intervals"
-    again = attempt(case_of(plain), motion_of(found.motion), mesh, durations, what, search.history, search.say)
+    again = solve_from(plain, motion_of(found.motion), mesh, durations, what, search.history, search.say)
     plan = None if again is None else certified(plain, again, search.history, search.say)
     return plan if plan is not None and plan.status == "optimal" else None

@@ -21,13 +21,17 @@ from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.durations import longest
 from linkplan.planner.search.first_mesh import PER_SWING, graded_mesh
 from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.least_time import shortest_motion
 from linkplan.planner.search.margin_continuation import nears_singular
 from linkplan.planner.search.phase_plane import stretched
-from linkplan.planner.search.starts import least_time_motion
+from linkplan.planner.search.solving import solve_from
+from linkplan.planner.search.starts import least_time_motion, no_time, with_switch_times
 from linkplan.planner.transcription.mesh import Mesh, uniform
 
 # By how much a motion is continued at a time, the least that is tried where that is too much, and how often at the most.
+# Where the whole way is shorter, this part of it (in its logarithm) is the least.
 DURATION_FACTOR, _LEAST, _STEPS = 1.15, 1.03, 40
+_PART = 0.25
 # A step that was lost is tried again on twice as many intervals, up to so many.
 _FINEST = 320
 # Accuracy of the motions on the way [deg].
@@ -39,10 +43,14 @@ SAVED, _BEFORE = 1e-3, 1e-3
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Continued:
-    """A motion on the way: a start, its mesh and transcription, and the longest duration it was allowed [s]."""
+    """A motion on the way: a start, its mesh and transcription, and the longest duration it was allowed [s].
+
+    `shares` (n_segments,) of the start's duration are those of its mesh's segments.
+    """
 
     start: Guess
     mesh: Mesh
+    shares: np.ndarray
     scheme: str
     longest_s: float
     objective: float = np.inf
@@ -52,16 +60,18 @@ class Continued:
 def from_continuation(search: Search, budget: Budget) -> Plan | None:
     """Return a plan reached from the motion of least time step by step; None where that is lost on the way."""
     problem = search.within(budget)
-    swung = least_time_motion(search, budget)
-    n_intervals = max(2 * problem.mesh.intervals, PER_SWING * search.quickest.swings)
-    at = None if swung is None else continued(problem, swung, n_intervals, search.history, search.say)
+    swung, swings = _quickest(search, budget)
+    if swung is None or swung.duration_s > longest(problem):
+        return None
+    n_intervals = max(2 * problem.mesh.intervals, PER_SWING * swings)
+    at = continued(problem, swung, n_intervals, search.history, search.say)
     if at is None:
         return None
     final = replace(problem, mesh=replace(problem.mesh, scheme=at.scheme), guess=None)
     if problem.motion.duration_s is None:  # where the motion ends before that, it is as good as without
         final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
-    durations, what = np.array([at.start.duration_s]), "at its full length"
-    found = attempt(case_of(final), at.start, at.mesh, durations, what, search.history, search.say, warm=True)
+    durations, what = at.shares * at.start.duration_s, "at its full length"
+    found = solve_from(final, at.start, at.mesh, durations, what, search.history, search.say, warm=True)
     plan = None if found is None else certified(final, found, search.history, search.say, warm=True)
     if plan is None or plan.status != "optimal":
         return None
@@ -71,6 +81,24 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
         else ""
     )
     return replace(plan, message=plan.message + said)
+
+
+def may_be_lengthened(search: Search) -> bool:
+    """Return whether a least-time motion is known, or worth looking for, from which a longer one may be continued."""
+    problem = search.problem
+    if search.quickest is not None:
+        return search.quickest.boundaries_s is None and not no_time(search)
+    motion = problem.motion
+    of_fixed_length = motion.kind == "reach" and motion.duration_s is not None and not motion.stays and not motion.waypoints
+    return of_fixed_length and bool(np.all(np.isfinite(problem.limits.effort)))
+
+
+def _quickest(search: Search, budget: Budget) -> tuple[Guess | None, int]:
+    """Return the motion of least time with its switch times, and its swings: the phase plane's, else the ladder's."""
+    if search.quickest is not None:
+        return least_time_motion(search, budget), search.quickest.swings
+    plan = shortest_motion(search)
+    return (None if plan is None else with_switch_times(plan)), 1
 
 
 def continued(
@@ -98,11 +126,19 @@ def continued(
     def finer(at: Continued) -> Continued | None:
         if nears_singular(problem, at.start):
             return None  # it goes on there, where no mesh is fine enough
-        mesh, _ = graded_mesh(at.start, np.empty(0), min(2 * at.mesh.n_intervals, _FINEST))
-        return replace(at, mesh=mesh)
+        switches = (np.cumsum(at.shares) * at.start.duration_s)[:-1]
+        mesh, durations = graded_mesh(at.start, switches, min(2 * at.mesh.n_intervals, _FINEST))
+        return replace(at, mesh=mesh, shares=durations / durations.sum())
 
-    begin = Continued(start=quickest, mesh=uniform(n_intervals), scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
-    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=DURATION_FACTOR, least=_LEAST, most=_STEPS)
+    # Next to the least time a motion is next to bang-bang: on a mesh without its switches none may be left to find.
+    mesh, shares = uniform(n_intervals), np.ones(1)
+    if quickest.switch_times_s is not None:
+        mesh, durations = graded_mesh(quickest, quickest.switch_times_s, n_intervals)
+        shares = durations / durations.sum()
+    begin = Continued(start=quickest, mesh=mesh, shares=shares, scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
+    whole = min(DURATION_FACTOR, longest(problem) / quickest.duration_s)
+    least = min(_LEAST, whole**_PART)
+    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, least=least, most=_STEPS)
     path = followed(begin, steps, solve, enough=enough, after_loss=finer)
     if not path.arrived:
         return None
@@ -123,16 +159,19 @@ def _step(problem: PlanningProblem, at: Continued, allowed: float, history: list
     mesh = replace(problem.mesh, tolerance_deg=_ON_THE_WAY_DEG, scheme=at.scheme, breaks=None)
     case = case_of(replace(problem, motion=motion, mesh=mesh, guess=None))
     start = stretched(at.start, allowed) if fixed else at.start
-    durations = np.bincount(at.mesh.segment, weights=at.mesh.fraction) * start.duration_s
+    durations = at.shares * start.duration_s
     what = f"the least-time motion continued to {allowed:.4g} s"
     found = attempt(case, start, at.mesh, durations, what, history, say, warm=True)
     better = None if found is None else refine(case, found, history, say, warm=True)
     if better is None or not better.certificate.passed:
         return None
     transcribed = better.solution.transcribed
+    mesh = transcribed.program.mesh
+    durations = np.bincount(mesh.segment, weights=np.diff(better.motion.breaks_s))
     return Continued(
         start=motion_of(better.motion),
-        mesh=transcribed.program.mesh,
+        mesh=mesh,
+        shares=durations / durations.sum(),
         scheme=transcribed.scheme.name,
         longest_s=allowed,
         objective=better.solution.objective,

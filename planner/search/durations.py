@@ -4,14 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.refinement.free_duration import LONGER, bounded_by_guess
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.phase_plane import stretched
+from linkplan.planner.search.solving import Found, solve_from
 from linkplan.planner.solvers.solve import Solution
 
 # A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth; along
@@ -32,7 +31,7 @@ def with_longer_durations(problem: PlanningProblem, found: Found, history: list[
         start = stretched(motion_of(at.found.motion), duration)
         shares = at.found.solution.x[at.found.solution.transcribed.program.layout.durations()]
         what = "from a longer motion"
-        further = attempt(case_of(problem), start, at.found.mesh, duration * shares / shares.sum(), what, history, say)
+        further = solve_from(problem, start, at.found.mesh, duration * shares / shares.sum(), what, history, say)
         if further is None:
             return None
         falls = further.solution.objective < _FALLS * at.found.solution.objective and problem.motion.max_duration_s is None

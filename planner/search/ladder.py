@@ -14,10 +14,10 @@ import numpy as np
 from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import Found
 from linkplan.planner.refinement.history import Say, Step, silent
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
 from linkplan.planner.search.phase_plane import least_time_guess
+from linkplan.planner.search.solving import Found
 from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME
 
 # So little of a search's time [s] is none: a solver that stops at its limit stops a hair before or after it.
@@ -51,6 +51,9 @@ class Search:
     history: list[Step] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
     verdicts: list[Plan] = field(default_factory=list)  # answers that no further rung would change
+    # The plan of least time, once it was looked for: from the phase plane's motion, and by the first rungs of the ladder.
+    least_times: list[Plan | None] = field(default_factory=list)
+    shortest: list[Plan | None] = field(default_factory=list)
 
     @cached_property
     def quickest(self) -> Guess | None:
@@ -162,4 +165,8 @@ def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
             if plan is not None:
                 search.plans.append(plan)
     best = search.best
-    return None if best is None else replace(best, problem=search.problem, history=tuple(search.history))
+    if best is None:
+        return None
+    cut = best.status == "optimal" and search.stopped == OUT_OF_TIME
+    said = f"; the best found within its {search.problem.solver.max_time_s:g} s (solver.max_time_s)" if cut else ""
+    return replace(best, problem=search.problem, history=tuple(search.history), message=best.message + said)

@@ -4,14 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.plan import Plan
-from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.search.attempts import certified
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.solving import Found, solve_from
 
 # Continuation in the effort limits begins no nearer to them than this; its first step is the whole way, a quarter of it (in
 # its logarithm) the least, and so many are taken at the most.
@@ -30,7 +29,7 @@ def from_a_coarser_mesh(search: Search, budget: Budget) -> Plan | None:
     problem, guess = search.within(budget), search.smooth
     n_intervals = first_mesh(problem, guess)[0].n_intervals // _COARSER
     mesh, durations = first_mesh(problem, guess, n_intervals)
-    found = attempt(case_of(problem), guess, mesh, durations, "a coarser mesh", search.history, search.say)
+    found = solve_from(problem, guess, mesh, durations, "a coarser mesh", search.history, search.say)
     plan = None if found is None else certified(problem, found, search.history, search.say)
     return plan if plan is not None and plan.status == "optimal" else None
 
@@ -48,8 +47,9 @@ def from_least_peak_effort(search: Search, budget: Budget) -> Plan | None:
         whole = factor == 1.0
         limits = problem.limits if whole else replace(problem.limits, effort=factor * problem.limits.effort)
         what = "start from the motion of least peak effort" + ("" if whole else f", {factor:.4g} of the limits")
-        case = case_of(replace(problem, limits=limits))
-        found = attempt(case, at.start, least.mesh, at.durations, what, search.history, search.say)
+        found = solve_from(
+            replace(problem, limits=limits), at.start, least.mesh, at.durations, what, search.history, search.say
+        )
         if found is None:
             return None
         durations = np.bincount(least.mesh.segment, np.diff(found.motion.breaks_s))

@@ -10,16 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.models.poses.along import sampled
-from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, poses_along
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.search.attempts import certified
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.solving import Found, solve_from
 from linkplan.planner.transcription.mesh import Mesh
 
 # Margins tried, as shares of what start and goal themselves keep: from the largest, by halves, to the least.
@@ -96,7 +95,7 @@ def _with_margin(
     clear = replace(problem, limits=replace(problem.limits, singular_margin=margin))
     word = f"{what}, {margin:.2g} clear of singular poses"
     warm = at.found is not None
-    found = attempt(case_of(clear), at.start, mesh, at.durations, word, history, say, warm=warm)
+    found = solve_from(clear, at.start, mesh, at.durations, word, history, say, warm=warm)
     if found is None:
         return None
     durations = np.bincount(mesh.segment, weights=np.diff(found.motion.breaks_s))

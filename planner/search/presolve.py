@@ -63,8 +63,18 @@ def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, can: Reach 
                 f"{what} {joint.name} = {joint.shown(s[column]):.6g} {joint.unit} is beyond reach:"
                 f" {joint.name} reaches from {joint.shown(interval[0]):.6g} to {joint.shown(interval[1]):.6g} {joint.unit}"
                 f" ({reason}"
-                f"{'; another joint as mechanism.independent may pass it' if reason == 'singular pose' else ''})"
+                f"{_way_through(can, reason, s[column])})"
             )
+
+
+def _way_through(can: Reach | None, reason: str, asked: float) -> str:
+    """Return what leads past the end of a reach at a dead centre of its coordinate, nothing at one that branches."""
+    if can is None or reason != "singular pose":
+        return ""
+    end = can.lower.position if asked < can.lower.position else can.upper.position
+    if end in dict(can.branching):
+        return "; the mechanism may branch there"
+    return "; another joint as mechanism.independent may pass it"
 
 
 def plain_contradiction(problem: PlanningProblem) -> str | None:

@@ -4,15 +4,16 @@ import itertools
 from collections.abc import Iterator
 from dataclasses import replace
 
-from linkplan.planner.closed_chain.case import case_of
+import numpy as np
+
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses, users_guess
 from linkplan.planner.plan import Plan
-from linkplan.planner.refinement.case import attempt
 from linkplan.planner.search.attempts import certified, plan_from
 from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.phase_plane import phase_plane_guess, stretched
+from linkplan.planner.search.solving import solve_from
 
 # Perturbed guesses tried after the first failure, where the user asks for no further starts.
 _PERTURBATIONS = 3
@@ -105,12 +106,28 @@ def quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
 
 
 def least_time_motion(search: Search, budget: Budget) -> Guess | None:
-    """Return the motion of least time as a start for another objective; None without one."""
-    problem = search.within(budget)
-    motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
-    free = search.of_another(replace(problem, objective="time", motion=motion, guess=None))
-    plan = plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
-    return None if plan is None or plan.trajectory is None else motion_of(plan.trajectory)
+    """Return the motion of least time, with its switch times, as a start for another objective; None without one."""
+    plan = least_time_plan(search, budget)
+    return None if plan is None or plan.trajectory is None else with_switch_times(plan)
+
+
+def with_switch_times(plan: Plan) -> Guess:
+    """Return a plan's motion as a guess that knows the switch times of its mesh."""
+    guess = motion_of(plan.trajectory)
+    if plan.solved is None or plan.solved.program.mesh.n_phases > 1:
+        return guess
+    mesh, breaks = plan.solved.program.mesh, plan.trajectory.breaks_s
+    return replace(guess, switch_times_s=breaks[1:-1][np.diff(mesh.segment) > 0])
+
+
+def least_time_plan(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan of least time that the phase plane's motion leads to, solved for once; None without one."""
+    if not search.least_times:
+        problem = search.within(budget)
+        motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
+        free = search.of_another(replace(problem, objective="time", motion=motion, guess=None))
+        search.least_times.append(plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False))
+    return search.least_times[0]
 
 
 def best_of_several(search: Search, budget: Budget) -> Plan | None:
@@ -124,7 +141,7 @@ def best_of_several(search: Search, budget: Budget) -> Plan | None:
     for number, (what, guess) in enumerate(itertools.islice(closed, wanted), start=1):
         mesh, durations = first_mesh(problem, guess)
         word = f"start {number} of {wanted}, {what}"
-        solved = attempt(case_of(problem), guess, mesh, durations, word, search.history, search.say)
+        solved = solve_from(problem, guess, mesh, durations, word, search.history, search.say)
         if solved is not None:
             found.append((solved.solution.objective, number, solved))
     missed = None

@@ -53,7 +53,9 @@ def compiler() -> tuple[str, ...] | None:
     """Return the command of the C compiler ($CC, cc, gcc or clang), or None where there is none."""
     wanted = os.environ.get("CC")
     for candidate in [wanted] if wanted else ["cc", "gcc", "clang"]:
-        words = shlex.split(candidate)
+        words: list[str] = []
+        with contextlib.suppress(ValueError):  # quotes that do not close are no command
+            words = shlex.split(candidate)
         if words and shutil.which(words[0]):
             return tuple(words)
     return None

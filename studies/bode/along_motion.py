@@ -10,10 +10,12 @@ from linkplan.controllers.sampling import Sampling, sampling
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.bode.scan import stability
 from linkplan.studies.compare.compare import build_tracker
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES, FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, floquet_text, frozen_radii, tracker_gains
 from linkplan.studies.frequency.margins import Margins, margins
+from linkplan.studies.frequency.worst import local_minima
 
 # Instants along the motion whose margins are worked out.
 _INSTANTS = 25
@@ -21,7 +23,11 @@ _INSTANTS = 25
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class AlongMotion:
-    """A tracker along a plan: frozen margins at instants (m,), the largest frozen pole at all (n,), the multipliers."""
+    """A tracker along a plan: frozen margins at instants (m,), the largest frozen pole at all (n,), the multipliers.
+
+    Margins are those of the coordinate `channels` (m,) whose loop is the worst at the instant; the instants are even ones
+    and the worst between them.
+    """
 
     plan: Plan
     law: str
@@ -29,14 +35,14 @@ class AlongMotion:
     timing: Sampling
     instants: np.ndarray
     margins: tuple[Margins, ...]
+    channels: tuple[int, ...]
     radius: np.ndarray
     floquet: Floquet | None
 
     @property
     def worst(self) -> int:
         """The index, of the instants, with the least disk margin, unstable ones first."""
-        values = [-1.0 if not m.stable else m.disk_margin for m in self.margins]
-        return int(np.argmin(values))
+        return int(np.argmin([stability(m) for m in self.margins]))
 
 
 def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], None] = silent) -> AlongMotion:
@@ -50,7 +56,19 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
     say(f"{law} frozen along {plan.problem.name}: {reference.n} control instants")
     radius = frozen_radii(mechanism, reference, tracker, timing)
     instants = np.unique(np.linspace(0, reference.n - 1, _INSTANTS).astype(int))
-    found = [margins(frozen_loop(mechanism, reference, gains, timing, int(k)), refine=False) for k in instants]
+    known: dict[int, tuple[Margins, int]] = {}
+
+    def worst(k: float) -> tuple[Margins, int]:
+        at = round(k)
+        if at not in known:
+            loop = frozen_loop(mechanism, reference, gains, timing, at)
+            every = [(margins(loop, channel, refine=False), channel) for channel in range(mechanism.dof)]
+            known[at] = min(every, key=lambda one: stability(one[0]))
+        return known[at]
+
+    between = [round(k) for k in local_minima(lambda k: stability(worst(k)[0]), instants)]
+    instants = np.unique([*instants, *between])
+    found = [worst(k) for k in instants]
     cycle = None
     if reference.cycle is not None:
         say("Floquet multipliers, predicted and measured")
@@ -61,7 +79,8 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
         reference=reference,
         timing=timing,
         instants=instants,
-        margins=tuple(found),
+        margins=tuple(one for one, _ in found),
+        channels=tuple(channel for _, channel in found),
         radius=radius,
         floquet=cycle,
     )
@@ -77,13 +96,13 @@ def frozen_loop(mechanism, reference: SampledReference, gains: np.ndarray, timin
 
 def along_record(found: AlongMotion) -> dict:
     """Return what files say of the loop along the motion."""
-    reference = found.reference
+    reference, joints = found.reference, found.plan.problem.mechanism.independent_joints
     return {
         "plan": found.plan.problem.name,
         "tracker": found.law,
         "frozen": [
-            {"time_s": float(reference.time_s[k]), **bounds.record()}
-            for k, bounds in zip(found.instants, found.margins, strict=True)
+            {"time_s": float(reference.time_s[k]), "joint": joints[channel].name, **bounds.record()}
+            for k, bounds, channel in zip(found.instants, found.margins, found.channels, strict=True)
         ],
         "largest_frozen_pole": float(found.radius.max()),
         "floquet": None if found.floquet is None else floquet_record(found.floquet),
@@ -96,6 +115,9 @@ def along_text(found: AlongMotion) -> str:
     said = (
         f"disk margin {bounds.disk_margin:.3g}" if bounds.stable else f"unstable, largest pole {bounds.spectral_radius:.4g}"
     )
+    joints = found.plan.problem.mechanism.independent_joints
+    if len(joints) > 1:
+        said += f", of the loop of {joints[found.channels[found.worst]].name}"
     lines = [
         f"{LAW_NAMES[found.law]} at frozen instants along {found.plan.problem.name}: worst at"
         f" {1e3 * found.reference.time_s[k]:.4g} ms ({said}); the largest frozen pole is {found.radius.max():.5g}"

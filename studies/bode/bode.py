@@ -11,6 +11,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.bode.scan import Line, Scan, coordinate_line, judge_of, scan_line, with_room
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import (
     CONTINUOUS,
@@ -32,8 +33,8 @@ POINTS = 5
 # shares of it.
 _OVER_THE_REACH = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
 SCANNED = 41
-# What an actuator is to have left beside what holds a default pose, of its range: room for a loop to answer in.
-_ROOM = 0.05
+# A worst pose within this share of a line of one that is looked at is that one.
+_SAME = 1e-3
 # Positions tried for whether the actuators hold them.
 _LOOKED = 81
 FREQUENCIES = 20
@@ -65,27 +66,6 @@ class BodePoint:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Scan:
-    """Margins of one joint's loop over its reach: positions (n,) [rad or m], the margins at each."""
-
-    channel: int
-    positions: np.ndarray
-    margins: tuple[Margins, ...]
-
-    def column(self, name: str) -> np.ndarray:
-        """Return a figure (n,) of the margins, not a number where it is none."""
-        return np.array([np.nan if getattr(m, name) is None else getattr(m, name) for m in self.margins], dtype=float)
-
-    @property
-    def worst(self) -> int:
-        """The index of the worst margins: unstable before stable, then by the disk margin."""
-        unstable = [i for i, m in enumerate(self.margins) if not m.stable]
-        if unstable:
-            return max(unstable, key=lambda i: self.margins[i].spectral_radius or np.inf)
-        return int(np.nanargmin(self.column("disk_margin")))
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class BodeStudy:
     """A tracker's loops over several poses, and the margins over the whole reach."""
 
@@ -102,14 +82,19 @@ class BodeStudy:
 
     @property
     def stable(self) -> bool:
-        """Whether the sampled loop is stable at every pose looked at."""
-        return all(point.margins.stable for point in self.points)
+        """Whether the sampled loop is stable at every pose looked at, and MuJoCo's own run of it too."""
+        return all(point.margins.stable and point.settles_in_mujoco for point in self.points)
+
+    @property
+    def disputed(self) -> tuple[str, ...]:
+        """The poses at which MuJoCo's own run settles and the sampled model is unstable, or the other way round."""
+        return tuple(dict.fromkeys(p.point.name for p in self.points if p.margins.stable != p.settles_in_mujoco))
 
     @property
     def loop_name(self) -> str:
         """The loop in words."""
         settings = self.settings
-        name = self.law if self.law == "lqr" else f"kp = {settings.kp:g}, kd = {settings.kd:g}"
+        name = self.law if self.law == "lqr" else settings.gains_said()
         name += f" sampled every {settings.period_s:g} s"
         if self.timing.delay_steps:
             name += f" with a delay of {self.timing.delay_s / settings.period_s:g} period(s)"
@@ -139,8 +124,14 @@ class BodeStudy:
                 where = f"{self.mechanism.independent_joints[0].name} = {where} {self._unit}"
             else:
                 where = "; ".join(bad)
-            return f"unstable at {where} ({len(bad)} of {len(poses)} poses): {self.loop_name}"
-        text = f"stable at all {len(poses)} poses: {self.loop_name}"
+            return f"unstable at {where} ({len(bad)} of {_counted(len(poses))}): {self.loop_name}{self._dispute}"
+        if self.disputed:
+            return (
+                f"stable by the sampled model and not in MuJoCo at {'; '.join(self.disputed)} ({len(self.disputed)} of"
+                f" {_counted(len(poses))}), by softness of the closures, contacts or limits that the model leaves out:"
+                f" {self.loop_name}"
+            )
+        text = f"stable at {'the pose' if len(poses) == 1 else f'all {len(poses)} poses'}: {self.loop_name}"
         known = [p for p in self.points if p.margins.phase_margin_deg is not None]
         if known:
             least = min(known, key=lambda p: p.margins.phase_margin_deg)
@@ -148,8 +139,17 @@ class BodeStudy:
         return text
 
     @property
+    def _dispute(self) -> str:
+        settled = [p.point.name for p in self.points if p.settles_in_mujoco and not p.margins.stable]
+        return f"; MuJoCo's own run settles at {'; '.join(dict.fromkeys(settled))}" if settled else ""
+
+    @property
     def _unit(self) -> str:
         return self.mechanism.independent_joints[0].unit
+
+
+def _counted(n: int) -> str:
+    return "1 pose" if n == 1 else f"{n} poses"
 
 
 def default_poses(
@@ -165,10 +165,12 @@ def default_poses(
     if positions is not None and len(positions):
         low, high, shares = float(np.min(positions)), float(np.max(positions)), np.linspace(0.0, 1.0, POINTS)
     else:
-        low, high = _most_of_reach(mechanism, 0)
+        low, high = most_of_reach(mechanism, 0)
         shares = (np.array(_OVER_THE_REACH) - _OVER_THE_REACH[0]) / (_OVER_THE_REACH[-1] - _OVER_THE_REACH[0])
+        if turns(mechanism, 0):  # there are no ends: as many poses a turn, evenly
+            high, shares = high - (high - low) / len(shares), np.linspace(0.0, 1.0, len(shares))
     looked = np.linspace(low, high, _LOOKED)
-    held = np.array([_is_held(mechanism, position, effort_limit) for position in looked])
+    held = np.array([is_held(mechanism, np.array([position]), effort_limit) for position in looked])
     if held.all() or not held.any():  # where none is held, the first one's refusal says why
         return (low + shares * (high - low))[:, None], None
     kept, unheld, joint = looked[held], looked[~held], mechanism.independent_joints[0]
@@ -179,26 +181,29 @@ def default_poses(
     )
 
 
-def _is_held(mechanism: Mechanism, position: float, effort_limit: np.ndarray | None) -> bool:
-    """Return whether the actuators hold a position with some of their limits' range left to either side."""
-    limit = np.array(mechanism.effort_limit if effort_limit is None else effort_limit)
-    room = _ROOM * np.diff(limit, axis=1).ravel()
-    inside = np.where(np.isfinite(limit), limit + np.outer(room, [1.0, -1.0]), limit) if np.isfinite(room).all() else limit
+def is_held(mechanism: Mechanism, position: np.ndarray, effort_limit: np.ndarray | None) -> bool:
+    """Return whether the actuators hold a position (n_s,) with some of their limits' range left to either side."""
+    inside = with_room(mechanism.effort_limit if effort_limit is None else effort_limit)
     try:
-        operating_point(mechanism, np.array([position]), inside)
+        operating_point(mechanism, position, inside)
     except LinkplanError:
         return False
     return True
 
 
-def _most_of_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
-    """Return what lies next to the ends of a joint's reach; of one that nothing stops, half a turn about home."""
+def turns(mechanism: Mechanism, coordinate: int) -> bool:
+    """Return whether a coordinate is a hinge that nothing stops in a whole turn."""
+    return mechanism.independent_joints[coordinate].kind == "hinge" and reach(mechanism, coordinate).turns_fully
+
+
+def most_of_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
+    """Return what lies next to the ends of a joint's reach; of one that nothing stops, a whole turn about home."""
     can = reach(mechanism, coordinate)
     low, high = can.lower.position, can.upper.position
     home = float(mechanism.home[mechanism.independent[coordinate]])
     if can.turns_fully or not np.isfinite(high - low):
-        half = 0.5 * np.pi if mechanism.independent_joints[coordinate].kind == "hinge" else 0.5 * mechanism.extent_m
-        low, high = home - half, home + half
+        half = np.pi if mechanism.independent_joints[coordinate].kind == "hinge" else 0.5 * mechanism.extent_m
+        return home - half, home + half
     return low + _OVER_THE_REACH[0] * (high - low), low + _OVER_THE_REACH[-1] * (high - low)
 
 
@@ -213,8 +218,12 @@ def bode_study(
     setup: Setup | None = None,
     frequency_hz: np.ndarray | None = None,
     scanned: int = SCANNED,
+    line: Line | None = None,
 ) -> BodeStudy:
     """Return a tracker's loops at independent positions (n, n_s) [rad or m].
+
+    Margins are least over continuous lines, too: along `line`, of which the worst pose is then among those looked at, or
+    over the reach of each coordinate.
 
     Args:
         mechanism: of which every freedom has its actuator.
@@ -225,15 +234,27 @@ def bode_study(
         law: pd, pd+ff or lqr.
         setup: how to measure; None measures nothing.
         frequency_hz: where to measure; None for twenty about the crossover.
-        scanned: positions of the scan over the reach of a single freedom; 0 for none.
+        scanned: positions of the coarse scan of a line; 0 for none.
+        line: what the poses stand for: a motion, or a reach, whose worst pose belongs to the answer; None where the poses
+            themselves were asked for.
 
     Raises:
         LinkplanError: for a pose that cannot be held, or frequencies beyond Nyquist.
     """
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
-    where = [operating_point(mechanism, position, effort_limit) for position in np.atleast_2d(positions)]
     if frequency_hz is not None:
         _refuse_frequencies(frequency_hz, timing)
+    positions = np.atleast_2d(positions)
+    for position in positions:
+        operating_point(mechanism, position, effort_limit)  # refuses what cannot be held before any work
+    lines: list[tuple[int | None, Line]] = []
+    if scanned:
+        own = 0 if mechanism.dof == 1 else None
+        lines = _reach_lines(mechanism, positions) if line is None else [(own, line)]
+    scans = tuple(_scans(mechanism, lines, settings, effort_limit, timing, law, scanned, say))
+    if line is not None:
+        positions = _with_worst(positions, scans)
+    where = [operating_point(mechanism, position, effort_limit) for position in positions]
     loops, ideal = [], []
     for point in where:
         say(f"predicted at {point.name}")
@@ -265,7 +286,6 @@ def bode_study(
                     predicted={q: loop.response(q, r.frequency_hz, channel) for q, r in measured[i].items()},
                 )
             )
-    scans = tuple(_scans(mechanism, where, settings, effort_limit, timing, law, scanned, say)) if scanned else ()
     return BodeStudy(
         mechanism=mechanism,
         law=law,
@@ -280,27 +300,41 @@ def bode_study(
     )
 
 
-def _scans(mechanism, where: Sequence[OperatingPoint], settings, effort_limit, timing, law: str, count: int, say):
-    """Yield the margins of each joint over its reach, the others as at the first pose."""
-    for channel, joint in enumerate(mechanism.independent_joints):
-        low, high = _most_of_reach(mechanism, channel)
-        asked = [float(point.state[channel]) for point in where]
-        positions = np.linspace(min(low, *asked), max(high, *asked), count)
-        ends = f"{joint.shown(positions[0]):.4g} to {joint.shown(positions[-1]):.4g} {joint.unit}"
-        say(f"margins over {joint.name} from {ends}")
-        kept, found = [], []
-        for position in positions:
-            s = where[0].state[: mechanism.dof].copy()
-            s[channel] = position
-            try:
-                point = operating_point(mechanism, s, effort_limit)
-                gain = law_gain(point, law, settings, effort_limit)
-            except LinkplanError:  # a stretch that cannot be held, or not be stabilised, has no margins
-                continue
-            kept.append(position)
-            found.append(margins(feedback_loop(point, gain, timing), channel, refine=False))
-        if found:
-            yield Scan(channel=channel, positions=np.array(kept), margins=tuple(found))
+def _scans(mechanism, lines: Sequence[tuple[int | None, Line]], settings, effort_limit, timing, law: str, count: int, say):
+    """Yield the margins along lines: of the coordinate that a line is of, of every one's where it is of a motion."""
+    for coordinate, line in lines:
+        say(f"margins over {line.name} from {line.shown(line.low):.4g} to {line.shown(line.high):.4g} {line.unit}")
+        for channel in range(mechanism.dof) if coordinate is None else [coordinate]:
+            judge = judge_of(mechanism, settings, effort_limit, timing, law, [channel])
+
+            def at(x: float, judge=judge, line=line) -> Margins | None:
+                found = judge(line.at(x))
+                return None if found is None else found[0]
+
+            positions, found = scan_line(at, line.low, line.high, count)
+            if found:
+                yield Scan(channel=channel, line=line, positions=positions, margins=found)
+
+
+def _reach_lines(mechanism: Mechanism, positions: np.ndarray) -> list[tuple[int | None, Line]]:
+    """Return the line over the reach of each coordinate, as far as positions (n, n_s) go too; the others as at the first."""
+    lines: list[tuple[int | None, Line]] = []
+    for channel in range(mechanism.dof):
+        low, high = most_of_reach(mechanism, channel)
+        ends = min(low, positions[:, channel].min()), max(high, positions[:, channel].max())
+        lines.append((channel, coordinate_line(mechanism, channel, *map(float, ends), positions[0])))
+    return lines
+
+
+def _with_worst(positions: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
+    """Return positions (n, n_s), the worst of each scan among them where it is none yet."""
+    for scan in scans:
+        s = scan.line.at(scan.positions[scan.worst])
+        if np.abs(positions - s).max(axis=1).min() > _SAME * max(1e-9, np.ptp(scan.line.states, axis=0).max()):
+            positions = np.vstack([positions, s])
+    if positions.shape[1] == 1:
+        positions = positions[np.argsort(positions[:, 0])]
+    return positions
 
 
 def default_frequencies(bounds: Sequence[Margins], timing: Sampling, count: int = FREQUENCIES) -> np.ndarray:

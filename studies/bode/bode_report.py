@@ -1,7 +1,9 @@
 """What `linkplan bode` says: a record for files, a table for people."""
 
 from linkplan.studies.bode.bode import BodeStudy
+from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.frequency.excitation import EXCITATIONS
+from linkplan.studies.frequency.feedback_loops import broken_at
 from linkplan.studies.output.tables import table
 
 
@@ -13,6 +15,7 @@ def bode_record(study: BodeStudy) -> dict:
     for entry in study.points:
         point = entry.point
         loop = {
+            "broken_at": broken_at(mechanism, entry.channel),
             **entry.margins.record(),
             "settles_in_mujoco": entry.settles_in_mujoco,
             "continuous": entry.continuous_margins.record(),
@@ -47,15 +50,23 @@ def bode_record(study: BodeStudy) -> dict:
         "message": study.message,
         "tracker": study.law,
         "gains": {name: getattr(settings, name) for name in names},
+        "disputed": list(study.disputed),
+        "softness": softness_of(study),
         "points": list(by_pose.values()),
         "worst": {},
         "measurement": None,
     }
     for scan in study.scans:
-        joint = mechanism.independent_joints[scan.channel]
+        joint, line = mechanism.independent_joints[scan.channel], scan.line
+        key = f"position_{joint.unit}" if line.name == joint.name else "time_s"
         record["worst"][joint.name] = {
-            f"position_{joint.unit}": joint.shown(scan.positions[scan.worst]),
+            key: line.shown(scan.positions[scan.worst]),
             **scan.margins[scan.worst].record(),
+            "least": {
+                name: {"value": found[0], key: line.shown(scan.positions[found[1]])}
+                for name in ("gain_margin_db", "phase_margin_deg", "disk_margin", "bandwidth_hz")
+                if (found := scan.least(name)) is not None
+            },
         }
     if study.method is not None and study.simulated_steps:
         deviation = study.worst_deviation
@@ -85,7 +96,7 @@ def bode_text(study: BodeStudy) -> str:
             [
                 f"{mechanism.independent_joints[entry.channel].name} at {entry.point.name}"
                 if mechanism.dof > 1
-                else f"{joint.shown(entry.point.state[0]):.5g}",
+                else joint.said(entry.point.state[0], 5),
                 float(entry.point.inertia[entry.channel, entry.channel]),
                 bounds.stable,
                 entry.settles_in_mujoco,
@@ -100,9 +111,17 @@ def bode_text(study: BodeStudy) -> str:
                 bounds.sensitivity_peak,
             ]
         )
+    broken = ""
+    if mechanism.dof > 1:
+        names = ", ".join(joint.name for joint in mechanism.independent_joints)
+        broken = (
+            f"each loop is broken at the effort on its coordinate ({names}), made by"
+            f" {', '.join(actuator.name for actuator in mechanism.actuators)} together; the others' loops are closed"
+        )
     head = ["loop" if mechanism.dof > 1 else f"{joint.name} [{joint.unit}]"]
+    units = list(dict.fromkeys("kg m2" if one.kind == "hinge" else "kg" for one in mechanism.independent_joints))
     head += [
-        f"inertia [{'kg m2' if joint.kind == 'hinge' else 'kg'}]",
+        f"inertia [{' or '.join(units)}]",
         "stable",
         "in MuJoCo",
         "|pole|",
@@ -110,15 +129,20 @@ def bode_text(study: BodeStudy) -> str:
         "PM [deg]",
     ]
     head += ["DM [ms]", "disk", "crossover [Hz]", "bandwidth [Hz]", "resonance [dB]", "max |S|"]
-    lines = [f"{study.message[0].upper()}{study.message[1:]}", "", table(head, rows)]
+    lines = [f"{study.message[0].upper()}{study.message[1:]}", *([broken] if broken else []), "", table(head, rows)]
     for scan in study.scans:
-        joint, worst = mechanism.independent_joints[scan.channel], scan.margins[scan.worst]
-        ends = f"{joint.shown(scan.positions[0]):.4g} to {joint.shown(scan.positions[-1]):.4g} {joint.unit}"
+        line, worst = scan.line, scan.margins[scan.worst]
+        ends = f"{line.shown(scan.positions[0]):.4g} to {line.shown(scan.positions[-1]):.4g} {line.unit}"
+        of = "" if mechanism.dof == 1 else f" of the loop of {mechanism.independent_joints[scan.channel].name}"
         said = (
             f"disk margin {worst.disk_margin:.3g}" if worst.stable else f"unstable, largest pole {worst.spectral_radius:.4g}"
         )
-        place = f"{joint.name} = {joint.shown(scan.positions[scan.worst]):.4g} {joint.unit}"
-        lines += ["", f"over {joint.name} from {ends} the worst is {place}: {said}"]
+        text = f"over {line.name} from {ends} the worst{of} is {line.place(scan.positions[scan.worst])}: {said}"
+        for name, words, unit in (("gain_margin_db", "gain margin", "dB"), ("phase_margin_deg", "phase margin", "deg")):
+            least = scan.least(name) if all(m.stable for m in scan.margins) else None
+            if least is not None:
+                text += f"; least {words} {least[0]:.3g} {unit} at {line.place(scan.positions[least[1]])}"
+        lines += ["", text]
     deviation = study.worst_deviation
     if deviation is not None:
         c = study.conditions
@@ -132,4 +156,11 @@ def bode_text(study: BodeStudy) -> str:
         ]
     elif study.method is not None:
         lines += ["", "not measured: an unstable feedback loop holds no operating point"]
-    return "\n".join(lines)
+    note = softness_of(study)
+    return "\n".join([*lines, *(["", f"note: {note}"] if note else [])])
+
+
+def softness_of(study: BodeStudy) -> str | None:
+    """Return the sentence on the closure gap at the poses that are held, None where it is small."""
+    gaps = [held_gap(study.mechanism, entry.point.pose, entry.point.hold) for entry in study.points if entry.channel == 0]
+    return gap_sentence(study.mechanism, max(gaps), " while the poses are held")

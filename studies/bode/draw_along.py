@@ -34,7 +34,8 @@ def draw_frozen(axes, found: AlongMotion) -> None:
     axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time [ms]")
     axes.set_ylabel("margin [deg]")
-    axes.set_title("frozen at each instant")
+    several = found.plan.problem.mechanism.dof > 1
+    axes.set_title("frozen at each instant" + (", the worst coordinate's loop" if several else ""))
     axes.legend(loc="best")
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from linkplan.studies.bode.bode import BodePoint, BodeStudy, Scan, response_curves
+from linkplan.studies.bode.bode import BodePoint, BodeStudy, response_curves
+from linkplan.studies.bode.scan import Scan
 from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.response import Response
@@ -179,19 +180,16 @@ def _mark_peak(cell, curve: Response, quantity: str, colour: str) -> None:
 
 def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
     """Draw the sensitivity over position and frequency as a heat map, and the margins over position, the worst marked."""
-    joint = study.mechanism.independent_joints[scan.channel]
-    positions = np.array([joint.shown(x) for x in scan.positions])
+    joint, line = study.mechanism.independent_joints[scan.channel], scan.line
+    positions = np.array([line.shown(x) for x in scan.positions])
     grid = frequency_grid(study.timing.period_s)[::4]
     grid = grid[grid >= min((_lowest(entry) for entry in study.points), default=grid[0])]
     limit = study.effort_limit
     heat = np.full((len(grid), len(positions)), np.nan)
-    base = study.points[0].point
     for column, (position, bounds) in enumerate(zip(scan.positions, scan.margins, strict=True)):
         if not bounds.stable:  # an unstable loop has no sensitivity
             continue
-        s = base.state[: study.mechanism.dof].copy()
-        s[scan.channel] = position
-        point = operating_point(study.mechanism, s, np.array([[-np.inf, np.inf]] * len(limit)))
+        point = operating_point(study.mechanism, line.at(position), np.array([[-np.inf, np.inf]] * len(limit)))
         loop = feedback_loop(point, law_gain(point, study.law, study.settings, limit), study.timing, SIMULATED)
         heat[:, column] = 20 * np.log10(np.abs(loop.gains("sensitivity", grid, scan.channel)))
     with page(path, rows=2, columns=1, size=(8.0, 7.2), sharex=True) as axes:
@@ -212,16 +210,17 @@ def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
             lower.plot(positions, scan.column(name), color=colour, label=label)
         worst = scan.worst
         lower.axvline(
-            positions[worst], color=RED, linestyle="--", linewidth=1.0, label=f"worst: {positions[worst]:.4g} {joint.unit}"
+            positions[worst], color=RED, linestyle="--", linewidth=1.0, label=f"worst: {positions[worst]:.4g} {line.unit}"
         )
         lost = positions[[not bounds.stable for bounds in scan.margins]]
         if lost.size:
             lower.plot(lost, np.zeros(lost.size), "x", color=RED, label="unstable", clip_on=False)
         lower.set_ylim(0.0, max(10.0, lower.get_ylim()[1]))
         lower.set_ylabel("margin [deg]")
-        lower.set_xlabel(f"{joint.name} [{joint.unit}]")
+        lower.set_xlabel(f"{line.name} [{line.unit}]")
         lower.legend(loc="best")
-        upper.set_title(f"{study.mechanism.name}, {study.law}: {study.loop_name}")
+        of = "" if study.mechanism.dof == 1 else f", loop of {joint.name}"
+        upper.set_title(f"{study.mechanism.name}, {study.law}{of}: {study.loop_name}")
 
 
 def _lowest(entry: BodePoint) -> float:

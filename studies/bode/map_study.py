@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.bode.bode import BodeStudy
-from linkplan.studies.frequency.feedback_loops import OperatingPoint, operating_point, pd_gain
+from linkplan.studies.frequency.feedback_loops import OperatingPoint, operating_point, pd_gain, refuse_several_freedoms
 from linkplan.studies.frequency.stability_map import (
     StabilityMap,
     critical_kd,
@@ -18,6 +18,7 @@ from linkplan.studies.frequency.stability_map import (
     stability_map,
 )
 from linkplan.studies.frequency.trial import settle_trials
+from linkplan.studies.frequency.worst import local_minima
 from linkplan.studies.output.tables import table
 
 ANGLES = 9
@@ -48,39 +49,51 @@ class MapStudy:
 def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy:
     """Return the map about a bode study's gains, over nine angles from its first pose to its last.
 
+    Angles between them at which the largest stable kd is least are added.
+
     Raises:
         LinkplanError: for a mechanism of more than one degree of freedom.
     """
     mechanism, settings = study.mechanism, study.settings
-    if mechanism.dof != 1:
-        raise LinkplanError(
-            f"a stability map needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}"
-        )
+    refuse_several_freedoms(mechanism, "a stability map")
+    own_kp, own_kd = (float(gain[0]) for gain in settings.gains(mechanism.independent_joints))
     at = [float(entry.point.state[0]) for entry in study.points]
     positions = np.linspace(min(at), max(at), ANGLES if len(at) > 1 else 1)
-    points = [operating_point(mechanism, np.array([x]), study.effort_limit) for x in positions]
-    critical = np.array([_critical(point, settings.kp, study.timing) for point in points])
+
+    def point_at(x: float) -> OperatingPoint:
+        return operating_point(mechanism, np.array([x]), study.effort_limit)
+
+    def largest(x: float) -> float:
+        try:
+            return _critical(point_at(x), own_kp, study.timing)[1]
+        except LinkplanError:  # a stretch between poses that are held may not be
+            return np.inf
+
+    if len(positions) > 1:
+        positions = np.sort([*positions, *local_minima(largest, positions)])
+    points = [point_at(x) for x in positions]
+    critical = np.array([_critical(point, own_kp, study.timing) for point in points])
     inertia = np.array([float(point.inertia[0, 0]) for point in points])
     bearable = 2 * inertia.max() / settings.period_s
-    most = _BEYOND * max(bearable, settings.kd)
+    most = _BEYOND * max(bearable, own_kd)
     kd = np.geomspace(_BELOW * bearable, most, _GRID)
     stiff = inertia / settings.period_s**2  # what kp is to be compared with
-    asked = [settings.kp] if settings.kp > 0 else []
+    asked = [own_kp] if own_kp > 0 else []
     kp = np.geomspace(min(*asked, 1e-4 * stiff.min(), stiff.min()) / 3, max(*asked, 5 * stiff.max(), stiff.max()) * 2, _GRID)
     found = stability_map(points, study.timing, kp, kd, study.effort_limit, say)
     delay = study.timing.delay_steps / study.timing.substeps
     try:
         longest, where = longest_period(
-            points, lambda point, _: pd_gain(effort_map(point), settings.kp, settings.kd), delay, settings.period_s
+            points, lambda point, _: pd_gain(effort_map(point), own_kp, own_kd), delay, settings.period_s
         )
     except LinkplanError:
         longest, where = None, None
     say("gains on both sides of the stability boundary at every angle, in MuJoCo")
     return MapStudy(
         found=found,
-        beside=_beside(points, settings.kp, critical[:, 1], study.timing, study.effort_limit),
-        kp=settings.kp,
-        kd=settings.kd,
+        beside=_beside(points, own_kp, critical[:, 1], study.timing, study.effort_limit),
+        kp=own_kp,
+        kd=own_kd,
         critical=critical,
         longest_s=longest,
         longest_at=where,

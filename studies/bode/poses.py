@@ -1,17 +1,35 @@
 """The poses at which a loop is looked at: those asked for, or by default some over the motion or the reach."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.studies.bode.bode import default_poses
+from linkplan.planner.search.presolve import start_pose_of
+from linkplan.studies.bode.bode import POINTS, default_poses, is_held, most_of_reach, turns
+from linkplan.studies.bode.scan import Line, coordinate_line, motion_line
 from linkplan.studies.frequency.feedback_loops import require_actuated
 
 # A reference is looked at so many times over its period for the ends of its motion.
 _SAMPLES = 181
+# Instants of a motion of several freedoms: its line's nodes.
+_INSTANTS = 61
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class LoopPoses:
+    """Independent positions (n, n_s) [rad or m], a sentence on their choice where that matters, the line they stand for.
+
+    `line` is None where the poses themselves were asked for, or are home alone.
+    """
+
+    positions: np.ndarray
+    note: str | None = None
+    line: Line | None = None
 
 
 def loop_poses(
@@ -19,8 +37,8 @@ def loop_poses(
     problem: PlanningProblem | None,
     effort_limit: np.ndarray,
     asked: Sequence[Mapping[str, float]] = (),
-) -> tuple[np.ndarray, str | None]:
-    """Return independent positions (n, n_s) [rad or m], and a sentence on how they were chosen where that matters.
+) -> LoopPoses:
+    """Return the poses to look at.
 
     Args:
         mechanism: of which every freedom has its actuator.
@@ -33,7 +51,9 @@ def loop_poses(
     """
     require_actuated(mechanism)
     if not asked:
-        return default_poses(mechanism, _motion_range(problem), effort_limit)
+        return (
+            _along_motion(mechanism, problem, effort_limit) if mechanism.dof > 1 else _one(mechanism, problem, effort_limit)
+        )
     names = [joint.name for joint in mechanism.independent_joints]
     home = dict(zip(names, mechanism.home[mechanism.independent], strict=True))
     for pose in asked:
@@ -41,7 +61,40 @@ def loop_poses(
         if wrong:
             plural = "s" * (len(names) > 1)
             raise ProblemError(f"a pose names the independent joint{plural} {', '.join(names)}; {wrong[0]} follows")
-    return np.array([[{**home, **pose}[name] for name in names] for pose in asked]), None
+    return LoopPoses(positions=np.array([[{**home, **pose}[name] for name in names] for pose in asked]))
+
+
+def _one(mechanism: Mechanism, problem: PlanningProblem | None, effort_limit: np.ndarray) -> LoopPoses:
+    """Return default poses of a single freedom, over the motion or most of the reach, and the line between their ends."""
+    ends = _motion_range(problem)
+    positions, note = default_poses(mechanism, ends, effort_limit)
+    low, high = float(positions.min()), float(positions.max())
+    if ends is None and note is None and turns(mechanism, 0):
+        low, high = most_of_reach(mechanism, 0)
+    line = coordinate_line(mechanism, 0, low, high, positions[0]) if low < high else None
+    return LoopPoses(positions=positions, note=note, line=line)
+
+
+def _along_motion(mechanism: Mechanism, problem: PlanningProblem | None, effort_limit: np.ndarray) -> LoopPoses:
+    """Return default poses of several freedoms: along a problem's reference or smooth path, home without one."""
+    home = LoopPoses(positions=mechanism.home[mechanism.independent][None])
+    if problem is None:
+        return home
+    try:
+        guess = first_guess(problem, start_pose_of(problem))
+    except LinkplanError:  # a problem that cannot begin is for `plan` to explain
+        return home
+    time = np.linspace(0.0, guess.duration_s, _INSTANTS)
+    path = guess.position(time)
+    held = np.array([is_held(mechanism, s, effort_limit) for s in path])
+    if not held.any():  # the first one's refusal says why
+        return LoopPoses(positions=path[:1])
+    kept = np.flatnonzero(held)
+    positions = path[kept[np.linspace(0, len(kept) - 1, POINTS).round().astype(int)]]
+    note = f"poses are taken along the path of {problem.name}, at equal times"
+    if not held.all():
+        note += f", where the actuators hold them at rest: not at {int((~held).sum())} of {len(held)} instants"
+    return LoopPoses(positions=np.unique(positions, axis=0), note=note, line=motion_line(time, path))
 
 
 def _motion_range(problem: PlanningProblem | None) -> np.ndarray | None:

@@ -14,6 +14,8 @@ _ROWS = 9
 _CONSTANT = 1e-9
 # ... and one below this share of the largest of its kind is printed as zero.
 _ZERO = 1e-12
+# Digits that leave a number as it is.
+_EXACT = 17
 # An effort is beyond a limit from this share of it on: rounding.
 _BEYOND = 1e-9
 
@@ -76,7 +78,7 @@ def path_text(path: KinematicLoopPath) -> str:
         Column(head=joint.name, unit=joint.unit, values=shown, scale=1.0)
         for column, (joint, s) in enumerate(zip(mechanism.independent_joints, path.positions.T, strict=True))
         if path.coordinate in (None, column)
-        for shown in [np.array([joint.shown(x) for x in s])]
+        for shown in [np.array([float(joint.said(x, _EXACT)) for x in s])]
     ]
     columns = quantities(path)
     varying = [*where, *(column for column in columns if not column.is_constant)]
@@ -86,6 +88,8 @@ def path_text(path: KinematicLoopPath) -> str:
         lines.append(table([column.title for column in varying], [[column.cell(k) for column in varying] for k in at]))
     if not acts(path).all():
         constant.append("all other ratios 0")
+    hold = "hold and force are" if mechanism.actuators else "force is"
+    lines.append(f"weight alone is without springs; {hold} with everything at rest, weight and springs")
     if constant:
         lines.append(f"the same at every pose: {', '.join(constant)}")
     return "\n".join([*lines, *weight_sentences(path), *unheld_sentences(path)])
@@ -126,7 +130,9 @@ def quantities(path: KinematicLoopPath) -> list[Column]:
             values = path.reflected_inertia[:, j]
             add(f"inertia at {actuator.name}", "kg m2" if actuator.unit == "N.m" else "kg", values, values)
     for i, joint in independent:
-        add(f"weight {joint.name}", effort_unit(joint), path.gravity_effort[:, i], path.gravity_effort)
+        add(f"weight alone {joint.name}", effort_unit(joint), path.gravity_effort[:, i], path.gravity_effort)
+    for j, actuator in actuators:
+        add(f"hold {actuator.name}", actuator.unit, path.holding_effort[:, j], path.holding_effort)
     for i, joint in independent:
         if actuators:
             add(f"available {joint.name}", effort_unit(joint), path.available_effort[:, i], path.available_effort)
@@ -147,7 +153,7 @@ def _same(own: np.ndarray, felt: np.ndarray) -> int | None:
 
 def _pose(path: KinematicLoopPath, k: int) -> str:
     joints = zip(path.mechanism.independent_joints, path.positions[k], strict=True)
-    return ", ".join(f"{joint.name} = {joint.shown(x):.4g} {joint.unit}" for joint, x in joints)
+    return ", ".join(f"{joint.name} = {joint.said(x)} {joint.unit}" for joint, x in joints)
 
 
 def weight_sentences(path: KinematicLoopPath) -> list[str]:

@@ -41,8 +41,7 @@ def contact_findings(
         if meeting.since is None:
             depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
             notes.append(
-                f"{who(meeting)} overlap at home, along the whole motion, or on a pin that they share, {depth}: contact"
-                " forces are not"
+                f"{who(meeting)} overlap as deep at home, or on a pin that they share, {depth}: contact forces are not"
                 " planned for"
             )
         elif treatment == "note":

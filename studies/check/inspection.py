@@ -23,6 +23,8 @@ _UNREACHED = 1e-9
 # Toggle poses a turn apart are found to this [rad], and so many of a joint are listed; all are in the record.
 _SAME_POSE = 1e-6
 _TOGGLES = 4
+# A body with less than this share of the heaviest one's mass is drawn without mass.
+_MASSLESS = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -125,6 +127,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
         notes.append("the model has no active loop closure: it is an open tree")
     soft = softness_note(mechanism)
     notes += [] if soft is None else [soft]
+    problems += _massless(mechanism)
     if mechanism.n_u == 0:
         problems.append("the model has no actuator that a plan can use")
     notes += mechanism.notes
@@ -152,16 +155,49 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
                     problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
                 else:  # the coordinate has no range of its own that says otherwise: the stop is meant
                     notes.append(stop)
-        for position in can.singular:
-            notes.append(
-                f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}: the motion ends or branches"
-                " there"
-            )
+        notes += _singular_notes(mechanism, can)
         notes += _toggle_notes(mechanism, can) if index not in mechanism.passive_dofs else []
     notes += feeble_drives(mechanism)
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
     return problems, notes
+
+
+def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
+    """Return a sentence on each singular pose of a reach: a dead centre of its coordinate, or a pose that branches."""
+    joint, branching, said = mechanism.joints[mechanism.independent[can.coordinate]], dict(can.branching), []
+    for position in can.singular:
+        at = f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}"
+        if position in branching:
+            said.append(
+                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}: the mechanism may"
+                " go over to another branch there, and forces on the loops grow without bound; no other coordinate mends it"
+            )
+        else:
+            said.append(
+                f"{at}: a dead centre of {joint.name}, the closure keeps its rank: the mechanism moves on there, but"
+                f" {joint.name} does not fix how; mechanism.independent with another joint leads through"
+            )
+    return said
+
+
+def _massless(mechanism: Mechanism) -> list[str]:
+    """Return a sentence on every body tied by a loop's closure that has next to no mass: the simulator's loops gape there.
+
+    MuJoCo's closures are springs scaled by the inertia that they act on; ten decades between two bodies leave none.
+    """
+    model, said = mechanism.model, []
+    if not mechanism.closures:
+        return said
+    heaviest = float(model.body_mass[1:].max(initial=0.0))
+    for body in range(1, model.nbody):
+        with_children = float(model.body_subtreemass[body])
+        if model.body_weldid[body] == body and model.body_dofnum[body] and with_children < _MASSLESS * heaviest:
+            said.append(
+                f"body {model.body(body).name or body} has a mass of {with_children:.3g} kg where the heaviest has"
+                f" {heaviest:.3g} kg: the simulator cannot hold a loop by it; give it its mass"
+            )
+    return said
 
 
 def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
@@ -242,6 +278,7 @@ def inspection_record(found: Inspection) -> dict:
             joint.name: [can.lower.reason, can.upper.reason] for joint, can in zip(independent, found.reaches, strict=True)
         },
         "singular_deg": [joint.shown(position) for joint, can in hinges for position in can.singular],
+        "branching_deg": [joint.shown(position) for joint, can in hinges for position, _ in can.branching],
         "toggle_deg": [joint.shown(position) for joint, can in hinges for _, position in can.toggles],
         "actuators": {
             a.name: {

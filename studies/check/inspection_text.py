@@ -16,14 +16,14 @@ def inspection_text(found: Inspection) -> str:
         f"closure: {', '.join(mechanism.closure_names) or 'none'}: {n_rows} rows, rank {len(mechanism.closure_rows)},"
         f" gap {found.closure_gap_m:.3g} m",
         "home: "
-        + ", ".join(f"{j.name} = {j.shown(x):.5g} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)),
+        + ", ".join(f"{j.name} = {j.said(x, 5)} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)),
     ]
     if found.mechanism.closures:
         lines.append(f"branch: that of home, where det J_z is {', '.join(f'{x:.4g}' for x in branch(mechanism))}")
     for joint, can in zip(mechanism.independent_joints, found.reaches, strict=True):
         lines.append(
-            f"reach: {joint.name} from {joint.shown(can.lower.position):.5g} ({can.lower.reason})"
-            f" to {joint.shown(can.upper.position):.5g} {joint.unit} ({can.upper.reason})"
+            f"reach: {joint.name} from {joint.said(can.lower.position, 5)} ({can.lower.reason})"
+            f" to {joint.said(can.upper.position, 5)} {joint.unit} ({can.upper.reason})"
         )
     lines += [f"actuator: {a.name} on {a.target}, {a.lower:g} to {a.upper:g} {a.unit}" for a in mechanism.actuators]
     lines += [f"note: {note}" for note in found.notes]
@@ -38,8 +38,8 @@ def _points_table(found: Inspection) -> str:
     independent = mechanism.independent_joints
     head = [f"{j.name} [{j.unit}]" for j in mechanism.joints]
     head += [f"M_{a.name}{b.name}" for i, a in enumerate(independent) for b in independent[i:]]
-    head += [f"gravity {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
-    head += [f"hold {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
+    head += [f"gravity alone {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
+    head += [f"hold all {j.name} [{'N.m' if j.kind == 'hinge' else 'N'}]" for j in independent]
     head += [f"{a.name}->{j.name}" for a in mechanism.actuators for j in independent]
     rows = []
     for point in found.points:

@@ -14,21 +14,23 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.models.stiffness import STIFF_IMPEDANCE, STIFF_SOLIMP, stiff_time_constant_s
 from linkplan.models.tree.ties import tied_points
 
 # A gap of more than this share of the model's extent is worth a note: of half a metre, 0.05 mm.
-_WORTH_SAYING = 1e-4
-# Impedances next to the largest that MuJoCo admits, 0.9999: what the built-in models have.
-STIFF_IMPEDANCE = "0.999 0.999 0.001"
-_STIFF = 0.999
-# The least time constant that MuJoCo admits, in steps.
-_STEPS = 2.0
+WORTH_SAYING = 1e-4
+# The key of a problem file, and the argument of `load_mechanism`, that makes every closure as stiff.
+STIFF_KEY = 'mechanism.solref = "stiff"'
 # A gap beyond this share of the extent is no longer the small one of the law: it is said to be more than that.
 _LARGEST = 0.01
 # A stiffer constraint is worth naming where it leaves no more than this share of the gap.
 _HELPS = 0.5
+# Simulated poses that are compared with closed ones, of a run.
+_POSES = 101
 # Rounds of the gap's own law, whose impedance depends on it; each at least halves the error.
 _ROUNDS = 60
 
@@ -54,7 +56,7 @@ class SoftClosure:
         return max(self.weight_gap_m, self.rated_gap_m)
 
 
-def soft_closures(mechanism: Mechanism, share: float = _WORTH_SAYING) -> tuple[SoftClosure, ...]:
+def soft_closures(mechanism: Mechanism, share: float = WORTH_SAYING) -> tuple[SoftClosure, ...]:
     """Return the connects and welds whose closure gap exceeds a share of the model's extent, worst first."""
     model = mechanism.model
     data = mujoco.MjData(model)
@@ -72,8 +74,8 @@ def soft_closures(mechanism: Mechanism, share: float = _WORTH_SAYING) -> tuple[S
         who, most = max(forces[1:], key=lambda item: item[1], default=(None, 0.0))
         law = float(stiffness), np.array(model.eq_solimp[index])
         weight, rated = (steady_gap(force * inertia, *law) for force in (forces[0][1], most))
-        least = _STEPS * float(model.opt.timestep)
-        stiff = np.array([_STIFF, _STIFF, 0.001, 0.5, 2.0])
+        least = stiff_time_constant_s(model)
+        stiff = np.array(STIFF_SOLIMP)
         found.append(
             SoftClosure(
                 name=name,
@@ -82,11 +84,30 @@ def soft_closures(mechanism: Mechanism, share: float = _WORTH_SAYING) -> tuple[S
                 rated_gap_m=rated,
                 rated_by=who,
                 stiff_solref=f"{least:g} 1",
-                stiff_gap_m=steady_gap(max(forces[0][1], most) * inertia, 1 / (_STIFF * least) ** 2, stiff),
+                stiff_gap_m=steady_gap(max(forces[0][1], most) * inertia, 1 / (STIFF_SOLIMP[1] * least) ** 2, stiff),
             )
         )
     soft = [one for one in found if one.gap_m > share * mechanism.extent_m]
     return tuple(sorted(soft, key=lambda one: -one.gap_m))
+
+
+def held_gap(mechanism: Mechanism, pose: np.ndarray, hold: np.ndarray) -> float:
+    """Return the largest gap [m] that MuJoCo's softness leaves at a pose (n_q,) held at rest by efforts (n_u,)."""
+    model, gaps = mechanism.model, [0.0]
+    data = mujoco.MjData(model)
+    data.qpos[:] = mechanism.qpos_of(pose)
+    mujoco.mj_forward(model, data)
+    still = np.zeros(mechanism.dof)
+    force = np.array(mechanism.dynamics.closure_force(pose, still, still, hold)).ravel()
+    for c, index in enumerate(dict.fromkeys(closure.index for closure in mechanism.closures)):
+        of_it = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (np.asarray(data.efc_id) == index)
+        if not tied_points(model, index) or not of_it.any():
+            continue
+        row = int(np.flatnonzero(of_it)[0])
+        stiffness, _, impedance, _ = np.reshape(data.efc_KBIP, (-1, 4))[row]
+        push = np.linalg.norm(force[mechanism.closure_slice(c)]) * data.efc_R[row] * impedance / (1 - impedance)
+        gaps.append(steady_gap(float(push), float(stiffness), np.array(model.eq_solimp[index])))
+    return max(gaps)
 
 
 def _loads(mechanism: Mechanism) -> list[tuple[str | None, np.ndarray]]:
@@ -132,6 +153,36 @@ def impedance_at(gap: float, solimp: np.ndarray) -> float:
     return d_0 + y * (d_width - d_0)
 
 
+def gap_sentence(mechanism: Mechanism, gap_m: float, error: str = "") -> str | None:
+    """Return what a closure gap in simulation [m] means where it is more than a ten-thousandth of the extent, else None.
+
+    `error` says by how much poses then differ from those of closed loops.
+    """
+    if not gap_m > WORTH_SAYING * mechanism.extent_m:
+        return None
+    share = 100 * gap_m / mechanism.extent_m
+    return (
+        f"soft closures: MuJoCo's loops gape by up to {1e3 * gap_m:.3g} mm, {share:.2g} % of the mechanism's"
+        f" {1e3 * mechanism.extent_m:.3g} mm{error}; plans and predictions are of closed loops; {STIFF_KEY} makes them as"
+        " stiff as the timestep admits"
+    )
+
+
+def softness_error(mechanism: Mechanism, pose: np.ndarray) -> str:
+    """Return the largest difference of a dependent joint, in simulated poses (n, n_q), from where closed loops have it."""
+    worst = {"deg": (0.0, ""), "m": (0.0, "")}
+    for q in pose[np.unique(np.linspace(0, len(pose) - 1, _POSES).astype(int))]:
+        try:
+            closed = follow(mechanism, q[mechanism.independent][None], q)[0]
+        except AssemblyError:  # gaping loops may stand where closed ones cannot
+            continue
+        for index in mechanism.dependent:
+            joint = mechanism.joints[int(index)]
+            worst[joint.unit] = max(worst[joint.unit], (abs(joint.shown(q[index] - closed[index])), joint.name))
+    said = [f"{name} is off by up to {value:.3g} {unit}" for unit, (value, name) in worst.items() if name]
+    return f", and {' and '.join(said)}" if said else ""
+
+
 def softness_note(mechanism: Mechanism) -> str | None:
     """Return the sentence on a mechanism's soft closures, or None where every closure gap is small."""
     soft = soft_closures(mechanism)
@@ -153,5 +204,5 @@ def softness_note(mechanism: Mechanism) -> str | None:
         return f"{text}; a shorter timestep would admit a stiffer one"
     return (
         f'{text}; solref="{worst.stiff_solref}" solimp="{STIFF_IMPEDANCE}", the stiffest that its timestep admits, leaves'
-        f" {said(worst.stiff_gap_m)}"
+        f" {said(worst.stiff_gap_m)} ({STIFF_KEY} sets it)"
     )

@@ -57,9 +57,12 @@ def poses_asked(arguments: argparse.Namespace, mechanism: Mechanism) -> list[dic
                 number = float(value)
             except ValueError:
                 number = np.nan
-            if not name or not np.isfinite(number):
+            again = bool(pose) and not equals  # 'O=1,5': a comma is between poses of joints, and no decimal point
+            if not name or again or not np.isfinite(number):
                 raise ProblemError(f"--at-deg takes JOINT=ANGLE, an angle in degrees (metres for a slide), got '{text}'")
             joint = mechanism.joints[mechanism.joint_index(name.strip(), ProblemError)]
+            if joint.name in pose:
+                raise ProblemError(f"--at-deg names joint {joint.name} twice in '{text}'; decimals have a point")
             pose[joint.name] = joint.read(number)
         poses.append(pose)
     return poses
@@ -98,9 +101,11 @@ def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
     for override in overrides:
         if not override.startswith("tracking."):
             raise ProblemError(f"--set {override}: a saved plan is fixed; only tracking.* can be set on it")
-    plan, note = read_plan(path, overrides), unchecked(path)
+    plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
     if note is not None:
         say(note)
+    if plan.status != "optimal":
+        say(f"run anyway: {plan.message}")
     return plan
 
 

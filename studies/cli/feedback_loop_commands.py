@@ -25,6 +25,7 @@ def run_bode(arguments: argparse.Namespace) -> int:
     from linkplan.studies.bode.bode_report import bode_record, bode_text
     from linkplan.studies.bode.poses import loop_poses
     from linkplan.studies.frequency.excitation import METHODS, Setup
+    from linkplan.studies.frequency.feedback_loops import refuse_several_freedoms
 
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     choose("way to measure", arguments.measure, (*METHODS, "none"), ProblemError)
@@ -39,16 +40,21 @@ def run_bode(arguments: argparse.Namespace) -> int:
             raise ProblemError(f"--amplitude-deg is a positive number, got {amplitude:g}")
         joint = mechanism.independent_joints[0]
         setup = Setup(method=arguments.measure, amplitude=None if amplitude is None else joint.read(amplitude))
-    poses, note = loop_poses(mechanism, problem, limit, poses_asked(arguments, mechanism))
+    for name, what in (("map", "--map"), ("large", "--large")):
+        if getattr(arguments, name):
+            refuse_several_freedoms(mechanism, what)
+    looked = loop_poses(mechanism, problem, limit, poses_asked(arguments, mechanism))
+    note = looked.note
     study = bode_study(
         mechanism,
-        poses,
+        looked.positions,
         settings,
         limit,
         say,
         law=arguments.tracker,
         setup=setup,
         frequency_hz=_frequencies(arguments, settings),
+        line=looked.line,
     )
     said, texts = bode_record(study), [bode_text(study)]
     said["note"] = note
@@ -79,7 +85,8 @@ def run_tune(arguments: argparse.Namespace) -> int:
     from linkplan.controllers.sampling import sampling
     from linkplan.studies.bode.poses import loop_poses
     from linkplan.studies.frequency.feedback_loops import operating_point
-    from linkplan.studies.tune.tune import Wanted, tune, tune_record, tune_text
+    from linkplan.studies.tune.tune import Wanted, tune
+    from linkplan.studies.tune.tune_report import tune_record, tune_text
 
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
     target, say = output_folder(arguments), progress(arguments)
@@ -91,14 +98,15 @@ def run_tune(arguments: argparse.Namespace) -> int:
     )
     if mechanism.dof != 1:
         raise ProblemError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
-    poses, note = loop_poses(mechanism, problem, limit, poses_asked(arguments, mechanism))
-    points = [operating_point(mechanism, position, limit) for position in poses]
+    looked = loop_poses(mechanism, problem, limit, poses_asked(arguments, mechanism))
+    note = looked.note
+    points = [operating_point(mechanism, position, limit) for position in looked.positions]
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
-    found = tune(points, wanted, settings, timing, limit, law=arguments.tracker, say=say)
+    found = tune(points, wanted, settings, timing, limit, law=arguments.tracker, say=say, line=looked.line)
     said, text = tune_record(found) | {"note": note}, tune_text(found) + (f"\nnote: {note}" if note else "")
     if target is not None:
         from linkplan.studies.tune.draw_tune import tune_figure
-        from linkplan.studies.tune.tune import tracking_table
+        from linkplan.studies.tune.tune_report import tracking_table
 
         def write(place: Path) -> None:
             write_json(place / "tune.json", said)
@@ -118,7 +126,7 @@ def _loop_of(arguments: argparse.Namespace) -> tuple[PlanningProblem | None, Mec
         mechanism, settings, limit = problem.mechanism, problem.tracking, problem.limits.effort
     else:
         problem, mechanism = None, mechanism_from_tables(tables, folder)
-        settings, limit = tracking_from_tables(tables), mechanism.effort_limit
+        settings, limit = tracking_from_tables(tables, mechanism), mechanism.effort_limit
     return problem, mechanism, _settings(arguments, settings), limit
 
 
@@ -136,7 +144,7 @@ def _settings(arguments: argparse.Namespace, settings: Tracking) -> Tracking:
     if "delay_periods" in asked and not (np.isfinite(asked["delay_periods"]) and 0 <= asked["delay_periods"] <= 1000):
         raise ProblemError(f"--delay-periods is a number from 0 to 1000, got {asked['delay_periods']:g}")
     settings = replace(settings, **asked)
-    if settings.kp == 0 and settings.kd == 0:
+    if not settings.acts:
         raise ProblemError("--kp and --kd are both 0: there is no feedback")
     return settings
 

@@ -11,8 +11,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from linkplan.models.errors import LinkplanError, one_line
-from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED
+from linkplan.models.errors import CertificateError, LinkplanError, one_line
+from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NO
 
 # The module of each command, loaded when the command is given.
 _MODULES = {
@@ -78,6 +78,7 @@ def build_parser() -> argparse.ArgumentParser:
         "a built-in problem or a TOML file; paths in it (model, guess.plan) are from its own folder, else the working folder"
     )
     plan.add_argument("problem", metavar="PROBLEM", help=text)
+    plan.add_argument("--jumps", action="store_true", help="trajectory.csv has both sides of a jump in effort, at one time")
 
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
     batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
@@ -129,6 +130,7 @@ def build_parser() -> argparse.ArgumentParser:
 
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer", output=False)
     view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    _anyway(view)
     view.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
     view.add_argument("--slow", type=float, default=4.0, metavar="X", help="times slower than real (default: %(default)s)")
     view.add_argument("--seconds", type=float, metavar="S", help="close the window after this time (default: when you do)")
@@ -142,7 +144,12 @@ def _loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tracker", default="pd", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
     parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
     parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
-    _at(parser, "a pose to analyse; may be given again (default: five over the motion or the reach)")
+    _at(parser, "a pose to analyse; may be given again (default: over the motion or the reach)")
+
+
+def _anyway(parser: argparse.ArgumentParser) -> None:
+    text = "run a saved plan that does not pass its certificate, with a word and exit code 1"
+    parser.add_argument("--anyway", action="store_true", help=text)
 
 
 def _at(parser: argparse.ArgumentParser, text: str) -> None:
@@ -151,6 +158,7 @@ def _at(parser: argparse.ArgumentParser, text: str) -> None:
 
 
 def _mismatch(parser: argparse.ArgumentParser, mass_factor: float, delay: int) -> None:
+    _anyway(parser)
     parser.add_argument(
         "--mass-factor",
         type=float,
@@ -194,7 +202,7 @@ def _run(arguments: argparse.Namespace) -> int:
         return code
     except LinkplanError as error:
         print(f"linkplan {arguments.command}: {one_line(error)}", file=sys.stderr)
-        return BAD_INPUT
+        return NO if isinstance(error, CertificateError) else BAD_INPUT
     except OSError as error:
         if isinstance(error, BrokenPipeError):
             # The reader of our output left; leave without a word, and keep Python from flushing into the closed pipe.
@@ -206,9 +214,34 @@ def _run(arguments: argparse.Namespace) -> int:
     except (KeyboardInterrupt, SystemError) as error:
         # CasADi wraps an interrupt that comes while it converts a number.
         if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
-            raise
+            return unforeseen(arguments.command, error)
         print(f"linkplan {arguments.command}: interrupted; nothing was written", file=sys.stderr)
         return INTERRUPTED
+    except Exception as error:
+        return unforeseen(arguments.command, error)
+
+
+def unforeseen(command: str, error: BaseException) -> int:
+    """Say in one line that linkplan itself failed, and where to find what its makers need to know; return the exit code."""
+    import tempfile
+    import traceback
+    from importlib.metadata import version
+
+    if isinstance(error, MemoryError):
+        what = "there is not enough memory for it"
+    else:
+        what = f"a fault of linkplan's own ({type(error).__name__}: {one_line(error)[:200]})"
+    said = "".join(traceback.format_exception(error)).encode("utf-8", "backslashreplace")
+    about = f"linkplan {version('linkplan')}, Python {sys.version}\narguments: {sys.argv[1:]!r}\n\n"
+    told = about.encode("utf-8", "backslashreplace")
+    try:
+        with tempfile.NamedTemporaryFile(prefix="linkplan-fault-", suffix=".txt", delete=False) as file:
+            file.write(told + said)
+        send = f"; please send '{file.name}' to linkplan's makers"
+    except OSError:
+        send = ""
+    print(f"linkplan {command}: {what}{send}", file=sys.stderr)
+    return BAD_INPUT
 
 
 if __name__ == "__main__":

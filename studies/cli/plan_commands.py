@@ -23,7 +23,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
     if plan.status == "optimal" and target is not None:
-        write_whole(target, lambda place: save_plan(plan, place, target))
+        write_whole(target, lambda place: save_plan(plan, place, target, jumps=arguments.jumps))
         say(f"saved in {target}")
     elif target is not None:
         say(f"nothing written: {plan.status}")
@@ -35,21 +35,32 @@ def run_batch(arguments: argparse.Namespace) -> int:
     """Plan the cases of a batch file; 1 where one of them has no plan."""
     from linkplan.planner.batch import plan_batch
     from linkplan.planner.files.batch_file import read_batch
-    from linkplan.studies.output.batch_table import batch_record, batch_text
+    from linkplan.studies.output.batch_table import batch_text, case_record, case_row
 
     target, say = output_folder(arguments), progress(arguments)
-    results = list(plan_batch(read_batch(arguments.batch), say))
-    said = batch_record(results)
-    if target is not None:
+    batch = read_batch(arguments.batch)
+    rows: list[list] = []
+    failures: list[str] = []
+    cases: dict[str, dict] = {}
 
-        def write(place: Path) -> None:
-            write_json(place / "batch.json", said)
-            for case, plan in results:
-                if plan.status == "optimal":
-                    (place / case.name).mkdir()
-                    write_plan(plan, place / case.name, target / case.name)
+    def run(place: Path | None) -> None:
+        """Plan every case and write it as it comes: of ten thousand plans only rows and records are kept."""
+        for case, plan in plan_batch(batch, say):
+            rows.append(case_row(case, plan))
+            if plan.status != "optimal":
+                failures.append(f"{case.name}: {plan.message}")
+            if place is not None or arguments.json:
+                cases[case.name] = case_record(case, plan)
+            if place is not None and target is not None and plan.status == "optimal":
+                (place / case.name).mkdir()
+                write_plan(plan, place / case.name, target / case.name)
+        if place is not None:
+            write_json(place / "batch.json", {"cases": cases})
 
-        write_whole(target, write, "batch.json")
+    if target is None:
+        run(None)
+    else:
+        write_whole(target, run, "batch.json")
         say(f"saved in {target}")
-    show(arguments, said, batch_text(results))
-    return DONE if all(plan.status == "optimal" for _, plan in results) else NO
+    show(arguments, {"cases": cases}, batch_text(rows, failures))
+    return NO if failures else DONE

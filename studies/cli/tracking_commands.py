@@ -32,7 +32,7 @@ def run_track(arguments: argparse.Namespace) -> int:
     if target is not None:
         write_whole(target, lambda place: _save_tracking(comparison, said, place, "track"), "track.json")
     show(arguments, said, comparison_text(comparison))
-    return DONE if next(iter(comparison.nominal.values())).stable else NO
+    return DONE if plan.status == "optimal" and next(iter(comparison.nominal.values())).stable else NO
 
 
 def _single(plan: Plan, arguments: argparse.Namespace, mismatch_given: bool):
@@ -76,14 +76,16 @@ def run_compare(arguments: argparse.Namespace) -> int:
     if target is not None:
         write_whole(target, lambda place: _save_tracking(comparison, said, place, "compare", document), "compare.json")
     show(arguments, said, comparison_text(comparison))
-    return DONE if any(rollout.stable for rollout in comparison.nominal.values()) else NO
+    return DONE if plan.status == "optimal" and any(rollout.stable for rollout in comparison.nominal.values()) else NO
 
 
 def _save_tracking(comparison, said: dict, place: Path, name: str, document: dict | None = None) -> None:
     from linkplan.studies.compare.document import KP
     from linkplan.studies.compare.draw_tracking import comparison_figure, document_figure
+    from linkplan.studies.compare.time_series import save_time_series
 
     write_json(place / f"{name}.json", said)
+    save_time_series(comparison, place)
     comparison_figure(comparison, place / f"{name}.png")
     if document:
         document_figure(document, KP, place / "desired_and_actual.png")
@@ -110,4 +112,4 @@ def run_view(arguments: argparse.Namespace) -> int:
     play(plan.problem.mechanism, rollout, arguments.slow, arguments.seconds)
     if arguments.json:
         print(json.dumps({"plan": plan.problem.name, "tracker": arguments.tracker, "stable": rollout.stable}))
-    return DONE
+    return DONE if plan.status == "optimal" else NO

@@ -18,10 +18,13 @@ from linkplan.models.names import choose
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.values import number, whole
+from linkplan.studies.check.softness import gap_sentence, softness_error
 from linkplan.studies.compare.user_tracker import Asked, users_tracker
 
 # Below this many control periods in a motion a table of tracking errors says more about sampling than about trackers.
 FEWEST_SAMPLES = 10
+# More control instants than this take a gigabyte to log, and minutes; more of the simulator's steps take an hour.
+MOST_INSTANTS, MOST_STEPS = 2e6, 1e8
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -77,6 +80,14 @@ def tracking_reference(plan: Plan) -> SampledReference:
             f"tracking.period_s = {settings.period_s:g} s leaves fewer than {FEWEST_SAMPLES} control instants in a motion of"
             f" {trajectory.duration_s:.4g} s; at most {trajectory.duration_s / FEWEST_SAMPLES:.2g} s"
         )
+    instants = duration / settings.period_s
+    steps = instants * max(1.0, settings.period_s / float(plan.problem.mechanism.model.opt.timestep))
+    for many, what, most in ((instants, "control instants", MOST_INSTANTS), (steps, "simulator steps", MOST_STEPS)):
+        if many > most:
+            raise ProblemError(
+                f"tracking over {duration:g} s with tracking.period_s = {settings.period_s:g} s has {many:.3g} {what};"
+                f" at most {most:g} are run"
+            )
     return sample(plan.problem.mechanism, trajectory, settings.period_s, duration)
 
 
@@ -101,7 +112,7 @@ def build_tracker(asked: Asked, plan: Plan, reference: SampledReference) -> Trac
             velocity_weight=velocity,
             effort_weight=np.where(np.isfinite(limit), limit, np.maximum(plan.certificate.peak_effort, 1.0)),
         )
-    feedback = pd(mechanism, reference, settings.kp, settings.kd)
+    feedback = pd(mechanism, reference, *settings.gains(mechanism.independent_joints))
     return feedback if name == "pd" else Feedforward(reference=reference, feedback=feedback)
 
 
@@ -169,6 +180,22 @@ def rollout_record(plan: Plan, rollout: Rollout) -> dict:
     }
 
 
+def gap_note(plan: Plan, rollout: Rollout) -> str | None:
+    """Return the sentence on the closure gap of a run and what it does to the joints, None where it is small."""
+    mechanism = plan.problem.mechanism
+    largest = float(rollout.gap_m.max()) if rollout.finite else np.inf
+    if not (rollout.finite and gap_sentence(mechanism, largest)):
+        return None
+    return gap_sentence(mechanism, largest, softness_error(mechanism, rollout.pose))
+
+
+def comparison_notes(comparison: Comparison) -> list[str]:
+    """Return the sentence on the closure gap of the nominal run that gapes most, if any does."""
+    runs = sorted(comparison.nominal.items(), key=lambda item: -float(item[1].gap_m.max()))
+    found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
+    return [f"{found[0][0]}, {found[0][1]}"] if found else []
+
+
 def comparison_record(comparison: Comparison) -> dict:
     """Return what `linkplan compare --json` says."""
     plan = comparison.plan
@@ -192,6 +219,7 @@ def comparison_record(comparison: Comparison) -> dict:
         },
         "gains": {"kp": plan.problem.tracking.kp, "kd": plan.problem.tracking.kd},
         **side(comparison.nominal),
+        "notes": comparison_notes(comparison),
     }
     if comparison.mismatch is not None:
         record["mismatch"] = {"name": comparison.mismatch.name, **side(comparison.mismatched)}

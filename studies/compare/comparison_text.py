@@ -1,6 +1,6 @@
 """What `linkplan compare` prints: the trackers side by side."""
 
-from linkplan.studies.compare.compare import Comparison, rollout_record
+from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record
 from linkplan.studies.output.tables import table
 
 
@@ -26,20 +26,21 @@ def comparison_text(comparison: Comparison) -> str:
                 [
                     name,
                     *(record[f"{which}_error_{unit}"] for unit in units for which in ("rms", "max", "final")),
-                    max(record["peak_effort"].values()),
+                    *record["peak_effort"].values(),
                     100 * record["saturated_fraction"],
                     1e6 * record["loop_gap_max_m"],
                     record["stable"],
                 ]
             )
-        effort = plan.problem.mechanism.actuators[0].unit
+        actuators = plan.problem.mechanism.actuators
         head = [
             "tracker",
             *(f"{which} [{unit}]" for unit in units for which in ("rms", "max", "final")),
-            f"peak [{effort}]",
+            *(f"peak [{a.unit}]" if len(actuators) == 1 else f"peak {a.name} [{a.unit}]" for a in actuators),
             "saturated [%]",
             "closure gap [um]",
             "stable",
         ]
         lines.append(table(head, rows))
+    lines += ["", *(f"note: {note}" for note in notes)] if (notes := comparison_notes(comparison)) else []
     return "\n".join(lines[1:])

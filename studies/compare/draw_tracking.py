@@ -10,25 +10,36 @@ from linkplan.controllers.rollout import Rollout
 from linkplan.studies.compare.compare import Comparison
 from linkplan.studies.output.drawing import BLUE, GREY, ORANGE, SERIES, TRACKER_COLOURS, outside_legend, page
 
+# Pages of more rows than this have lower ones.
+_TALL = 4
+
 
 def comparison_figure(comparison: Comparison, path: Path | None = None) -> Figure:
     """Return the figure of every tracker's motion, error and effort, saved at `path` where one is given.
 
+    Every independent joint has its motion and its error, every dependent joint its motion, every actuator its effort.
     Nominal runs are to the left, those under the mismatch to the right.
     """
     cases = [(comparison.title, comparison.nominal)]
     if comparison.mismatch is not None:
         cases.append((comparison.mismatch.name, comparison.mismatched))
     mechanism = comparison.plan.problem.mechanism
-    joint, actuator = mechanism.independent_joints[0], mechanism.actuators[0]
-    with page(path, rows=3, columns=len(cases), size=(5.6 * len(cases), 7.6), sharex="col") as axes:
+    moved, pushed = mechanism.independent_joints, mechanism.actuators
+    rows = 2 * len(moved) + len(mechanism.dependent) + len(pushed)
+    height = 2.5 if rows <= _TALL else 1.9
+    with page(path, rows=rows, columns=len(cases), size=(5.6 * len(cases), height * rows), sharex="col") as axes:
         for column, (title, runs) in enumerate(cases):
-            draw_tracking(axes[0, column], runs, joint)
-            draw_tracking_error(axes[1, column], runs, joint)
-            draw_applied_effort(axes[2, column], runs, actuator)
+            cells = iter(axes[:, column])
+            for k in range(len(moved)):
+                draw_tracking(next(cells), runs, moved[k], k)
+                draw_tracking_error(next(cells), runs, moved[k], k)
+            for index in mechanism.dependent:
+                draw_following(next(cells), runs, mechanism.joints[int(index)], int(index))
+            for k, actuator in enumerate(pushed):
+                draw_applied_effort(next(cells), runs, actuator, k)
             axes[0, column].set_title(f"{comparison.plan.problem.name}: {title}", pad=24)
             outside_legend(axes[0, column])
-            axes[2, column].set_xlabel("time [s]")
+            axes[-1, column].set_xlabel("time [s]")
     return axes[0, 0].figure
 
 
@@ -39,35 +50,42 @@ def _colour(runs: Mapping[str, Rollout], name: str) -> str:
     return TRACKER_COLOURS[name] if name in TRACKER_COLOURS else left[others.index(name) % len(left)]
 
 
-def draw_tracking(axes, runs: Mapping[str, Rollout], joint) -> None:
-    """Draw the first independent joint's motion: desired dashed, actual solid."""
+def draw_tracking(axes, runs: Mapping[str, Rollout], joint, k: int = 0) -> None:
+    """Draw the k-th independent joint's motion: desired dashed, actual solid."""
     factor = joint.shown(1.0)
     for name, rollout in runs.items():
-        axes.plot(rollout.time_s, factor * rollout.position[:, 0], color=_colour(runs, name), label=name)
+        axes.plot(rollout.time_s, factor * rollout.position[:, k], color=_colour(runs, name), label=name)
     longest = max(runs.values(), key=lambda rollout: len(rollout.time_s))
     axes.plot(
-        longest.time_s, factor * longest.reference[:, 0], color="black", linestyle="--", linewidth=1.0, label="desired"
+        longest.time_s, factor * longest.reference[:, k], color="black", linestyle="--", linewidth=1.0, label="desired"
     )
     axes.set_ylabel(f"{joint.name} [{joint.unit}]")
 
 
-def draw_tracking_error(axes, runs: Mapping[str, Rollout], joint) -> None:
-    """Draw the size of the first independent joint's error, logarithmic: trackers differ by orders of magnitude."""
+def draw_following(axes, runs: Mapping[str, Rollout], joint, index: int) -> None:
+    """Draw a dependent joint's motion, by its index among all joints."""
+    for name, rollout in runs.items():
+        axes.plot(rollout.time_s, joint.shown(1.0) * rollout.pose[:, index], color=_colour(runs, name), linewidth=1.1)
+    axes.set_ylabel(f"{joint.name} [{joint.unit}]")
+
+
+def draw_tracking_error(axes, runs: Mapping[str, Rollout], joint, k: int = 0) -> None:
+    """Draw the size of the k-th independent joint's error, logarithmic: trackers differ by orders of magnitude."""
     factor = joint.shown(1.0)
     for name, rollout in runs.items():
-        error = np.maximum(np.abs(factor * rollout.error[:, 0]), 1e-7)
+        error = np.maximum(np.abs(factor * rollout.error[:, k]), 1e-7)
         axes.semilogy(rollout.time_s, error, color=_colour(runs, name), linewidth=1.1)
     axes.set_ylim(bottom=1e-5)
     axes.set_ylabel(f"|error of {joint.name}| [{joint.unit}]")
 
 
-def draw_applied_effort(axes, runs: Mapping[str, Rollout], actuator) -> None:
-    """Draw the first actuator's applied effort, and its limits where it comes near them."""
+def draw_applied_effort(axes, runs: Mapping[str, Rollout], actuator, k: int = 0) -> None:
+    """Draw the k-th actuator's applied effort, and its limits where it comes near them."""
     peak = 0.0
     for name, rollout in runs.items():
-        axes.plot(rollout.time_s, rollout.applied[:, 0], color=_colour(runs, name), linewidth=1.1)
-        peak = max(peak, float(np.abs(rollout.applied[:, 0]).max()))
-    for bound in next(iter(runs.values())).effort_limit[0]:
+        axes.plot(rollout.time_s, rollout.applied[:, k], color=_colour(runs, name), linewidth=1.1)
+        peak = max(peak, float(np.abs(rollout.applied[:, k]).max()))
+    for bound in next(iter(runs.values())).effort_limit[k]:
         if np.isfinite(bound) and abs(bound) < 2 * peak:
             axes.axhline(bound, color=GREY, linestyle=":", linewidth=1.2)
     axes.set_ylabel(f"{actuator.name} [{actuator.unit}]")

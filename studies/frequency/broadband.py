@@ -10,8 +10,8 @@ import numpy as np
 
 from linkplan.controllers.batch import BatchControlLoop
 from linkplan.models.errors import LinkplanError
-from linkplan.studies.frequency.excitation import Measurement, Setup, quantities, signal_amplitude
-from linkplan.studies.frequency.feedback_loops import FeedbackLoop, actuator_of
+from linkplan.studies.frequency.excitation import Measurement, Setup, quantities, refuse_long, signal_amplitude
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort
 
 # A repetition holds this many cycles of the lowest frequency asked for; lines are odd multiples of its own rate.
 _CYCLES = 3
@@ -33,6 +33,8 @@ def run(
     N, lines = signal_lines(frequency_hz, timing.period_s)
     frequency = lines / (N * timing.period_s)
     rows = [(loop, excitation) for loop in loops for excitation in excitations]
+    # reference and push of every row, their spectra, and the windows kept
+    refuse_long(float(N), float(frequency[0]), float(len(rows)), bytes_a_sample=8 * (8 * mechanism.dof + 16))
     signal, rate = (np.zeros((len(rows), N)) for _ in range(2))
     ahead = np.zeros((len(rows), N, mechanism.n_u))
     for row, (loop, excitation) in enumerate(rows):
@@ -57,7 +59,7 @@ def run(
     everyone = np.arange(n)
     state = np.array([loop.point.state for loop, _ in rows])
     hold = np.array([loop.point.hold for loop, _ in rows])
-    actuator = np.array([actuator_of(loop.point, channel) for loop, _ in rows])
+    read, pushes = (np.array(of) for of in zip(*[channel_effort(loop.point, channel) for loop, _ in rows], strict=True))
     effort = np.array([excitation == "effort" for _, excitation in rows])
     batch = BatchControlLoop(
         mechanism,
@@ -80,10 +82,10 @@ def run(
         reference, push = np.repeat(state[None], N, axis=0), hold + size[:, :, None] * ahead.transpose(1, 0, 2)
         reference[:, ~effort, channel] += put_in[:, ~effort]
         reference[:, :, n_s + channel] += size * rate.T
-        push[:, everyone, actuator] += np.where(effort, put_in, 0.0)
+        push += np.where(effort, put_in, 0.0)[:, :, None] * pushes
         x, commands = batch.run(everyone, reference, push)
         cut = np.any((commands < low) | (commands > high), axis=2).sum(axis=0)
-        command = commands[:, everyone, actuator] - hold[everyone, actuator]
+        command = np.sum((commands - hold) * read, axis=2)
         log = np.stack([put_in, command, x[:, :, channel] - state[:, channel]], axis=2)
         say(f"{batch.k} control periods, {repetition + 1} repetitions")
         kept = [*kept, np.fft.rfft(log, axis=0) * 2 / N][-setup.windows :]
@@ -119,6 +121,7 @@ def signal_lines(frequency_hz: np.ndarray, period_s: float) -> tuple[int, np.nda
             f"{frequency[-1]:.6g} Hz is above the Nyquist frequency, {0.5 / period_s:.6g} Hz at a control period of"
             f" {period_s:g} s"
         )
+    refuse_long(_CYCLES / (frequency[0] * period_s), float(frequency[0]), 1.0)
     N = 4 * int(np.ceil(_CYCLES / (4 * frequency[0] * period_s)))
     lines = np.unique(2 * np.round((frequency * N * period_s - 1) / 2).astype(int) + 1)
     lines = lines[(lines >= 1) & (lines < N // 2)]

@@ -20,7 +20,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.studies.frequency import sinestream
 from linkplan.studies.frequency.excitation import Setup, whole_samples
-from linkplan.studies.frequency.feedback_loops import FeedbackLoop, actuator_of
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, refuse_several_freedoms
 
 # Amplitudes of the command without a limit, over the room to the limit.
 MULTIPLES = (0.3, 0.9, 1.2, 1.6, 2.2, 3.0)
@@ -54,12 +54,12 @@ class LargeSignals:
     coherence: np.ndarray
 
 
-def saturation(loop: FeedbackLoop, effort_limit: np.ndarray, channel: int = 0) -> Callable[[np.ndarray], np.ndarray]:
+def saturation(loop: FeedbackLoop, effort_limit: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
     """Return N(A) (n,), real, of an actuator's limits about its holding effort, for amplitudes A (n,) [N.m or N]."""
-    actuator = actuator_of(loop.point, channel)
-    low, high = effort_limit[actuator] - loop.point.hold[actuator]
+    refuse_several_freedoms(loop.point.mechanism, "a response past the effort limit")
+    low, high = effort_limit[0] - loop.point.hold[0]
     if not (np.isfinite(low) and np.isfinite(high)):
-        raise LinkplanError(f"actuator {loop.point.mechanism.actuators[actuator].name} has no limit to saturate at")
+        raise LinkplanError(f"actuator {loop.point.mechanism.actuators[0].name} has no limit to saturate at")
     # Either half of a sine meets one limit: the describing function is the mean of two symmetric saturations'.
     cuts = [control.saturation_nonlinearity(float(limit)) for limit in (-low, high)]
 
@@ -115,9 +115,8 @@ def large_signals(
         farthest: the largest amplitude to try [rad or m]; what lies beyond is left out, as not a number.
         say: hears about progress.
     """
-    N = saturation(loop, effort_limit, channel)
-    actuator = actuator_of(loop.point, channel)
-    room = float(np.abs(effort_limit[actuator] - loop.point.hold[actuator]).min())
+    N = saturation(loop, effort_limit)
+    room = float(np.abs(effort_limit[0] - loop.point.hold[0]).min())
     cycles, samples = whole_samples(frequency_hz, loop.timing.period_s)
     frequency = cycles / (samples * loop.timing.period_s)
     per_motion = np.abs(loop.gains(quantity, frequency, channel) / loop.gains("plant", frequency, channel))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
-from linkplan.studies.frequency.feedback_loops import FeedbackLoop, actuator_of, quantity_unit
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort, quantity_unit
 from linkplan.studies.frequency.response import Response
 
 EXCITATIONS = {
@@ -31,6 +31,23 @@ EFFORT_SHARE = 0.05
 # A frequency is moved by less than this share of itself to one that repeats after whole samples.
 _FREQUENCY_SHARE = 0.004
 _MOST_CYCLES = 64
+# A sinusoid's window of more control periods than this takes minutes; what all windows together take is bounded too [bytes].
+MOST_SAMPLES, MOST_BYTES = 2_000_000, 1_000_000_000
+
+
+def refuse_long(samples: float, lowest_hz: float, copies: float, *, bytes_a_sample: int = 80) -> None:
+    """Refuse a measurement whose windows are longer than can be kept, before any is asked for.
+
+    Raises:
+        LinkplanError: with the number of samples, and the frequency from which on it could be done.
+    """
+    most = min(MOST_SAMPLES, MOST_BYTES / (bytes_a_sample * max(copies, 1.0)))
+    if samples > most:
+        raise LinkplanError(
+            f"{lowest_hz:g} Hz takes windows of {samples:.3g} control periods in {copies:g} simulations at once; at most"
+            f" {most:.3g} are kept, as from about {lowest_hz * samples / most:.3g} Hz on, or with a longer"
+            " control period"
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -91,6 +108,7 @@ def whole_samples(frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray
         raise LinkplanError(
             f"{frequency[-1]:.6g} Hz is above the Nyquist frequency, {nyquist:.6g} Hz at a control period of {period_s:g} s"
         )
+    refuse_long(1.0 / (frequency[0] * period_s), float(frequency[0]), 1.0)
     found: dict[float, tuple[int, int]] = {}
     for wanted in frequency:
         p = np.arange(1, _MOST_CYCLES + 1)
@@ -105,10 +123,11 @@ def whole_samples(frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray
 
 
 def command_headroom(loop: FeedbackLoop, effort_limit: np.ndarray, channel: int) -> float:
-    """Return the effort [N.m or N] between the holding effort and the nearer limit of a channel's actuator."""
-    actuator = actuator_of(loop.point, channel)
-    low, high = effort_limit[actuator]
-    return float(min(high - loop.point.hold[actuator], loop.point.hold[actuator] - low))
+    """Return the effort [N.m or N] at a channel that takes some actuator from its holding effort to the nearer limit."""
+    _, push = channel_effort(loop.point, channel)
+    low, high = effort_limit.T
+    with np.errstate(divide="ignore"):
+        return float((np.minimum(high - loop.point.hold, loop.point.hold - low) / np.abs(push)).min())
 
 
 def signal_amplitude(

@@ -3,8 +3,9 @@
     command u = u_hold + K (x_ref - x),   x = (s, v),   X = G U
 
 G is the way from commands to the state: (j w I - A)^-1 B as s-plane design has it, without hold or delay; with z = e^(j w T)
-G = (z I - A)^-1 (B z^-d + B_late z^-d-1). S = (I + K G)^-1. The loop at actuator j, the others closed, is 1 / S_jj - 1
-(Skogestad & Postlethwaite, Multivariable Feedback Control, 2005, 3.2).
+G = (z I - A)^-1 (B z^-d + B_late z^-d-1). S = (I + K G)^-1. The loop of coordinate i is broken at the effort on it, the
+others closed: with efforts tau = E u on the coordinates it is 1 / (E S E^-1)_ii - 1 (Skogestad & Postlethwaite,
+Multivariable Feedback Control, 2005, 3.2). Of a single freedom that is the loop at its actuator.
 """
 
 from dataclasses import dataclass
@@ -61,7 +62,7 @@ class OperatingPoint:
         """The independent joints' positions, for people."""
         index = self.mechanism.independent
         shown = zip(self.mechanism.independent_joints, self.pose[index], strict=True)
-        return ", ".join(f"{joint.name} = {joint.shown(x):.4g} {joint.unit}" for joint, x in shown)
+        return ", ".join(f"{joint.name} = {joint.said(x)} {joint.unit}" for joint, x in shown)
 
     @property
     def inertia(self) -> np.ndarray:
@@ -121,6 +122,12 @@ def require_actuated(mechanism: Mechanism) -> None:
         )
 
 
+def refuse_several_freedoms(mechanism: Mechanism, what: str) -> None:
+    """Refuse a mechanism of more than one degree of freedom."""
+    if mechanism.dof != 1:
+        raise LinkplanError(f"{what} needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
+
+
 def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: np.ndarray) -> np.ndarray:
     """Return a tracker's gain K (n_u, 2 n_s) where it holds a point.
 
@@ -140,11 +147,15 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
             effort_weight=np.where(np.isfinite(limit), limit, np.maximum(np.abs(point.hold), 1.0)),
         )
         return tracker.gains[0]
-    return pd_gain(pd(point.mechanism, reference, settings.kp, settings.kd).map[0], settings.kp, settings.kd)
+    kp, kd = settings.gains(point.mechanism.independent_joints)
+    return pd_gain(pd(point.mechanism, reference, kp, kd).map[0], kp, kd)
 
 
-def pd_gain(effort_map: np.ndarray, kp: float, kd: float) -> np.ndarray:
-    """Return K (n_u, 2 n_s) of PD on the independent joints through a map (n_u, n_s) of their efforts to the actuators."""
+def pd_gain(effort_map: np.ndarray, kp: float | np.ndarray, kd: float | np.ndarray) -> np.ndarray:
+    """Return K (n_u, 2 n_s) of PD on the independent joints through a map (n_u, n_s) of their efforts to the actuators.
+
+    Gains are one for all joints or one for each, (n_s,).
+    """
     return np.concatenate([kp * effort_map, kd * effort_map], axis=1)
 
 
@@ -216,14 +227,14 @@ class FeedbackLoop:
         return np.linalg.solve(at[:, None, None] * np.eye(len(self.A)) - self.A, B)
 
     def gains(self, quantity: str, frequency_hz: np.ndarray, channel: int = 0) -> np.ndarray:
-        """Return complex gains (n,) of a quantity of `QUANTITIES` at frequencies [Hz], for one joint and its actuator."""
+        """Return complex gains (n,) of a quantity of `QUANTITIES` at frequencies [Hz], of a coordinate and its effort."""
         choose("response", quantity, QUANTITIES, LinkplanError)
         n_s = self.point.mechanism.dof
-        joint, actuator = channel, actuator_of(self.point, channel)
+        joint, (read, push) = channel, channel_effort(self.point, channel)
         G = self.plant(frequency_hz)
         n_u = G.shape[2]
         S = np.linalg.inv(np.eye(n_u) + self.gain @ G)
-        own = S[:, actuator, actuator]
+        own = read @ S @ push
         if quantity == "sensitivity":
             return own
         if quantity == "loop":
@@ -231,7 +242,7 @@ class FeedbackLoop:
         if quantity == "complementary":
             return 1.0 - own
         if quantity == "plant":
-            return (G @ S)[:, joint, actuator] / own
+            return (G @ S @ push)[:, joint] / own
         omega = 2 * np.pi * np.asarray(frequency_hz)[:, None]
         to_state = np.zeros((len(omega), 2 * n_s), dtype=complex)
         to_state[:, joint], to_state[:, n_s + joint] = 1.0, 1j * omega[:, 0]
@@ -240,7 +251,7 @@ class FeedbackLoop:
             drive = drive + self.feedforward(frequency_hz, joint)
         command = np.einsum("nuw,nw->nu", S, drive)
         if quantity == "control":
-            return command[:, actuator]
+            return command @ read
         return np.einsum("nu,nu->n", G[:, joint], command)
 
     def feedforward(self, frequency_hz: np.ndarray, joint: int) -> np.ndarray:
@@ -275,16 +286,34 @@ def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kin
     return FeedbackLoop(point=point, gain=gain, timing=timing, kind=kind, A=A[0], B=B[0], B_late=late[0])
 
 
-def actuator_of(point: OperatingPoint, joint: int) -> int:
-    """Return the actuator that moves an independent joint the most, by index."""
-    if point.mechanism.n_u == 1:
-        return 0
-    column = [int(np.argmax(np.abs(row))) for row in np.array(point.mechanism.dynamics.effort_map(point.pose))]
-    return column[joint] if len(set(column)) == len(column) else joint
+def channel_effort(point: OperatingPoint, channel: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return what reads the effort at which a coordinate's loop is broken, (n_u,), and what puts one unit there, (n_u,).
+
+    Of a single freedom it is its actuator's effort; of several the effort on the coordinate, row i of E and column i of
+    E^-1, so that no effort is put on the other coordinates.
+    """
+    if point.mechanism.dof == 1:
+        return np.ones(1), np.ones(1)
+    effort_map = np.array(point.mechanism.dynamics.effort_map(point.pose))
+    return effort_map[channel], np.linalg.inv(effort_map)[:, channel]
+
+
+def channel_unit(point: OperatingPoint, channel: int) -> str:
+    """Return the unit of the effort at which a coordinate's loop is broken."""
+    if point.mechanism.dof == 1:
+        return point.mechanism.actuators[0].unit
+    return "N.m" if point.mechanism.independent_joints[channel].kind == "hinge" else "N"
+
+
+def broken_at(mechanism: Mechanism, channel: int) -> str:
+    """Return in words where a coordinate's loop is broken."""
+    return (
+        mechanism.actuators[0].name if mechanism.dof == 1 else f"the effort on {mechanism.independent_joints[channel].name}"
+    )
 
 
 def quantity_unit(point: OperatingPoint, quantity: str, channel: int) -> str:
     """Return a quantity's unit, output over input."""
     joint = point.mechanism.independent_joints[channel]
-    actuator = point.mechanism.actuators[actuator_of(point, channel)]
-    return QUANTITIES[quantity].format(q="rad" if joint.kind == "hinge" else "m", u=f"({actuator.unit})")
+    unit = channel_unit(point, channel)
+    return QUANTITIES[quantity].format(q="rad" if joint.kind == "hinge" else "m", u=f"({unit})")

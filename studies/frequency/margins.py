@@ -1,8 +1,8 @@
 """Robustness of a feedback loop: gain, phase, delay and disk margins, bandwidth, resonance, sensitivity peak.
 
-Crossings are bracketed on a grid up to and including the Nyquist frequency, where a sampled PD loop of small inertia loses
-its gain margin, and refined on the loop itself. The disk margin is 1 / max |S - 1/2|: gain and phase may change at
-once within its disk (Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE Control Systems 40, 2020).
+Crossings and peaks are bracketed on a grid up to and including the Nyquist frequency, where a sampled PD loop of small
+inertia loses its gain margin, and refined on the loop itself. The disk margin is 1 / max |S - 1/2|: gain and phase may
+change at once within its disk (Seiler, Packard & Gahinet, An Introduction to Disk Margins, IEEE Control Systems 40, 2020).
 """
 
 from collections.abc import Callable
@@ -13,8 +13,9 @@ import scipy.optimize
 
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.studies.frequency.feedback_loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
+from linkplan.studies.frequency.worst import local_minima
 
-# Points of the grid per decade: crossings closer together than this are one, peaks are met to a thousandth of themselves.
+# Points of the grid per decade: crossings closer together than this are one, and so are peaks, which are refined between.
 _PER_DECADE = 200
 _LOWEST_HZ = 0.01
 # Crossings are refined to this share of their frequency.
@@ -26,6 +27,8 @@ _DC_HZ = 0.02
 _DELAY_SHARE = 0.01
 _MOST_EXACT_PERIODS = 40
 _FINEST_STEPS = 200
+# Peaks on the grid above this share of the largest are refined: a narrow one is met at half its height or more.
+_REFINED = 0.5
 # A static gain below this is none.
 _NOTHING = 1e-9
 
@@ -130,9 +133,10 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
         gm = np.append(gm, 1.0 / abs(gain[-1].real))
     raised, lowered = gm[gm > 1], gm[(gm < 1) & (gm > 0)]
     delays = np.mod(pm, 2 * np.pi) / (2 * np.pi * crossover)
-    alpha = 1.0 / np.max(np.abs(sensitivity - 0.5))
     complementary = 1.0 - sensitivity
-    at_peak, at_resonance = int(np.argmax(np.abs(sensitivity))), int(np.argmax(np.abs(complementary)))
+    alpha = 1.0 / _peak(frequency, np.abs(sensitivity - 0.5), lambda f: abs(1.0 / (1.0 + at(f)) - 0.5))[1]
+    peak_hz, peak = _peak(frequency, np.abs(sensitivity), lambda f: abs(1.0 / (1.0 + at(f))))
+    resonance_hz, resonance = _peak(frequency, np.abs(complementary), lambda f: abs(1.0 - 1.0 / (1.0 + at(f))))
     return Margins(
         stable=True,
         gain_margin_db=_finite(20 * np.log10(raised.min())) if raised.size else None,
@@ -144,10 +148,10 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
         disk_phase_margin_deg=float(np.degrees(2 * np.arctan(alpha / 2))),
         crossover_hz=_finite(crossover.max()) if crossover.size else None,
         bandwidth_hz=bandwidth(complementary, frequency),
-        resonance_db=_over(complementary[at_resonance], complementary[0]),
-        resonance_hz=float(frequency[at_resonance]),
-        sensitivity_peak=float(np.abs(sensitivity[at_peak])),
-        sensitivity_peak_hz=float(frequency[at_peak]),
+        resonance_db=_over(resonance, complementary[0]),
+        resonance_hz=resonance_hz,
+        sensitivity_peak=peak,
+        sensitivity_peak_hz=peak_hz,
         spectral_radius=radius,
     )
 
@@ -158,6 +162,16 @@ def _roots(values: np.ndarray, frequency: np.ndarray, function: Callable[[float]
         k = np.flatnonzero(values[:-1] * values[1:] < 0)
     ends = [(frequency[i], frequency[i + 1]) for i in k]
     return np.array([scipy.optimize.brentq(function, low, high, rtol=_CROSSING) for low, high in ends])
+
+
+def _peak(frequency: np.ndarray, values: np.ndarray, function: Callable[[float], float]) -> tuple[float, float]:
+    """Return the frequency [Hz] of a function's largest value and the value, refined about its peaks (n,) on a grid."""
+    high = values > _REFINED * values.max()
+    places = local_minima(lambda x: -function(float(np.exp(x))), np.log(frequency), np.where(high, -values, np.inf))
+    k = int(np.argmax(values))
+    peaks = [(float(values[k]), float(frequency[k])), *((function(float(f)), float(f)) for f in np.exp(places))]
+    value, at = max(peaks)
+    return at, value
 
 
 def _over(value: complex, other: complex) -> float | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.controllers.sampling import Sampling, augmented, closed, spectral_radius
-from linkplan.studies.frequency.feedback_loops import OperatingPoint, actuator_of, feedback_loop
+from linkplan.studies.frequency.feedback_loops import OperatingPoint, channel_effort, feedback_loop
 
 _FREQUENCIES = 300
 # The grid goes from the Nyquist frequency down by this factor.
@@ -32,8 +32,8 @@ def quick_margins(point: OperatingPoint, gains: np.ndarray, timing: Sampling, ch
     A, B = augmented(loop.A, loop.B, loop.B_late, timing)
     frequency = np.geomspace(timing.nyquist_hz * _LOWEST, timing.nyquist_hz, _FREQUENCIES)
     L = np.einsum("mui,fiw->mfuw", gains, loop.plant(frequency))
-    actuator = actuator_of(point, channel)
-    S = 1.0 / (1.0 + L[..., 0, 0]) if n_u == 1 else np.linalg.inv(np.eye(n_u) + L)[..., actuator, actuator]
+    read, push = channel_effort(point, channel)
+    S = 1.0 / (1.0 + L[..., 0, 0]) if n_u == 1 else read @ np.linalg.inv(np.eye(n_u) + L) @ push
     own = 1.0 / S - 1.0
     size, angle = np.log(np.abs(own)), np.unwrap(np.angle(-own), axis=1)
     crossing = size[:, :-1] * size[:, 1:] <= 0

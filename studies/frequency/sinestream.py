@@ -9,8 +9,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from linkplan.controllers.batch import BatchControlLoop
-from linkplan.studies.frequency.excitation import Measurement, Setup, quantities, signal_amplitude, whole_samples
-from linkplan.studies.frequency.feedback_loops import FeedbackLoop, actuator_of
+from linkplan.studies.frequency.excitation import (
+    Measurement,
+    Setup,
+    quantities,
+    refuse_long,
+    signal_amplitude,
+    whole_samples,
+)
+from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort
 
 # Harmonics of the fundamental that count as distortion.
 _HARMONICS = 5
@@ -36,6 +43,8 @@ def run(
     timing, mechanism = loops[0].timing, loops[0].point.mechanism
     cycles, samples = whole_samples(frequency_hz, timing.period_s)
     frequency = cycles / (samples * timing.period_s)
+    each = float(np.maximum(samples, _FEWEST_SAMPLES).sum()) * len(loops) * len(excitations)
+    refuse_long(float(samples.max()), float(frequency[0]), each / float(samples.max()))
     n_f = len(frequency)
     rows = [(loop, excitation) for loop in loops for excitation in excitations]
     n = len(rows) * n_f
@@ -48,7 +57,9 @@ def run(
     n_s, n_u = mechanism.dof, mechanism.n_u
     state = np.repeat([loop.point.state for loop, _ in rows], n_f, axis=0)
     hold = np.repeat([loop.point.hold for loop, _ in rows], n_f, axis=0)
-    actuator = np.repeat([actuator_of(loop.point, channel) for loop, _ in rows], n_f)
+    read, pushes = (
+        np.repeat(of, n_f, axis=0) for of in zip(*[channel_effort(loop.point, channel) for loop, _ in rows], strict=True)
+    )
     ahead = np.zeros((n, n_u), dtype=complex)
     for row, (loop, excitation) in enumerate(rows):
         if excitation == "reference+ff":
@@ -83,13 +94,11 @@ def run(
         reference[:, :, channel] += np.where(effort, 0.0, put_in)
         reference[:, :, n_s + channel] += np.where(effort, 0.0, slope * cosine - size * omega[active] * np.sin(angle))
         push = hold[active] + np.real((size * np.exp(1j * angle))[:, :, None] * ahead[active])
-        here = np.arange(len(active)), actuator[active]
-        push[:, here[0], here[1]] += np.where(effort, put_in, 0.0)
+        push += np.where(effort, put_in, 0.0)[:, :, None] * pushes[active]
         x, commands = batch.run(active, reference, push)
         cut = np.any((commands < low) | (commands > high), axis=2)
-        rest = hold[active, actuator[active]]
-        command = commands[:, here[0], here[1]] - rest
-        applied = np.clip(commands, low, high)[:, here[0], here[1]] - rest
+        command = np.sum((commands - hold[active]) * read[active], axis=2)
+        applied = np.sum((np.clip(commands, low, high) - hold[active]) * read[active], axis=2)
         position = x[:, :, channel] - state[active, channel]
         for r, i in enumerate(active):
             estimates[i].add(k, np.stack([put_in[:, r], command[:, r], position[:, r], applied[:, r]]), cut[:, r])

@@ -8,21 +8,23 @@ from linkplan.planner.plan import Plan
 from linkplan.studies.output.tables import table
 
 
-def batch_record(results: Sequence[tuple[Case, Plan]]) -> dict:
-    """Return a batch's results by case."""
-    return {"cases": {case.name: {"settings": list(case.settings), **record(plan)} for case, plan in results}}
+def case_record(case: Case, plan: Plan) -> dict:
+    """Return a case's result as `batch.json` has it."""
+    return {"settings": list(case.settings), **record(plan)}
 
 
-def batch_text(results: Sequence[tuple[Case, Plan]]) -> str:
-    """Return a batch's results as a table, and a line for each case without a plan."""
-    rows = []
-    for case, plan in results:
-        duration = None if plan.trajectory is None else plan.trajectory.duration_s
-        peak = None if plan.certificate is None else float(plan.certificate.peak_effort.max())
-        seconds = sum(step.build_s + step.solve_s for step in plan.history)
-        warm = "again" if plan.solved_again else "anew"
-        rows.append([case.name, " ".join(case.settings), plan.status, plan.objective, duration, peak, seconds, warm])
+def case_row(case: Case, plan: Plan) -> list:
+    """Return a case's row of the table."""
+    duration = None if plan.trajectory is None else plan.trajectory.duration_s
+    peak = None if plan.certificate is None else float(plan.certificate.peak_effort.max())
+    seconds = sum(step.build_s + step.solve_s for step in plan.history)
+    warm = "again" if plan.solved_again else "anew"
+    return [case.name, " ".join(case.settings), plan.status, plan.objective, duration, peak, seconds, warm]
+
+
+def batch_text(rows: Sequence[list], failures: Sequence[str]) -> str:
+    """Return a batch's rows as a table, and a line for each case without a plan."""
     head = ["case", "set", "status", "objective", "duration [s]", "peak effort", "solver [s]", "solved"]
     lines = [table(head, rows)]
-    lines += [f"{case.name}: {plan.message}" for case, plan in results if plan.status != "optimal"]
+    lines += failures
     return "\n".join(lines)

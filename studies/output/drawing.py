@@ -6,6 +6,7 @@ from pathlib import Path
 
 import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
@@ -41,6 +42,9 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
         # A figure of its own, without pyplot: no screen is needed and nothing is left open.
         figure = Figure(figsize=size, layout="constrained")
         yield figure.subplots(rows, columns, squeeze=False, **layout)
+        for text in figure.findobj(Text):
+            if "$" in text.get_text() and "\\math" not in text.get_text():
+                text.set_parse_math(False)  # a name with dollars is a name, not a formula
         if path is not None:
             figure.savefig(path)
 

@@ -25,9 +25,10 @@ def plan_text(plan: Plan) -> str:
         problem.mechanism.actuators, certificate.peak_effort, problem.limits.effort, strict=True
     ):
         lines.append(f"effort {actuator.name}: {peak:.5g} {actuator.unit} at the most, limit {low:g} to {high:g}")
+    units = " or ".join(dict.fromkeys(actuator.unit for actuator in problem.mechanism.actuators))
     rows = [
-        ["effort beyond its limit, any instant", certificate.effort_excess, "unit of effort"],
-        ["inverse dynamics minus planned effort", certificate.dynamics_residual, "unit of effort"],
+        ["effort beyond its limit, any instant", certificate.effort_excess, units],
+        ["inverse dynamics minus planned effort", certificate.dynamics_residual, units],
         ["closure gap", certificate.closure_gap_m, "m"],
     ]
     if certificate.integration_restarts:

@@ -12,6 +12,7 @@ import numpy as np
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS, sampling
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.plain import plain
 from linkplan.planner.files.problem_file import tracking_from_tables
@@ -23,6 +24,7 @@ from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import METHODS, Setup
 from linkplan.studies.frequency.feedback_loops import operating_point
 from linkplan.studies.tune import tune as tuning
+from linkplan.studies.tune import tune_report
 from linkplan.subjects import Subject, poses_of, subject_of
 
 if TYPE_CHECKING:
@@ -68,11 +70,19 @@ def bode(
         amplitude = None if amplitude_deg is None else number(plain(amplitude_deg), "amplitude_deg", positive=True)
         joint = mechanism.independent_joints[0]
         setup = Setup(method=method, amplitude=None if amplitude is None else joint.read(amplitude))
-    poses, note = loop_poses(mechanism, planning, limit, poses_of(mechanism, at_deg, at_m))
+    looked = loop_poses(mechanism, planning, limit, poses_of(mechanism, at_deg, at_m))
     study = bode_study(
-        mechanism, poses, settings, limit, say, law=tracker, setup=setup, frequency_hz=_frequencies(frequency_hz)
+        mechanism,
+        looked.positions,
+        settings,
+        limit,
+        say,
+        law=tracker,
+        setup=setup,
+        frequency_hz=_frequencies(frequency_hz),
+        line=looked.line,
     )
-    return BodeResult(study=study, note=note)
+    return BodeResult(study=study, note=looked.note)
 
 
 def tune(
@@ -115,11 +125,11 @@ def tune(
     mechanism, planning, settings, limit = _loop_of(subject, tracking)
     if mechanism.dof != 1:
         raise ProblemError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
-    poses, note = loop_poses(mechanism, planning, limit, poses_of(mechanism, at_deg, at_m))
-    points = [operating_point(mechanism, position, limit) for position in poses]
+    looked = loop_poses(mechanism, planning, limit, poses_of(mechanism, at_deg, at_m))
+    points = [operating_point(mechanism, position, limit) for position in looked.positions]
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
-    found = tuning.tune(points, wanted, settings, timing, limit, law=tracker, say=say)
-    return TuneResult(tuning=found, note=note)
+    found = tuning.tune(points, wanted, settings, timing, limit, law=tracker, say=say, line=looked.line)
+    return TuneResult(tuning=found, note=looked.note)
 
 
 def _loop_of(subject: Subject, tracking: object):
@@ -128,19 +138,19 @@ def _loop_of(subject: Subject, tracking: object):
     if tracking is not None and not isinstance(tracking, Mapping):
         raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
     own = {} if problem is None else problem.to_dict().get("tracking", {})
-    settings = _settings(own | plain(tracking or {}))
+    settings = _settings(own | plain(tracking or {}), mechanism)
     if problem is None:
         return mechanism, None, settings, mechanism.effort_limit
     return mechanism, problem.planning, settings, problem.planning.limits.effort
 
 
-def _settings(table: dict) -> Tracking:
+def _settings(table: dict, mechanism: Mechanism) -> Tracking:
     """Return the tracking settings of a table, whose delay may be a broken number of periods."""
     delay = number(table.get("delay_periods", 0), "tracking.delay_periods", least=0.0)
     if delay > MOST_DELAY_PERIODS:
         raise ProblemError(f"tracking.delay_periods is a number from 0 to {MOST_DELAY_PERIODS}, got {delay:g}")
-    settings = tracking_from_tables({"tracking": {key: x for key, x in table.items() if key != "delay_periods"}})
-    if settings.kp == 0 and settings.kd == 0:
+    settings = tracking_from_tables({"tracking": {key: x for key, x in table.items() if key != "delay_periods"}}, mechanism)
+    if not settings.acts:
         raise ProblemError("tracking.kp and tracking.kd are both 0: there is no loop to look at")
     return replace(settings, delay_periods=delay)
 
@@ -223,13 +233,13 @@ class TuneResult:
     @property
     def tracking(self) -> dict[str, float]:
         """The gains as the `tracking` table that problems, `track`, `compare` and `bode` take."""
-        return tuning.tracking_values(self.tuning)
+        return tune_report.tracking_values(self.tuning)
 
     def to_dict(self) -> dict:
         """Return all figures by name, in JSON's own types."""
         from linkplan.planner.files.folders import plain_record
 
-        return plain_record(tuning.tune_record(self.tuning) | {"note": self.note})
+        return plain_record(tune_report.tune_record(self.tuning) | {"note": self.note})
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of bandwidth and margins over the poses; it is saved at `path` where one is given."""
@@ -238,7 +248,7 @@ class TuneResult:
         return tune_figure(self.tuning, path)
 
     def __str__(self) -> str:
-        return tuning.tune_text(self.tuning) + _noted(self.note)
+        return tune_report.tune_text(self.tuning) + _noted(self.note)
 
     def __repr__(self) -> str:
         return f"TuneResult({self.tuning.mechanism.name!r}: {self.message})"

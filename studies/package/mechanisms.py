@@ -25,6 +25,8 @@ def load_mechanism(
     home_m: Mapping[str, float] | None = None,
     independent: Sequence[str] | None = None,
     payload: str | Mapping | None = None,
+    solref: str | None = None,
+    closure_tolerance_m: float | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, its loops closed.
 
@@ -36,12 +38,16 @@ def load_mechanism(
         independent: names of the joints to plan in; by default the driven ones.
         payload: a rigid body welded on: a built-in name ("shank"), or a table with `body`, `mass_kg`, `com_m` (3 numbers
             in the body's frame) and, where it is known, `inertia_kgm2` (3 moments about its centre of mass).
+        solref: "stiff" for the stiffest closures in simulation that the model's timestep admits; by default the model's own.
+        closure_tolerance_m: the gap [m] up to which a motion that the file's rounding alone forbids is free; a micrometre
+            by default, or a hundred thousandth of a small mechanism.
 
     Raises:
         LinkplanError: when the model cannot be used (`ModelError`, naming why), its loops do not close at the pose asked
             (`AssemblyError`), or a value is none of the above (`ProblemError`).
     """
-    said = {"home_deg": home_deg, "home_m": home_m, "independent": independent, "payload": payload}
+    said = {"home_deg": home_deg, "home_m": home_m, "independent": independent, "payload": payload, "solref": solref}
+    said["closure_tolerance_m"] = closure_tolerance_m
     table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
     return mechanism_from_tables({"mechanism": plain(table)})
 

@@ -42,13 +42,18 @@ def plan(problem: Problem | str | Path, progress: Progress | None = None) -> Pla
     return Plan(problem=asked, answer=plan_motion(asked.planning, listener(progress)))
 
 
-def read_plan(folder: str | Path) -> Plan:
+def read_plan(folder: str | Path, *, anyway: bool = False) -> Plan:
     """Return a saved plan: its problem built again, its certificate made anew from the motion on disk.
 
+    Args:
+        folder: where it was saved.
+        anyway: whether a plan whose motion does not pass its certificate is returned, its status "failed", and not refused.
+
     Raises:
+        CertificateError: when the motion does not pass.
         LinkplanError: when the folder or a file in it is missing, truncated, no plan's, or its model has changed since.
     """
-    answer, note = plan_folder.read_plan(folder), plan_folder.unchecked(folder)
+    answer, note = plan_folder.read_plan(folder, anyway=anyway), plan_folder.unchecked(folder)
     if note is not None:
         LOG.warning("%s: %s", folder, note)
     return Plan(problem=Problem(planning=answer.problem), answer=answer)
@@ -146,12 +151,13 @@ class Plan:
             raise InfeasibleError(self.message, self)
         return self
 
-    def sample(self, time_s: float | np.ndarray | None = None) -> MotionTable:
+    def sample(self, time_s: float | np.ndarray | None = None, *, jumps: bool = False) -> MotionTable:
         """Return the motion at times: `position`, `speed`, `acceleration` by joint and `effort` by actuator.
 
         Args:
             time_s: a time or times (n,) [s], in any order; by default ten instants of every interval. A periodic motion
                 goes on beyond its ends, any other rests there.
+            jumps: whether the default times have both sides of a jump in effort, at one time; else they increase strictly.
 
         Returns:
             `time_s`; `position` [deg or m], dependent joints too, and `speed`, by joint; `acceleration` of the independent
@@ -168,7 +174,7 @@ class Plan:
             time = np.full((), np.nan)
         if time is not None and (time.ndim > 1 or not np.all(np.isfinite(time))):
             raise ProblemError(f"times are finite numbers of seconds, one or a row of them, got {time_s!r}")
-        table = motion_table(self.answer, None if time is None else np.atleast_1d(time))
+        table = motion_table(self.answer, None if time is None else np.atleast_1d(time), jumps=jumps)
         return table.single() if time is not None and time.ndim == 0 else table
 
     def to_frame(self, time_s: np.ndarray | None = None) -> pandas.DataFrame:
@@ -199,10 +205,10 @@ class Plan:
 
         return plan_figure(self.answer, path)
 
-    def save(self, folder: str | Path) -> Path:
+    def save(self, folder: str | Path, *, jumps: bool = False) -> Path:
         """Write the plan as a folder, whole or not at all, and return its path: plan.json, trajectory.npz, .csv, plan.png.
 
-        A folder that holds an older plan is replaced.
+        A folder that holds an older plan is replaced. With `jumps`, trajectory.csv has both sides of a jump in effort.
 
         Raises:
             LinkplanError: when the plan has no motion, the folder holds other files, or the disk refuses.
@@ -211,7 +217,7 @@ class Plan:
         from linkplan.studies.output.save_plan import save_plan
 
         target = Path(folder)
-        write_whole(target, lambda place: save_plan(self.answer, place, target))
+        write_whole(target, lambda place: save_plan(self.answer, place, target, jumps=jumps))
         return target
 
     def to_dict(self) -> dict:

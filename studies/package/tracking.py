@@ -97,7 +97,7 @@ def _to_track(plan: object, tracking: object) -> planned.Plan:
     if not isinstance(tracking, Mapping):
         raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
     table = plan.problem.to_dict().get("tracking", {}) | plain(tracking)
-    settings = tracking_from_tables({"tracking": table})
+    settings = tracking_from_tables({"tracking": table}, plan.answer.problem.mechanism)
     return replace(plan.answer, problem=replace(plan.answer.problem, tracking=settings))
 
 
@@ -127,6 +127,27 @@ class TrackingResult:
         from linkplan.planner.files.folders import plain_record
 
         return plain_record(study.comparison_record(self.comparison))
+
+    def save(self, folder: str | Path) -> Path:
+        """Write every run's time series into a folder, whole or not at all, with the record and the figure; return its path.
+
+        `nominal-pd.csv` and `.npz` have a row for each control instant, units in the heads; `mismatch-pd.csv` the same under
+        the mismatch.
+
+        Raises:
+            LinkplanError: when the folder holds other files, or the disk refuses.
+        """
+        from linkplan.planner.files.folders import write_json, write_whole
+        from linkplan.studies.compare.draw_tracking import comparison_figure
+        from linkplan.studies.compare.time_series import save_time_series
+
+        def write(place: Path) -> None:
+            write_json(place / "compare.json", self.to_dict())
+            save_time_series(self.comparison, place)
+            comparison_figure(self.comparison, place / "compare.png")
+
+        write_whole(Path(folder), write, "compare.json")
+        return Path(folder)
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of motion, error and effort of every tracker; it is saved at `path` where one is given."""

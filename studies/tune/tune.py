@@ -17,10 +17,13 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import LQR_ERRORS, Tracking
-from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain
+from linkplan.studies.bode.bode import SCANNED
+from linkplan.studies.bode.scan import Line, judge_of
+from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.quick import quick_margins
 from linkplan.studies.frequency.stability_map import effort_map
+from linkplan.studies.frequency.worst import local_minima
 
 # Natural frequencies are sought within these factors of the wanted bandwidth, damping ratios between these.
 _NATURAL = (0.08, 4.0)
@@ -29,6 +32,12 @@ _DAMPING = (0.15, 8.0)
 _GRID, _REFINED = {"pd": 17, "pd+ff": 17, "lqr": 9}, 3
 # The search is on quick figures: it asks for this much more than is wanted.
 _HAIR = 1.005
+# A shortfall of unstable gains: more than any of stable ones.
+_UNSTABLE = 10.0
+# Rounds of gains and of the worst poses for them (two were the most that was needed), and the poses that join in each.
+_ROUNDS, _WORST = 5, 3
+# A worst pose within this share of the line of one that is shown is not shown beside it.
+_APART = 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -86,11 +95,16 @@ def tune(
     *,
     law: str = "pd",
     say: Callable[[str], None] = silent,
+    line: Line | None = None,
 ) -> Tuning:
     """Return gains that do what is wanted at every point, or the nearest miss and why.
 
+    Along a line what is wanted is kept everywhere: the line's worst poses for the gains found join the points, and gains are
+    sought again, until there is none that misses.
+
     Args:
         points: of one mechanism of a single freedom.
+        line: what the points stand for; None where the poses themselves were asked for.
         wanted: at the worst of them.
         settings: period and delay; gains and weights are replaced.
         timing: of the same period and delay.
@@ -111,6 +125,40 @@ def tune(
             f"a bandwidth of {wanted.bandwidth_hz:g} Hz is above the Nyquist frequency, {timing.nyquist_hz:g} Hz at a"
             f" control period of {timing.period_s:g} s"
         )
+    points = list(points)
+    for last in [*[False] * (_ROUNDS - 1), True]:
+        settings_found = _search(points, wanted, settings, timing, effort_limit, law, say)
+        judged = _judged(points, settings_found, wanted, timing, effort_limit, law)
+        if line is None or judged.misses or last:
+            break
+        say("the worst of these gains over the whole line")
+        missing = _missing(mechanism, line, settings_found, wanted, timing, effort_limit, law)
+        if not missing:
+            break
+        points = sorted([*points, *missing], key=lambda point: float(point.state[0]))
+    # What misses still after the last round counts, too.
+    if line is not None and not judged.misses:
+        worst = _worst(mechanism, line, settings_found, wanted, timing, effort_limit, law)
+        at = np.array([point.state[0] for point in points])
+        apart = _APART * (line.high - line.low)
+        worst = [point for point in worst if np.abs(at - point.state[0]).min() > apart][:1]
+        points = sorted([*points, *worst], key=lambda point: float(point.state[0]))
+        judged = _judged(points, settings_found, wanted, timing, effort_limit, law)
+    found = judged.misses == 0.0
+    return Tuning(
+        mechanism=mechanism,
+        law=law,
+        wanted=wanted,
+        timing=timing,
+        points=tuple(points),
+        best=judged,
+        found=found,
+        message=_message(points, wanted, timing, judged, law, found, line),
+    )
+
+
+def _search(points, wanted: Wanted, settings: Tracking, timing: Sampling, effort_limit, law: str, say) -> Tracking:
+    """Return the best gains of a grid, refined about its best."""
     centre = np.log([np.sqrt(_NATURAL[0] * _NATURAL[1]), np.sqrt(_DAMPING[0] * _DAMPING[1])])
     half = np.log([np.sqrt(_NATURAL[1] / _NATURAL[0]), np.sqrt(_DAMPING[1] / _DAMPING[0])])
     best: tuple[float, float, Tracking] | None = None
@@ -126,18 +174,41 @@ def tune(
         if best is None or row[:2] <= best[:2]:
             best, centre = row, np.array(at[ranked])
         half = half * 2.5 / _GRID[law]
-    judged = _judged(points, best[2], wanted, timing, effort_limit, law)
-    found = judged.misses == 0.0
-    return Tuning(
-        mechanism=mechanism,
-        law=law,
-        wanted=wanted,
-        timing=timing,
-        points=tuple(points),
-        best=judged,
-        found=found,
-        message=_message(points, wanted, timing, judged, law, found),
-    )
+    return best[2]
+
+
+def _shortfall(found: Margins | None, wanted: Wanted, timing: Sampling) -> float:
+    """Return how far margins are from what is wanted, relative, below zero where there is more; infinite if unstable."""
+    if found is None or not found.stable:
+        return np.inf
+    band = found.bandwidth_hz or timing.nyquist_hz
+    short = [float(np.log(wanted.bandwidth_hz / band)), found.sensitivity_peak / wanted.sensitivity_peak - 1.0]
+    if wanted.phase_margin_deg and found.phase_margin_deg is not None:
+        short.append(1.0 - found.phase_margin_deg / wanted.phase_margin_deg)
+    return max(short)
+
+
+def _worst(mechanism, line: Line, settings: Tracking, wanted: Wanted, timing: Sampling, effort_limit, law: str):
+    """Return the points of a line where gains fall shortest of what is wanted: every local worst of it, refined."""
+    judge, known = judge_of(mechanism, settings, effort_limit, timing, law, [0]), {}
+
+    def enough(x: float) -> float:
+        """Return by how much the wanted is exceeded, far below zero where unstable, infinite where nothing is held."""
+        if x not in known:
+            found = judge(line.at(x))
+            short = np.inf if found is None else _shortfall(found[0], wanted, timing)
+            known[x] = np.inf if found is None else -min(short, _UNSTABLE + (found[0].spectral_radius or 0.0))
+        return known[x]
+
+    even = np.linspace(line.low, line.high, SCANNED)
+    places = sorted([*even, *local_minima(enough, even)], key=enough)[:_WORST]
+    return [operating_point(mechanism, line.at(float(x)), effort_limit) for x in places if np.isfinite(enough(x))]
+
+
+def _missing(mechanism, line: Line, settings: Tracking, wanted: Wanted, timing: Sampling, effort_limit, law: str):
+    """Return the worst points of a line at which gains miss what is wanted."""
+    worst = _worst(mechanism, line, settings, wanted, timing, effort_limit, law)
+    return [point for point in worst if _judged([point], settings, wanted, timing, effort_limit, law).misses]
 
 
 def _settings(points, wanted: Wanted, settings: Tracking, law: str, natural: float, damping: float) -> Tracking:
@@ -201,17 +272,11 @@ def _judged(points, settings: Tracking, wanted: Wanted, timing: Sampling, effort
         except LinkplanError:
             found = Margins(stable=False)
         bounds.append(found)
-        if not found.stable:
-            misses = max(misses, 10.0)
-            continue
-        band = found.bandwidth_hz or timing.nyquist_hz
-        misses = max(misses, np.log(wanted.bandwidth_hz / band), found.sensitivity_peak / wanted.sensitivity_peak - 1.0)
-        if wanted.phase_margin_deg and found.phase_margin_deg is not None:
-            misses = max(misses, 1.0 - found.phase_margin_deg / wanted.phase_margin_deg)
+        misses = max(misses, min(_shortfall(found, wanted, timing), _UNSTABLE))
     return Judged(settings=settings, bounds=tuple(bounds), misses=float(misses))
 
 
-def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, found: bool) -> str:
+def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, found: bool, line: Line | None) -> str:
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"
     if np.isfinite(wanted.sensitivity_peak):
         asked += f" with |S| up to {wanted.sensitivity_peak:g}"
@@ -219,6 +284,8 @@ def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, f
         LAW_NAMES[law],
         f"all {len(points)} angles" if len(points) > 1 else "the angle",
     )
+    if line is not None:
+        everywhere = f"every angle from {line.shown(line.low):.4g} to {line.shown(line.high):.4g} {line.unit}"
     sampled = f"sampled every {timing.period_s:g} s"
     if timing.delay_steps:
         sampled += f" with {timing.delay_s:g} s of delay"
@@ -245,96 +312,3 @@ def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, f
     cost = 360.0 * wanted.bandwidth_hz * (0.5 * timing.period_s + timing.delay_s)
     cannot = f"{title} cannot give {asked} at {everywhere}, {sampled}"
     return f"{cannot}: {why}; hold and delay alone cost {cost:.3g} deg at {wanted.bandwidth_hz:g} Hz"
-
-
-def motor_gains(tuning: Tuning) -> dict[str, float]:
-    """Return PD gains on the motor's side of the transmission: its torque over its own angle, both through the gear."""
-    actuator = tuning.mechanism.actuators[0]
-    settings = tuning.best.settings
-    return {"gear": actuator.gear, "kp": settings.kp / actuator.gear**2, "kd": settings.kd / actuator.gear**2}
-
-
-def tune_record(tuning: Tuning) -> dict:
-    """Return what `linkplan tune --json` says."""
-    settings, best = tuning.best.settings, tuning.best
-    joint = tuning.mechanism.independent_joints[0]
-    gains: dict = {"period_s": tuning.timing.period_s, "delay_s": tuning.timing.delay_s}
-    if tuning.law == "lqr":
-        unit = "deg" if joint.kind == "hinge" else "m"
-        position, velocity = (float(weight[0]) for weight in settings.lqr_errors([joint]))
-        gains |= {f"lqr_position_{unit}": joint.shown(position), f"lqr_velocity_{unit}_s": joint.shown(velocity)}
-    else:
-        gains |= {"kp": settings.kp, "kd": settings.kd, "motor_side": motor_gains(tuning)}
-    return {
-        "mechanism": tuning.mechanism.name,
-        "tracker": tuning.law,
-        "found": tuning.found,
-        "message": tuning.message,
-        "wanted": {
-            "bandwidth_hz": tuning.wanted.bandwidth_hz,
-            "phase_margin_deg": tuning.wanted.phase_margin_deg,
-            "sensitivity_peak": tuning.wanted.sensitivity_peak if np.isfinite(tuning.wanted.sensitivity_peak) else None,
-        },
-        "gains": gains,
-        "points": [
-            {f"position_{joint.unit}": joint.shown(point.state[0]), **bounds.record()}
-            for point, bounds in zip(tuning.points, best.bounds, strict=True)
-        ],
-    }
-
-
-def tracking_values(tuning: Tuning) -> dict[str, float]:
-    """Return the gains by the keys of the [tracking] table of a problem file."""
-    settings, joint = tuning.best.settings, tuning.mechanism.independent_joints[0]
-    values = {"kp": settings.kp, "kd": settings.kd}
-    if tuning.law == "lqr":
-        position, velocity = (joint.shown(float(weight[0])) for weight in settings.lqr_errors([joint]))
-        values = {f"lqr_position_{joint.unit}": position, f"lqr_velocity_{joint.unit}_s": velocity}
-    values |= {"period_s": settings.period_s}
-    if settings.delay_periods and float(settings.delay_periods).is_integer():
-        values |= {"delay_periods": int(settings.delay_periods)}
-    return values
-
-
-def tracking_table(tuning: Tuning) -> str:
-    """Return the gains as the text of the [tracking] table of a problem file."""
-    values = tracking_values(tuning)
-    lines = [f"# {tuning.message}", "[tracking]", *(f"{key} = {value:.6g}" for key, value in values.items())]
-    return "\n".join(lines) + "\n"
-
-
-def tune_text(tuning: Tuning) -> str:
-    """Return the gains, in the joint's units and the motor's, and the margins at every angle."""
-    from linkplan.studies.output.tables import table
-
-    mechanism, settings = tuning.mechanism, tuning.best.settings
-    joint, actuator = mechanism.independent_joints[0], mechanism.actuators[0]
-    turn = "rad" if joint.kind == "hinge" else "m"
-    force = "N.m" if joint.kind == "hinge" else "N"
-    lines = [tuning.message, ""]
-    if tuning.law == "lqr":
-        position, velocity = (joint.shown(float(weight[0])) for weight in settings.lqr_errors([joint]))
-        lines.append(
-            f"lqr_position_{joint.unit} = {position:.5g}, lqr_velocity_{joint.unit}_s = {velocity:.5g}"
-            " (errors weighted like the full effort limit)"
-        )
-    else:
-        motor = motor_gains(tuning)
-        lines.append(f"at the joint: kp = {settings.kp:.5g} {force}/{turn}, kd = {settings.kd:.5g} {force}.s/{turn}")
-        lines.append(
-            f"at the motor {actuator.name}, gear {motor['gear']:g}: kp = {motor['kp']:.5g}, kd = {motor['kd']:.5g},"
-            " its own effort over its own motion"
-        )
-    rows = [
-        [
-            f"{joint.shown(p.state[0]):.5g}",
-            m.stable,
-            m.bandwidth_hz,
-            m.phase_margin_deg,
-            m.gain_margin_db,
-            m.sensitivity_peak,
-        ]
-        for p, m in zip(tuning.points, tuning.best.bounds, strict=True)
-    ]
-    head = [f"{joint.name} [{joint.unit}]", "stable", "bandwidth [Hz]", "PM [deg]", "GM [dB]", "max |S|"]
-    return "\n".join([*lines, "", table(head, rows)])

@@ -248,7 +248,6 @@ def test_every_error_is_a_linkplan_error(kind):
 LEFT_OUT = {
     "frictionloss": ('name="ja"', 'name="ja" frictionloss="0.2"', ["frictionloss", "ja"], True),
     "springyield": ('name="ja"', 'name="ja" stiffness="1" springyield="1"', ["springyield", "ja"], True),
-    "gravcomp": ('name="left"', 'name="left" gravcomp="1"', ["gravcomp", "left"], True),
     "tendon armature": ('name="cable"', 'name="cable" armature="3"', ["armature", "cable"], True),
     "tendon limit": ('name="cable"', 'name="cable" range="-1 1"', ["limit", "cable"], True),
     "tendon frictionloss": ('name="cable"', 'name="cable" frictionloss="1"', ["frictionloss", "cable"], True),

@@ -35,19 +35,12 @@ from tests.support.tolerances_planner import (
     SECOND_ROUTE_DEG,
     SINUSOID,
     SPEED_DEG_S,
+    TOUCHED,
 )
 
 REACHES = ("knee-reach", "knee-sprint", "knee-sprint-bare")
-
-
-def over(names: tuple[str, ...]) -> pytest.MarkDecorator:
-    """Return the parametrization by built-in problem; sprints, whose switches are searched for, are slow."""
-    return pytest.mark.parametrize(
-        "name", [pytest.param(name, marks=pytest.mark.slow) if "sprint" in name else name for name in names]
-    )
-
-
-every_plan, every_reach = over(KNEE_PROBLEMS), over(REACHES)
+every_plan = pytest.mark.parametrize("name", KNEE_PROBLEMS)
+every_reach = pytest.mark.parametrize("name", REACHES)
 
 
 def carried_by(name: str) -> FourBar:
@@ -74,7 +67,6 @@ def test_the_oracle_has_the_reference_table_s_inertia_and_weight():
 # Least time.
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("name", "key"), [("knee-sprint", "shank_s"), ("knee-sprint-bare", "unloaded_s")])
 def test_a_sprint_takes_the_reference_table_s_least_time(name, key):
     expected = KNEE_TABLE["min_time_rest_to_rest"][key]
@@ -128,7 +120,6 @@ def test_a_lower_limit_on_one_side_moves_the_switch_and_the_time():
     assert plan.trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
 
 
-@pytest.mark.slow
 def test_a_sprint_is_at_a_limit_at_every_instant():
     plan = optimal("knee-sprint")
     effort = np.abs(plan.trajectory.effort_at(dense(plan, 20)))
@@ -200,7 +191,9 @@ def test_the_effort_is_within_the_limit_however_densely_it_is_looked_at(name):
     effort = plan.trajectory.effort_at(dense(plan, 1000))
     low, high = plan.problem.limits.effort.T
     assert np.all((effort >= low) & (effort <= high))
-    if name not in ("knee-sine", "knee-reach"):
+    if name == "knee-sine-shank":  # nearest to a reference, with next to no price on effort: the barrier leaves it that much
+        assert np.abs(effort).max() == pytest.approx(LIMIT, rel=TOUCHED)
+    elif name not in ("knee-sine", "knee-reach"):
         assert np.abs(effort).max() == pytest.approx(LIMIT)  # the limit binds, and is not passed
 
 

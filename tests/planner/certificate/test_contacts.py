@@ -215,3 +215,43 @@ def test_check_of_the_problem_says_it_before_any_solving(tmp_path, capsys):
     code, said = ask_json(*asked, "--set", "motion.goal_deg.O=20")
     assert code == 0
     assert any("but not along the smooth path of knee-reach" in note for note in said["notes"])
+
+
+# A foot on a vertical slide over a floor, drawn 2 mm deep in it.
+FOOT = """
+<mujoco><option gravity="0 0 0"/><worldbody>
+  <geom name="floor" type="plane" size="1 1 0.1"/>
+  <body name="foot" pos="0 0 0.018"><joint name="z" type="slide" axis="0 0 1" range="-0.1 0.1"/>
+    <geom name="sole" type="sphere" size="0.02" mass="1"/></body></worldbody>
+  <actuator><motor name="lift" joint="z" ctrlrange="-10 10"/></actuator></mujoco>
+"""
+
+
+def met_by_the_foot(*heights: float) -> tuple[float | None, float]:
+    """Return when the foot collides on its way through heights [m] at 0, 1, 2 ... s, if so, and how deep it gets [m]."""
+    mechanism, time = load_mechanism(FOOT), np.arange(float(len(heights)))
+
+    def position_at(t: np.ndarray) -> np.ndarray:
+        return np.interp(t, time, heights)[:, None]
+
+    (met,) = meetings(mechanism, time, follow(mechanism, position_at(time)), position_at)
+    assert {met.first, met.second} == {"floor", "sole"}
+    return met.since, met.depth_m
+
+
+def test_an_overlap_at_home_is_accepted_as_deep_as_it_is_there():
+    since, depth = met_by_the_foot(0.0, 0.01, 0.0)
+    assert depth == pytest.approx(0.002)
+    assert since is None
+
+
+def test_an_overlap_at_home_that_goes_deeper_on_the_way_is_a_collision():
+    since, depth = met_by_the_foot(0.0, -0.0018, 0.0)  # less than twice as deep as at home
+    assert depth == pytest.approx(0.0038)
+    assert 0.0 < since < 1.0
+
+
+def test_a_start_and_a_goal_deeper_than_at_home_are_judged_as_the_way_is():
+    since, depth = met_by_the_foot(-0.02, -0.03, -0.02)
+    assert depth == pytest.approx(0.032)
+    assert since == 0.0

@@ -20,4 +20,5 @@ def test_a_servo_that_would_need_more_ctrl_than_it_has_fails_on_the_first_mesh()
     plan = body_plan(SERVO.format(reach=0.9), REACH)
     assert plan.status == "failed"
     assert "s would need a ctrl" in plan.message
-    assert {step.intervals for step in plan.history} == {40}  # no start is refined
+    assert len(plan.history) == 1
+    assert plan.history[0].intervals == 40

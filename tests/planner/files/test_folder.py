@@ -13,6 +13,7 @@ from linkplan.models.errors import PlanFileError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain, write_json, write_whole
+from linkplan.planner.files.motion_table import motion_table
 from linkplan.planner.files.plan_folder import FORMAT, read_plan, record, write_plan
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.plans import optimal, planned, saved_plan
@@ -120,13 +121,25 @@ def test_the_table_s_header_has_units(saved):
 
 
 @pytest.mark.slow
+def test_both_sides_of_a_jump_are_rows_where_they_are_asked_for():
+    plan = optimal("knee-sprint")
+    single, both = motion_table(plan), motion_table(plan, jumps=True)
+    assert len(both.time_s) == len(single.time_s) + plan.intervals - 1
+    step = np.abs(np.diff(both.effort["act_O"]))[np.diff(both.time_s) < 1e-9 * plan.trajectory.duration_s]
+    assert step.max() > 100.0  # the sprint pushes in full one way and then the other
+    assert np.diff(single.time_s).min() > 0
+
+
+@pytest.mark.slow
 @every_plan
 def test_the_table_s_rows_are_the_trajectory(name, tmp_path):
     header, rows = table(saved_plan(name, tmp_path))
     plan = optimal(name)
     trajectory, mechanism = plan.trajectory, plan.problem.mechanism
     time = rows[:, 0]
-    assert len(time) == 10 * plan.intervals + plan.intervals
+    assert len(time) == 10 * plan.intervals + 1
+    assert np.diff(time).min() > 0  # no instant has two rows
+    assert [time[0], time[-1]] == pytest.approx([0.0, trajectory.duration_s], rel=1e-11)
     # twelve digits of time fall on either side of a break, where an effort may jump: look inside the intervals only
     inside = np.abs(time[:, None] - trajectory.breaks_s).min(axis=1) > 1e-6 * trajectory.duration_s
     time, rows = time[inside], rows[inside]

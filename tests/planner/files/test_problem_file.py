@@ -153,10 +153,6 @@ MODELS = {
     "empty": ("", ["is empty"]),
     "no joint": ("<mujoco><worldbody/></mujoco>", ["no joint"]),
     "a ball joint": (FRICTION.replace('type="hinge"', 'type="ball"'), ["'J'", "J_rx, J_ry, J_rz"]),
-    "gravity compensation": (
-        FRICTION.replace(' frictionloss="0.5"', "").replace('<body name="arm">', '<body name="arm" gravcomp="1">'),
-        ["gravcomp of body arm"],
-    ),
     "a filtered servo": (
         FRICTION.replace(' frictionloss="0.5"', "").replace("<motor", '<position kp="5" timeconst="0.1"'),
         ["actuator motor", "state of its own"],

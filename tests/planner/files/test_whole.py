@@ -95,4 +95,4 @@ def test_a_plan_whose_certificate_fails_can_still_be_saved_and_says_so(tmp_path)
     plan = planned("knee-reach")
     broken = replace(plan, status="failed", message="failed: on purpose")
     write_whole(tmp_path / "plan", lambda new: write_plan(broken, new))
-    assert read_plan(tmp_path / "plan").status == "failed"
+    assert read_plan(tmp_path / "plan", anyway=True).status == "failed"

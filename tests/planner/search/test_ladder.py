@@ -1,14 +1,19 @@
 """The ladder of attempts: rungs in order, each where its condition holds and within its budget; and continuation."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
+from linkplan.planner.refinement.case import attempt
 from linkplan.planner.search import ladder
 from linkplan.planner.search.continuation import Steps, followed
+from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import Budget, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.starts import from_a_smooth_path
@@ -79,6 +84,38 @@ def test_a_plan_without_time_says_so_and_looks_for_nothing_else():
     assert plan.status == "failed"
     assert "ran out of its 0.001 s (solver.max_time_s)" in plan.message
     assert len(plan.history) <= 1
+
+
+def test_a_best_plan_that_the_time_cut_short_is_returned_and_says_so(monkeypatch):
+    problem, now = load_problem("knee-reach"), [100.0]
+    found = plan_motion(problem)
+    monkeypatch.setattr(ladder.time, "monotonic", lambda: now[0])
+
+    def slow(search, budget):
+        del search, budget
+        now[0] += 11.0
+        return found
+
+    plan = climb(search_for(problem, seconds=10.0), [noting("slow", [], slow), noting("after it", [])])
+    assert plan.status == "optimal"
+    assert plan.message.endswith("; the best found within its 600 s (solver.max_time_s)")
+
+
+def test_no_program_is_built_after_the_deadline():
+    search = search_for(load_problem("knee-reach"), seconds=-1.0)
+    mesh, durations = first_mesh(search.problem, search.smooth)
+    late = search.within(Budget())
+    assert attempt(case_of(late), search.smooth, mesh, durations, "late", search.history, search.say) is None
+    assert search.history == []
+
+
+def test_a_certificate_ends_with_the_plans_time_and_says_so():
+    plan = plan_motion(load_problem("knee-reach"))
+    assert plan.certificate.passed
+    past = replace(plan.problem.solver, deadline=time.monotonic() - plan.problem.solver.max_time_s)
+    judged = certify(replace(plan.problem, solver=past), plan.trajectory)
+    assert not judged.passed
+    assert any("ran out of the plan's 600 s (solver.max_time_s)" in said for said in judged.failures)
 
 
 @pytest.mark.parametrize(("share", "left"), [(1.0, 8.0), (0.25, 2.0)])

@@ -11,7 +11,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow, reach
 from linkplan.planner.files.folders import plain
 from linkplan.planner.files.problem_file import load_problem
-from linkplan.studies.check.check_report import path_text
+from linkplan.studies.check.check_report import path_text, quantities
 from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
     measure,
@@ -318,3 +318,24 @@ def test_the_other_branch_has_the_other_sign(ask_json):
     assert own["home_deg"]["A"] - other["home_deg"]["A"] > 90.0
     assert own["branch"][0] * other["branch"][0] < 0
     assert other["along"][0]["singularity_ratio"][0] > 0, "a share of its own home's"
+
+
+def test_the_table_tells_weight_alone_from_what_holds_weight_and_springs():
+    """The gripper's springs pull against its weight: the cable holds both, and the pins' forces are of both."""
+    mechanism = load_mechanism("parallel-gripper")
+    (path,) = reach_paths(mechanism, (reach(mechanism),))
+    columns = {column.head: column.values for column in quantities(path)}
+    still = np.zeros(1)
+    both = np.array([np.array(mechanism.dynamics.inverse_dynamics(q, still, still)).item() for q in path.poses])
+    assert np.abs(both - columns["weight alone left_crank"]).max() > 0.01  # the springs matter
+    actuator = mechanism.actuators[0].name
+    assert path.ratio[:, 0, 0] * columns[f"hold {actuator}"] == pytest.approx(both, rel=1e-9, abs=1e-12)
+    text = path_text(path)
+    assert "weight alone is without springs; hold and force are with everything at rest, weight and springs" in text
+
+
+def test_an_angle_that_is_rounding_of_zero_is_said_as_zero():
+    joint = load_mechanism("optimus-knee").independent_joints[0]
+    assert joint.said(-1.2e-10) == "0"
+    assert joint.said(np.radians(-12.3456)) == "-12.35"
+    assert joint.said(np.radians(1e-6)) == "1e-06"

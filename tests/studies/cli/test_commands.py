@@ -141,7 +141,9 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
     code, tracked = ask_json("track", folder, "--tracker", "lqr", "-o", str(tmp_path / "tracked"))
     assert code == 0
     assert set(tracked["trackers"]) == {"lqr"}
-    assert {path.name for path in (tmp_path / "tracked").iterdir()} == {"track.json", "track.png"}
+    assert {path.name for path in (tmp_path / "tracked").iterdir()} == {
+        *("track.json", "track.png", "nominal-lqr.csv", "nominal-lqr.npz")
+    }
     code, compared = ask_json("compare", folder, "-o", str(tmp_path / "compared"))
     assert code == 0
     assert {"timestep_s", "control_period_s", "mujoco", "integrator", "solref"} <= set(compared["loop"])
@@ -150,7 +152,13 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
         assert all(set(figures) >= TRACKER_KEYS for figures in side["trackers"].values())
     assert compared["mismatch"]["name"] == "payload +20 %, 1 control period of delay"
     assert compared["trackers"]["lqr"] == tracked["trackers"]["lqr"]
-    assert {path.name for path in (tmp_path / "compared").iterdir()} == {"compare.json", "compare.png"}
+    series = {
+        f"{side}-{name}.{end}"
+        for side in ("nominal", "mismatch")
+        for name in ("pd", "pd+ff", "lqr")
+        for end in ("csv", "npz")
+    }
+    assert {path.name for path in (tmp_path / "compared").iterdir()} == {"compare.json", "compare.png", *series}
 
 
 @pytest.mark.slow

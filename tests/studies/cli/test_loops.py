@@ -59,7 +59,7 @@ def test_bode_measures_draws_and_says_how_well_the_two_agree(ask, tmp_path, monk
 def test_bode_of_an_unstable_loop_says_so_and_measures_nothing(ask):
     code, out, err = ask("bode", "optimus-knee", "--kd", "10", "--at-deg", "O=0")
     assert code == 1
-    assert out.startswith("Unstable at O = 0 deg (1 of 1 poses): kp = 200, kd = 10")
+    assert out.startswith("Unstable at O = 0 deg (1 of 1 pose): kp = 200, kd = 10")
     assert "not measured: an unstable feedback loop holds no operating point" in out
     assert "sinusoids" not in err
 
@@ -131,3 +131,11 @@ def test_tune_writes_gains_that_a_problem_file_takes_and_a_figure(tracker, ask, 
 
 def _margins(said: dict) -> list[dict]:
     return [next(iter(point["loops"].values())) for point in said["points"]]
+
+
+@pytest.mark.parametrize("option", ["--map", "--large"])
+def test_what_needs_a_single_freedom_is_refused_before_any_work(option, ask):
+    code, out, err = ask("bode", "five-bar", option)
+    assert (code, out) == (2, "")
+    assert f"{option} needs a mechanism of one degree of freedom; 'five-bar' has 2" in err
+    assert "bode: predicted" not in err

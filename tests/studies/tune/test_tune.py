@@ -9,7 +9,8 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import margins
-from linkplan.studies.tune.tune import Wanted, motor_gains, tune, tune_record, tune_text
+from linkplan.studies.tune.tune import Wanted, tune
+from linkplan.studies.tune.tune_report import motor_gains, tune_record, tune_text
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
 
@@ -37,12 +38,9 @@ def test_gains_found_do_what_is_wanted_at_every_angle(payload, law, bandwidth, p
     mechanism, settings = found.mechanism, found.best.settings
     for point in found.points:
         gain = law_gain(point, law, settings, mechanism.effort_limit)
-        loop = feedback_loop(point, gain, found.timing)
-        bounds = margins(loop)
+        bounds = margins(feedback_loop(point, gain, found.timing))
         assert bounds.stable
-        # Up to the bandwidth asked, what comes out is nowhere 3 dB below what does at rest.
-        closed = np.abs(loop.gains("complementary", np.geomspace(1e-3 * bandwidth, bandwidth, 200)))
-        assert 20 * np.log10(closed.min() / closed[0]) >= -3.0
+        assert (bounds.bandwidth_hz or np.inf) >= bandwidth  # none: it reaches the Nyquist frequency
         assert bounds.phase_margin_deg >= phase
 
 

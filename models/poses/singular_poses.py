@@ -1,0 +1,56 @@
+"""Singular poses told apart: dead centres of the coordinate that leads, and poses at which the mechanism itself branches.
+
+J_z loses rank at both. Where J over all rows and joints keeps its rank, the loops still fix the same number of motions: the
+coordinate is at a dead centre, and another one leads through it. Where J loses rank too, motions that were forbidden become
+possible to first order, and the mechanism may go over to another branch or gain a freedom. Least singular values
+show either, also where det J_z touches zero without a change of sign, two loops folding at once.
+"""
+
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+
+# A least singular value below this share of home's is zero at a pose found to 1e-8.
+_RANK_LOST = 1e-4
+# Samples between which a least singular value dips below this share of home's are looked at closely.
+_DIP = 0.3
+
+
+def least_values(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """Return the least singular values (2,) of J and of J_z that the closure's rank at home counts, slides by the extent."""
+    rank = len(mechanism.dependent)
+    if rank == 0:
+        return np.ones(2)
+    unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.joints])
+    jacobian = np.array(mechanism.dynamics.closure_jacobian(q)) * unit
+    whole, solved = (np.linalg.svd(A, compute_uv=False) for A in (jacobian, jacobian[:, mechanism.dependent]))
+    return np.array([whole[rank - 1], solved[rank - 1]])
+
+
+def is_branching(mechanism: Mechanism, q: np.ndarray) -> bool:
+    """Return whether the closure itself loses rank at a singular pose (n_q,), or the coordinate is at a dead centre only."""
+    at_home = least_values(mechanism, mechanism.home)[0]
+    return bool(least_values(mechanism, q)[0] < _RANK_LOST * at_home)
+
+
+def closure_rank(mechanism: Mechanism, q: np.ndarray) -> int:
+    """Return the rank of the closure at a pose (n_q,), counted against the least singular value at home."""
+    unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.joints])
+    values = np.linalg.svd(np.array(mechanism.dynamics.closure_jacobian(q)) * unit, compute_uv=False)
+    return int(np.sum(values[: len(mechanism.dependent)] > _RANK_LOST * least_values(mechanism, mechanism.home)[0]))
+
+
+def dips(mechanism: Mechanism, poses: np.ndarray) -> list[int]:
+    """Return the samples k of poses (n, n_q), ends left out, at which the least singular value of J_z dips."""
+    if len(mechanism.dependent) == 0 or len(poses) < 3:
+        return []
+    values = np.array([least_values(mechanism, q)[1] for q in poses])
+    at_home = least_values(mechanism, mechanism.home)[1]
+    inner = values[1:-1]
+    lowest = (inner <= values[:-2]) & (inner <= values[2:]) & (inner < _DIP * at_home)
+    return [int(k) + 1 for k in np.flatnonzero(lowest)]
+
+
+def vanishes(mechanism: Mechanism, q: np.ndarray) -> bool:
+    """Return whether J_z has lost rank at a pose (n_q,)."""
+    return bool(least_values(mechanism, q)[1] < _RANK_LOST * least_values(mechanism, mechanism.home)[1])

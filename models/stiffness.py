@@ -1,0 +1,37 @@
+"""How stiff MuJoCo's equality constraints are: the stiffest that a model's timestep admits, on request."""
+
+import mujoco
+import numpy as np
+
+from linkplan.models.errors import ModelError
+
+# The one word that `mechanism.solref` takes.
+STIFF = "stiff"
+# Impedances next to the largest that MuJoCo admits, 0.9999: what the built-in models have. In MJCF's words, and in numbers
+# (MuJoCo, "Solver parameters": d_0, d_width, width [m], midpoint, power).
+STIFF_IMPEDANCE = "0.999 0.999 0.001"
+STIFF_SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
+# The least time constant that MuJoCo admits, in steps.
+_STEPS = 2.0
+
+
+def stiff_time_constant_s(model: mujoco.MjModel) -> float:
+    """Return the least time constant [s] that a model's timestep admits for its constraints."""
+    return _STEPS * float(model.opt.timestep)
+
+
+def set_softness(model: mujoco.MjModel, asked: object) -> None:
+    """Give a model's equality constraints the softness that is asked for: its own (None), or the stiffest ("stiff").
+
+    Raises:
+        ModelError: for anything else.
+    """
+    if asked is None:
+        return
+    if asked != STIFF:
+        raise ModelError(
+            f'mechanism.solref is "{STIFF}", the stiffest closures that the timestep admits, or is left out, which keeps the'
+            f" model's own; got {asked!r}"
+        )
+    model.eq_solref[:] = stiff_time_constant_s(model), 1.0
+    model.eq_solimp[:] = np.array(STIFF_SOLIMP)

@@ -1,0 +1,136 @@
+"""What a certificate leaves to whoever made the motion, judged again where a plan is read.
+
+Its duration, its reference, the pose in the middle of a periodic motion, and the objective's value as an integral.
+"""
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.certificate.boundary import exactly, missed
+from linkplan.planner.certificate.margins import actuator_speeds
+from linkplan.planner.problem.objective import QUADRATIC
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.trajectory import Trajectory
+
+# Durations are numbers of a program, found to rounding and kept in full.
+_DURATION_SHARE = 1e-8
+# States in the middle of a periodic motion are bounds of the program; a reference that is followed exactly is a polynomial
+# through it: measured below 1e-8 of its span with forty intervals a period.
+_STATE_SHARE = 1e-6
+# An integral by ten points an interval against the program's own quadrature at its nodes: the coarsest mesh and scheme that
+# pass a certificate differ by some thousandths, positive work, which has kinks, by a few hundredths.
+_OBJECTIVE_SHARE, _KINKED_SHARE = 0.01, 0.05
+# A term that makes efforts smooth may stand in the objective of tracking and of work: its own integral is no less than this.
+_SMOOTHED_SHARE = 0.5
+# A distance from a reference below this share of the motion's span counts as none.
+_NO_DISTANCE = 1e-6
+_POINTS = 10
+
+
+def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: object) -> tuple[str, ...]:
+    """Return the sentences on where a motion is not what its problem asks, or not what was said of it; empty where all fits.
+
+    `objective` is the value that was saved with the motion; None, as of plans that have none, is not judged.
+    """
+    motion, lasts = problem.motion, trajectory.duration_s
+    found = []
+    if trajectory.periodic and motion.kind == "reach":
+        found.append("a reach does not repeat, and the motion is marked as periodic")
+    if not trajectory.periodic and motion.kind == "periodic":
+        found.append("a periodic motion repeats, and the motion is not marked as periodic")
+    longest = problem.motion.max_duration_s or np.inf
+    low, high = motion.min_duration_s or 0.0, longest
+    if motion.duration_s is not None:
+        low = high = motion.duration_s
+    elif motion.kind == "track" and problem.reference is not None:
+        low = high = problem.reference.period_s
+    if not low * (1 - _DURATION_SHARE) <= lasts <= high * (1 + _DURATION_SHARE):
+        asked = f"{low:.9g} s" if low == high else f"{low:.9g} to {high:.9g} s"
+        found.append(f"the motion lasts {lasts:.9g} s, asked for was {asked}")
+    found += _off_states(problem, trajectory)
+    if isinstance(objective, int | float) and not isinstance(objective, bool):
+        found += _off_objective(problem, trajectory, float(objective))
+    elif objective is not None:
+        found.append(f"its objective is no number, {str(objective)[:60]!r}")
+    return tuple(found)
+
+
+def _off_states(problem: PlanningProblem, trajectory: Trajectory) -> list[str]:
+    motion, span = problem.motion, max(float(np.ptp(trajectory.position)), 1e-9)
+    if motion.kind == "track" and problem.reference is not None:
+        time = trajectory.dense_times(_POINTS)
+        off = np.abs(trajectory.position_at(time) - problem.reference.derivative(time - trajectory.breaks_s[0])).max()
+        return [f"the reference is missed by {off / span:.3g} of its range"] if not off <= _STATE_SHARE * span else []
+    if motion.kind != "periodic":
+        return []
+    found = []
+    middle = trajectory.breaks_s[0] + 0.5 * trajectory.duration_s
+    for what, asked, time in (("start", motion.start, trajectory.breaks_s[0]), ("goal", motion.goal, middle)):
+        if asked is None or (what == "goal" and motion.waypoints):
+            continue
+        off = missed(trajectory.position_at(np.array([time])), *exactly(asked), span)
+        if not off <= _STATE_SHARE:
+            found.append(f"the periodic motion misses its {what} by {off:.3g} of its range")
+    return found
+
+
+def _off_objective(problem: PlanningProblem, trajectory: Trajectory, said: float) -> list[str]:
+    try:
+        value = objective_value(problem, trajectory)
+    except AssemblyError:  # a motion off its loops has failed its certificate already
+        return []
+    objective = problem.objective
+    share = _KINKED_SHARE if objective.has("work") else _OBJECTIVE_SHARE
+    nothing = 0.0
+    if objective.has("tracking"):
+        span = float(np.ptp(trajectory.position))
+        nothing = objective.weight("tracking") * (_NO_DISTANCE * span) ** 2 * trajectory.duration_s
+    smoothed = objective.has("tracking", "work") and not objective.has(*QUADRATIC)
+    low = (_SMOOTHED_SHARE if smoothed else 1.0 - share) * said - nothing
+    if low <= value <= (1.0 + share) * said + nothing:
+        return []
+    return [f"its objective is said to be {said:.6g}, and that of the motion is {value:.6g}"]
+
+
+def objective_value(problem: PlanningProblem, trajectory: Trajectory) -> float:
+    """Return the objective of a motion [SI], integrated by Gauss-Legendre quadrature on every interval.
+
+    Raises:
+        AssemblyError: when the motion leaves what the loops allow, and a term needs its poses.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
+    time = trajectory.times_at(0.5 + 0.5 * nodes)
+    width = (np.diff(trajectory.breaks_s)[:, None] * 0.5 * weights).ravel()
+    u, objective = trajectory.effort_at(time), problem.objective
+    integrands: dict[str, np.ndarray] = {"time": np.ones_like(time)}
+    if objective.has("effort"):
+        integrands["effort"] = np.sum(u**2, axis=1)
+    if objective.has("copper_loss"):
+        integrands["copper_loss"] = u**2 @ np.array([0.0 if motor is None else motor.loss for motor in problem.motors])
+    if objective.has("effort_rate"):
+        effort = trajectory.effort
+        degree = len(effort) - 1
+        rate = degree * np.diff(effort, axis=0) / np.diff(trajectory.breaks_s)[:, None] if degree else 0 * effort
+        slope = Trajectory(
+            breaks_s=trajectory.breaks_s,
+            position=trajectory.position,
+            velocity=trajectory.velocity,
+            effort=rate,
+            start_pose=trajectory.start_pose,
+            periodic=trajectory.periodic,
+        )
+        integrands["effort_rate"] = np.sum(slope.effort_at(time) ** 2, axis=1)
+    if objective.has("tracking"):
+        off = trajectory.position_at(time) - problem.reference.derivative(time)
+        integrands["tracking"] = np.sum(off**2, axis=1)
+    if objective.has("work", "closure_force"):
+        s, v, a = (f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
+        q = follow(problem.mechanism, s, trajectory.start_pose)
+        if objective.has("work"):
+            integrands["work"] = np.maximum(u * actuator_speeds(problem, q, v), 0.0).sum(axis=1)
+        if objective.has("closure_force"):
+            force = sampled(problem.mechanism.dynamics.closure_force, q, v, a, u)[:, :, 0]
+            integrands["closure_force"] = np.sum(force**2, axis=1)
+    return float(sum(weight * (width @ integrands[term]) for term, weight in objective.weights.items()))

@@ -1,0 +1,29 @@
+"""One solve of a mechanism's problem from a guess: what every rung begins with."""
+
+from typing import Any
+
+import numpy as np
+
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.case import Found, attempt
+from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.transcription.mesh import Mesh
+
+__all__ = ["Found", "solve_from"]
+
+
+def solve_from(
+    problem: PlanningProblem,
+    guess: Any,  # a `Guess`: the case's own starts
+    mesh: Mesh,
+    durations: np.ndarray,
+    what: str,
+    history: list[Step],
+    say: Say,
+    *,
+    warm: bool = False,
+    bang_efforts: np.ndarray | None = None,
+) -> Found | None:
+    """Return what one solve of a problem leads to; None where it finds no motion. Arguments as of `attempt`."""
+    return attempt(case_of(problem), guess, mesh, durations, what, history, say, warm=warm, bang_efforts=bang_efforts)

@@ -1,0 +1,51 @@
+"""Tracking runs as tables: one row for each control instant, units in the heads, as CSV for people and NPZ for programs."""
+
+import csv
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.controllers.rollout import Rollout
+from linkplan.models.mechanism import Mechanism
+from linkplan.studies.compare.compare import Comparison
+
+
+def run_columns(mechanism: Mechanism, rollout: Rollout) -> dict[str, np.ndarray]:
+    """Return a run's columns (n,) under heads that carry their units.
+
+    time_s; of each independent joint O its desired position, its own and the error (O_ref_deg, O_deg, O_error_deg) and its
+    speed; every dependent joint's position; of each actuator the effort commanded and the effort that acted
+    (act_O_commanded_Nm, act_O_applied_Nm); closure_gap_m.
+    """
+    found = {"time_s": rollout.time_s}
+    for k, joint in enumerate(mechanism.independent_joints):
+        unit, factor = joint.unit, joint.shown(1.0)
+        found[f"{joint.name}_ref_{unit}"] = factor * rollout.reference[:, k]
+        found[f"{joint.name}_{unit}"] = factor * rollout.position[:, k]
+        found[f"{joint.name}_error_{unit}"] = factor * rollout.error[:, k]
+        found[f"{joint.name}_{unit}_s"] = factor * rollout.velocity[:, k]
+    for index in mechanism.dependent:
+        joint = mechanism.joints[int(index)]
+        found[f"{joint.name}_{joint.unit}"] = joint.shown(1.0) * rollout.pose[:, index]
+    for k, actuator in enumerate(mechanism.actuators):
+        unit = actuator.unit.replace(".", "")
+        found[f"{actuator.name}_commanded_{unit}"] = rollout.commanded[:, k]
+        found[f"{actuator.name}_applied_{unit}"] = rollout.applied[:, k]
+    return found | {"closure_gap_m": rollout.gap_m}
+
+
+def save_time_series(comparison: Comparison, folder: Path) -> list[str]:
+    """Write every run of a comparison into a folder and return the files' names: nominal-pd.csv, mismatch-pd.npz, ..."""
+    names = []
+    for side, runs in (("nominal", comparison.nominal), ("mismatch", comparison.mismatched)):
+        for number, (tracker, rollout) in enumerate(runs.items()):
+            plain = "".join(letter if letter.isalnum() or letter in "+-_" else "_" for letter in tracker)
+            stem = f"{side}-{plain}" if [*map(str.lower, runs)].count(tracker.lower()) == 1 else f"{side}-{number}-{plain}"
+            columns = run_columns(comparison.plan.problem.mechanism, rollout)
+            np.savez(folder / f"{stem}.npz", **columns)
+            with (folder / f"{stem}.csv").open("w", newline="", encoding="utf-8") as file:
+                writer = csv.writer(file)
+                writer.writerow(columns)
+                writer.writerows([[f"{value:.12g}" for value in row] for row in np.column_stack(list(columns.values()))])
+            names += [f"{stem}.csv", f"{stem}.npz"]
+    return names

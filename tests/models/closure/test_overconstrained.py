@@ -1,0 +1,152 @@
+"""Overconstrained linkages: mobility, a full turn, closed forms and least-norm forces, exact and with a file's rounding."""
+
+import copy
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.models.errors import ModelError
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.assembly import close_at, follow, reach
+from tests.support.linkages import LINKAGES, WELDED
+from tests.support.mechanisms import replaced
+from tests.support.overconstrained import bennett, bennett_follower, bricard, bricard_follower, coupled_cranks
+from tests.support.tolerances import ANGLE_RAD, RANDOM_LIMIT, relative_error
+
+NOISE = 1e-7
+# Gap [m] of links of a decimetre whose axes are off by NOISE: a few times their product.
+NOISY_GAP_M = 3e-7
+# Angles [rad] of the noisy linkages against the exact ones' closed forms: the noise over a transmission of a third and up.
+NOISY_RAD = 1e-6
+MODELS = {"bennett": bennett, "cranks": coupled_cranks, "bricard": bricard}
+
+
+@cache
+def over(name: str, noise: float = 0.0) -> Mechanism:
+    """Return one of the overconstrained mechanisms."""
+    return load_mechanism(MODELS[name](noise))
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+@pytest.mark.parametrize("name", ["bennett", "cranks"])
+def test_what_turns_for_ever_has_a_reach_of_a_full_turn(name, noise):
+    mechanism = over(name, noise)
+    assert (mechanism.dof, len(mechanism.projected)) == (1, 1)
+    can = reach(mechanism)
+    assert can.turns_fully
+    assert can.singular == ()
+    assert max(mechanism.gap_m(q) for q in can.poses) < (NOISY_GAP_M if noise else 1e-11)
+
+
+@pytest.mark.parametrize(("noise", "allowed"), [(0.0, ANGLE_RAD), (NOISE, NOISY_RAD)])
+def test_bennetts_opposite_angles_are_equal_and_the_next_one_follows_its_closed_form(noise, allowed):
+    mechanism = over("bennett", noise)
+    travelled = np.linspace(0.0, 2 * np.pi, 200)
+    q = follow(mechanism, travelled[:, None]) - 0.0
+    drawn = np.radians(60.0)
+    phi = bennett_follower(drawn + travelled)
+    apart = np.angle(np.exp(1j * (q[:, 1] - (phi - phi[0]))))
+    assert np.abs(apart).max() < allowed
+    assert np.abs(np.angle(np.exp(1j * (q[:, 2] + q[:, 0])))).max() < allowed
+
+
+def test_coupled_cranks_keep_equal_angles_all_round():
+    q = follow(over("cranks"), np.linspace(0.0, 2 * np.pi, 200)[:, None])
+    assert np.abs(q[:, [2, 3]] - q[:, [0]]).max() < ANGLE_RAD
+    assert np.abs(q[:, 1] + q[:, 0]).max() < ANGLE_RAD
+
+
+def test_bricards_reach_ends_where_its_closed_form_does():
+    mechanism = over("bricard")
+    can = reach(mechanism)
+    ends = np.radians([-120.0 - 70.0, 120.0 - 70.0])  # |cos p| <= 1 wants cos t >= -1/2
+    assert np.abs([can.lower.position, can.upper.position] - ends).max() < 1e-6
+    travelled = np.linspace(0.0, np.radians(45.0), 30)
+    q = follow(mechanism, travelled[:, None])
+    expected = [bricard_follower(np.radians(70.0) + t) - bricard_follower(np.radians(70.0)) for t in travelled]
+    assert np.abs(q[:, 1] - expected).max() < ANGLE_RAD
+
+
+@pytest.mark.parametrize("name", ["bennett", "cranks"])
+def test_rates_and_accelerations_are_those_of_the_closed_motion(name):
+    mechanism, h = over(name), 1e-3
+    for s in np.linspace(0.3, 6.0, 9):
+        q = [close_at(mechanism, np.array([s + k * h]), close_at(mechanism, np.array([s]))) for k in (-2, -1, 0, 1, 2)]
+        rate = (8 * (q[3] - q[1]) - (q[4] - q[0])) / (12 * h)
+        gamma = np.array(mechanism.dynamics.velocity_map(q[2])).ravel()
+        assert np.abs(gamma - rate).max() < 1e-8
+
+
+@pytest.mark.parametrize("name", ["bennett", "cranks"])
+def test_forces_are_mujocos_least_norm_ones_all_round(name):
+    mechanism = over(name)
+    model = copy.copy(mechanism.model)
+    model.opt.tolerance, model.opt.iterations = 1e-16, 300  # redundant rows are ill-conditioned for the solver
+    model.actuator_ctrllimited[:] = False
+    rng = np.random.default_rng(0)
+    for s in np.linspace(0.2, 6.2, 7):
+        q = close_at(mechanism, np.array([s]))
+        v, u = rng.normal(size=1), rng.uniform(-1, 1, 1)
+        found = []
+        for softness in (1e-3, 1e-4):
+            model.body_invweight0[:] = softness  # every row alike: forces are then those of least norm
+            data = mujoco.MjData(model)
+            data.qpos[:], data.qvel[:] = mechanism.qpos_of(q), np.array(mechanism.dynamics.velocity_map(q)) @ v
+            data.ctrl[:] = u
+            mujoco.mj_forward(model, data)
+            found.append(np.array(data.efc_force[: data.ne]))
+        hard = (10 * found[1] - found[0]) / 9
+        a = mechanism.dynamics.acceleration(q, v, u)
+        force = np.array(mechanism.dynamics.closure_force(q, v, a, u)).ravel()
+        assert np.abs(hard).max() > 1e-2, "the loop carries load"
+        assert relative_error(force, hard) < RANDOM_LIMIT
+
+
+@pytest.mark.parametrize("name", LINKAGES)
+def test_ordinary_loops_are_solved_in_chosen_rows(name):
+    assert load_mechanism(LINKAGES[name]).projected == ()
+
+
+# Rounding of a file
+
+
+def noisy_four_bar(noise: float) -> str:
+    return replaced(WELDED, '<joint name="C"/>', f'<joint name="C" axis="{noise} 1 {-noise}"/>')
+
+
+@pytest.mark.parametrize("noise", [1e-7, 1e-6])
+def test_axes_that_are_off_by_rounding_do_not_lock_a_planar_loop(noise):
+    mechanism = load_mechanism(noisy_four_bar(noise))
+    plain = load_mechanism(WELDED)
+    assert (mechanism.dof, mechanism.projected) == (1, ()), "and it is solved as the plain one"
+    (note,) = mechanism.notes
+    assert "rounding" in note
+    assert "closure_tolerance_m" in note
+    s = np.array([0.5])
+    assert np.abs(close_at(mechanism, s) - close_at(plain, s)).max() < 10 * noise
+
+
+def test_the_tolerance_is_the_users():
+    with pytest.raises(ModelError, match=r"locked.*closure_tolerance_m = 1e-09"):
+        load_mechanism(noisy_four_bar(1e-6), closure_tolerance_m=1e-9)
+    assert load_mechanism(noisy_four_bar(1e-4), closure_tolerance_m=1e-4).dof == 1
+    with pytest.raises(ModelError, match="closure_tolerance_m"):
+        load_mechanism(WELDED, closure_tolerance_m=-1.0)
+
+
+LOCKED_NECK = """<mujoco model="neck"><compiler angle="radian"/><worldbody>
+  <body name="trunk"><joint name="hip" axis="0 1 0"/><geom size="0.1" pos="0 0 0.2"/>
+    <body name="head" pos="0 0 0.4"><joint name="neck" axis="0 1 0"/><geom size="0.05" pos="0 0 0.1"/></body></body>
+  </worldbody>
+  <equality><joint joint1="neck"/></equality>
+  <actuator><motor name="hip" joint="hip" ctrlrange="-9 9"/><motor name="neck" joint="neck" ctrlrange="-9 9"/></actuator>
+</mujoco>"""
+
+
+def test_every_joint_that_the_loops_lock_and_every_idle_actuator_is_named():
+    notes = load_mechanism(LOCKED_NECK).notes
+    assert any("lock joint neck" in note for note in notes)
+    assert any("actuator neck has no effect" in note for note in notes)
+    assert not any("hip" in note for note in notes)

@@ -1,0 +1,42 @@
+"""Of the motions that pass on ever finer meshes the best is returned, not merely the last."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from linkplan.planner.refinement.refine import better_of
+
+# What two meshes may differ by though neither is wrong: a tenth of what counts as lost.
+MESH = 1e-6
+
+
+def passing(objective: float, *, exact: bool = True):
+    solution = SimpleNamespace(objective=objective)
+    return SimpleNamespace(found=SimpleNamespace(solution=solution), findings=SimpleNamespace(exact=exact))
+
+
+def aims(*, tolerance_given: bool = False):
+    return SimpleNamespace(tolerance_given=tolerance_given)
+
+
+@pytest.mark.parametrize("coarse", [1.0956, -1.2])
+def test_a_finer_mesh_that_lost_the_better_motion_does_not_replace_it(coarse):
+    before, now = passing(coarse), passing(coarse + 0.02)
+    assert better_of(before, now, aims()) is before
+
+
+@pytest.mark.parametrize("finer", [1.0 - MESH, 1.0 + MESH, 0.9])
+def test_a_finer_mesh_that_is_as_good_or_better_is_the_answer(finer):
+    before, now = passing(1.0), passing(finer)
+    assert better_of(before, now, aims()) is now
+
+
+def test_a_better_motion_that_misses_the_tolerance_asked_for_is_no_answer():
+    before, now = passing(1.0, exact=False), passing(1.1)
+    assert better_of(before, now, aims(tolerance_given=True)) is now
+    assert better_of(before, now, aims()) is before
+
+
+def test_the_first_that_passes_is_the_best_so_far():
+    now = passing(1.0)
+    assert better_of(None, now, aims()) is now

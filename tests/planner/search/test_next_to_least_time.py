@@ -1,0 +1,53 @@
+"""Motions that may take only a little longer than the least time: they exist, and are never called infeasible."""
+
+import numpy as np
+import pytest
+
+from linkplan.planner.diagnosis import reasons
+from linkplan.planner.files.problem_file import load_problem, problem_from_tables
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.presolve import start_pose_of
+from tests.support import fourbar_problems
+
+# Weak four-bars that have to swing, drawn with this seed; number 10 was called infeasible at 1.0005 times its least time.
+SEED, NUMBERS = 1312, (10, 9)
+
+
+def weak_swing_up(number: int) -> tuple[dict, float]:
+    """Return the tables of a four-bar whose torque is short of gravity's and that has to turn back, and its least time."""
+    rng = np.random.default_rng([SEED, number])
+    while True:
+        found = fourbar_problems._weak(rng, fourbar_problems._draw(rng))
+        if found is not None and found[1] and found[3]["turns"]:
+            return found[0], found[2]["shortest"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", NUMBERS)
+@pytest.mark.parametrize("ratio", [1.0005, 1.002, 1.01, 1.03, 1.1])
+def test_a_weak_swing_up_with_a_little_more_than_the_least_time_is_planned(number, ratio):
+    tables, least = weak_swing_up(number)
+    tables["motion"]["duration_s"] = ratio * least
+    tables["objective"]["minimize"] = "effort"
+    plan = plan_motion(problem_from_tables("weak", tables))
+    assert plan.status == "optimal", plan.message
+    assert plan.trajectory.duration_s == pytest.approx(ratio * least, rel=1e-9)
+
+
+@pytest.mark.parametrize(("known", "status"), [(0.9, "failed"), (1.0, "failed"), (1.1, "infeasible")])
+def test_a_known_motion_within_the_time_asked_forbids_the_word_infeasible(monkeypatch, known, status):
+    problem = load_problem("knee-reach")
+    asked = problem.motion.duration_s
+    search = Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None, deadline=np.inf)
+
+    def named(search, details):
+        del search
+        details["shortest_duration_s"] = known * asked
+        return f"; the shortest feasible duration is {known * asked:.5g} s"
+
+    monkeypatch.setattr(reasons, "shortest_sentence", named)
+    plan = reasons._infeasible(search, "infeasible: act_O would have to give more than it can", {})
+    assert plan.status == status
+    assert plan.message.startswith(status)
+    assert ("infeasible" in plan.message) == (status == "infeasible")

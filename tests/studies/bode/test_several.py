@@ -1,0 +1,96 @@
+"""Loops of several coordinates: broken at each coordinate's own effort, gains by joint, poses over the motion."""
+
+import control
+import numpy as np
+import pytest
+
+import linkplan.studies.bode.bode as bode_module
+from linkplan.controllers.sampling import sampling
+from linkplan.controllers.trackers.lqr import linearise
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.bode.bode import bode_study
+from linkplan.studies.bode.bode_report import bode_text
+from linkplan.studies.bode.poses import loop_poses
+from linkplan.studies.frequency.feedback_loops import CONTINUOUS, feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.margins import margins
+from linkplan.studies.frequency.measure import measure
+from linkplan.studies.frequency.trial import Trials
+from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG
+
+# The five-bar in the coordinates of its left leg: each of its motors, on the legs' first joints, moves both.
+LEG = ("O1", "E1")
+GAINS = Tracking(kp={"O1": 30.0, "E1": 8.0}, kd={"O1": 1.5, "E1": 0.2}, period_s=1e-3)
+
+
+def leg_loop(kind=CONTINUOUS):
+    mechanism = load_mechanism("five-bar", independent=LEG)
+    point = operating_point(mechanism, mechanism.home[mechanism.independent])
+    gain = law_gain(point, "pd", GAINS, mechanism.effort_limit)
+    return mechanism, point, feedback_loop(point, gain, sampling(mechanism, 1e-3), kind)
+
+
+def test_each_row_is_the_loop_of_its_own_coordinate_with_the_others_closed():
+    mechanism, point, loop = leg_loop()
+    effort_map = np.array(mechanism.dynamics.effort_map(point.pose))
+    assert np.abs(effort_map - np.diag(np.diag(effort_map))).max() > 0.1  # the motors do not each move one coordinate
+    A, B = (m[0] for m in linearise(mechanism, point.pose[None], point.velocity[None], point.hold[None]))
+    on_coordinates, gains = B @ np.linalg.inv(effort_map), np.array([[30.0, 0.0, 1.5, 0.0], [0.0, 8.0, 0.0, 0.2]])
+    frequency, found = np.array([0.5, 3.0, 20.0]), []
+    for channel, other in ((0, 1), (1, 0)):
+        closed = A - on_coordinates[:, [other]] @ gains[[other]]  # the other coordinate's own PD, by hand
+        system = control.StateSpace(closed, on_coordinates[:, [channel]], gains[[channel]], 0)
+        expected = np.array([system(2j * np.pi * f) for f in frequency])
+        assert loop.gains("loop", frequency, channel) == pytest.approx(expected, rel=1e-8)
+        found.append(margins(loop, channel))
+    assert abs(found[0].crossover_hz / found[1].crossover_hz - 1) > 0.1  # rows of their own
+
+
+def test_a_coordinate_s_loop_is_measured_as_predicted():
+    mechanism, _, loop = leg_loop("sampled, MuJoCo's steps")
+    for channel in range(2):
+        taken = measure([loop], np.array([8.0, 30.0]), mechanism.effort_limit, channel=channel)
+        for name in ("loop", "plant", "reference"):
+            response = taken.responses[0][name]
+            db, deg = response.against(loop.response(name, response.frequency_hz, channel))
+            assert np.abs(db).max() < 10 * MEASURED_DB, name
+            assert np.abs(deg).max() < 10 * MEASURED_DEG, name
+
+
+def test_gains_by_joint_name_every_independent_joint():
+    mechanism = load_mechanism("five-bar", independent=LEG)
+    kp, kd = GAINS.gains(mechanism.independent_joints)
+    assert dict(zip([j.name for j in mechanism.independent_joints], kp, strict=True)) == {"O1": 30.0, "E1": 8.0}
+    assert kd.min() == 0.2
+    with pytest.raises(ProblemError, match=r"tracking.kp has a gain for each independent joint \(O1, O2\), got O1"):
+        load_problem("five-bar-reach", ["tracking.kp={ O1 = 20 }"])
+    problem = load_problem("five-bar-reach", ["tracking.kp={ O1 = 20, O2 = 30 }"])
+    assert problem.tracking.gains_said() == "kp = { O1 = 20, O2 = 30 }, kd = 1"
+
+
+def test_default_poses_of_several_freedoms_lie_along_the_motion():
+    problem = load_problem("five-bar-reach")
+    looked = loop_poses(problem.mechanism, problem, problem.limits.effort)
+    assert len(looked.positions) == 5
+    assert looked.line.unit == "s"
+    assert np.ptp(looked.positions[:, 0]) > np.radians(5.0)
+    assert "along the path of five-bar-reach" in looked.note
+
+
+def test_the_text_says_where_the_loops_are_broken():
+    mechanism, point, _ = leg_loop()
+    limit = mechanism.effort_limit
+    text = bode_text(bode_study(mechanism, point.state[:2], GAINS, limit, scanned=0))
+    assert "each loop is broken at the effort on its coordinate (O1, E1), made by act_O1, act_O2 together" in text
+
+
+def test_a_loop_that_is_stable_in_the_model_and_not_in_mujoco_is_a_no(monkeypatch):
+    mechanism, point, _ = leg_loop()
+    never = Trials(settles=np.zeros(1, dtype=bool), periods=1)
+    monkeypatch.setattr(bode_module, "settle_trials", lambda *_: never)
+    study = bode_study(mechanism, point.state[:2], GAINS, mechanism.effort_limit, scanned=0)
+    assert all(entry.margins.stable for entry in study.points)
+    assert not study.stable
+    assert study.message.startswith("stable by the sampled model and not in MuJoCo at O1 = ")

@@ -1,0 +1,101 @@
+"""The worst pose of a loop over a continuous coordinate, and the peaks of its sensitivity between grid points."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from linkplan.controllers.sampling import sampling
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.bode.bode import bode_study
+from linkplan.studies.bode.bode_report import bode_text
+from linkplan.studies.bode.poses import loop_poses
+from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.margins import margins
+from linkplan.studies.frequency.stability_map import critical_kd
+from linkplan.studies.frequency.worst import local_minima
+from linkplan.studies.tune.tune import Wanted, tune
+from tests.support.tolerances_loops import ON_A_GRID
+
+# The largest kd that is stable at kp = 200 and 0.1 ms at every angle of the knee, where MuJoCo settles below and not above.
+LARGEST_SAFE_KD, WORST_DEG = 1.834, 62.45
+
+
+def study_of(kd: float, scanned: int = 41):
+    """Return the knee's study over its whole reach, nothing measured."""
+    mechanism = load_mechanism("optimus-knee")
+    looked = loop_poses(mechanism, None, mechanism.effort_limit)
+    settings = Tracking(kp=200.0, kd=kd)
+    return bode_study(mechanism, looked.positions, settings, mechanism.effort_limit, scanned=scanned, line=looked.line)
+
+
+def test_a_gain_that_is_unstable_between_the_angles_of_a_grid_is_called_unstable():
+    study = study_of(1.845)
+    assert not study.stable
+    assert study.message.startswith("unstable at O = 62.4")
+    bad = [point for point in study.points if not point.margins.stable]
+    assert [np.degrees(point.point.state[0]) for point in bad] == pytest.approx([WORST_DEG], abs=0.1)
+    assert not bad[0].settles_in_mujoco
+
+
+def test_the_least_gain_margin_over_the_reach_is_the_largest_stable_damping_gain():
+    study = study_of(1.0)
+    least, k = study.scans[0].least("gain_margin_db")
+    assert np.degrees(study.scans[0].positions[k]) == pytest.approx(WORST_DEG, abs=0.1)
+    assert least == pytest.approx(5.23, abs=0.01)
+    assert min(point.margins.gain_margin_db for point in study.points) == pytest.approx(least, abs=1e-3)
+    assert "least gain margin 5.23 dB at O = 62.4" in bode_text(study)
+    worst = operating_point(study.mechanism, study.scans[0].line.at(study.scans[0].positions[k]))
+    assert critical_kd(worst, 200.0, study.timing)[1] == pytest.approx(LARGEST_SAFE_KD, abs=1e-3)
+
+
+def test_local_minima_are_found_between_the_places_of_a_scan():
+    at = np.linspace(0.0, 10.0, 12)
+    found = local_minima(lambda x: float(np.cos(2.0 * x) + 0.01 * x), at)
+    exact = [brentq(lambda x: -2 * np.sin(2 * x) + 0.01, a, a + 1.0) for a in (1.1, 4.2, 7.3)]
+    assert sorted(found)[:3] == pytest.approx(exact, abs=1e-3)
+
+
+def test_a_narrow_peak_of_sensitivity_is_met_between_frequencies():
+    mechanism = load_mechanism("optimus-knee")
+    point = operating_point(mechanism, np.radians([60.32]))
+    gain = law_gain(point, "pd", Tracking(kp=200.0, kd=1.87), mechanism.effort_limit)
+    loop = feedback_loop(point, gain, sampling(mechanism, 1e-4))
+    found = margins(loop, refine=False)
+    dense = np.abs(loop.gains("sensitivity", np.geomspace(1000.0, 5000.0, 200_001))).max()
+    assert found.sensitivity_peak == pytest.approx(dense, rel=1e-6)
+    coarse = np.abs(loop.gains("sensitivity", np.geomspace(1000.0, 4990.0, 140))).max()
+    assert coarse < (1 - ON_A_GRID) * dense  # a grid of the margins' own density misses it
+
+
+def test_a_crank_that_nothing_stops_is_looked_at_over_its_whole_turn():
+    mechanism = load_mechanism("slider-crank")
+    looked = loop_poses(mechanism, None, mechanism.effort_limit)
+    assert np.degrees([looked.line.low, looked.line.high]) == pytest.approx([-180.0, 180.0])
+    assert np.diff(np.degrees(looked.positions[:, 0])) == pytest.approx(np.full(6, 360 / 7))
+
+
+@pytest.mark.slow
+def test_gains_found_keep_what_is_wanted_over_a_whole_turn_of_a_crank():
+    mechanism = load_mechanism("slider-crank")
+    looked = loop_poses(mechanism, None, mechanism.effort_limit)
+    assert np.ptp(looked.line.states) == pytest.approx(2 * np.pi)
+    points = [operating_point(mechanism, np.array([s])) for s in (-np.pi, 0.0)]
+    timing, settings = sampling(mechanism, 1e-3), Tracking(period_s=1e-3)
+    wanted = Wanted(bandwidth_hz=30.0, phase_margin_deg=60.0)
+
+    def least(found) -> float:
+        bands = []
+        for x in np.linspace(looked.line.low, looked.line.high, 181):
+            point = operating_point(mechanism, np.array([x]))
+            gain = law_gain(point, "pd", found.best.settings, mechanism.effort_limit)
+            bands.append(margins(feedback_loop(point, gain, timing), refine=False).bandwidth_hz or np.inf)
+        return min(bands)
+
+    poses_alone = tune(points, wanted, settings, timing, mechanism.effort_limit)
+    assert poses_alone.found
+    assert least(poses_alone) < 29.0  # at its poses 30 Hz, between them not
+    everywhere = tune(points, wanted, settings, timing, mechanism.effort_limit, line=looked.line)
+    assert everywhere.found
+    assert least(everywhere) >= 30.0
+    assert "every angle from -180 to 180 deg" in everywhere.message

@@ -1,0 +1,236 @@
+"""Hostile input: nonsense is refused in one line, what is too large before it is asked for, and nothing escapes."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from linkplan.models.catalogue import built_in_text
+from linkplan.models.errors import CertificateError, LinkplanError, ModelError, PlanFileError, ProblemError, one_line
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.certificate.saved import objective_value
+from linkplan.planner.files.plan_folder import read_plan
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.transcription import compiled
+from linkplan.studies.cli import main as program
+from linkplan.studies.output.drawing import page
+from tests.bench.fuzz import fuzz
+from tests.support.plans import optimal, saved_plan
+
+CRANK = built_in_text("slider-crank")
+BAR = """<mujoco><option timestep="1e-3"/><worldbody><body name="bar"><joint name="h" axis="0 1 0" {joint}/>
+<geom size="0.1" mass="1"/></body></worldbody><actuator><motor name="m" joint="h" {motor}/></actuator>{more}</mujoco>"""
+
+
+def bar(joint: str = "", motor: str = "", more: str = "") -> str:
+    return BAR.replace("{joint}", joint).replace("{motor}", motor).replace("{more}", more)
+
+
+def test_a_bar_that_is_as_it_should_be_is_read():
+    assert load_mechanism(bar()).dof == 1
+
+
+NONSENSE = {
+    "negative armature": (bar(joint='armature="-1"'), "armature"),
+    "infinite armature": (bar(joint='armature="inf"'), "not finite"),
+    "infinite gear": (bar(motor='gear="inf"'), "not finite"),
+    "absurd gear": (bar(motor='gear="1e300"'), "beyond"),
+    "negative timestep": (bar(more='<option timestep="-1"/>'), "timestep"),
+    "no timestep": (bar(more='<option timestep="0"/>'), "timestep"),
+    "negative damping": (bar(joint='damping="-1"'), "damping"),
+    "infinite mass": (bar().replace('mass="1"', 'mass="inf"'), ""),
+    "infinite gravity": (bar(more='<option gravity="0 0 inf"/>'), "not finite"),
+    "escape in a name": (bar().replace('"bar"', '"&#27;[31m"'), ""),
+    "a million copies": (bar(more='<worldbody><replicate count="1000000"><site/></replicate></worldbody>'), "count"),
+    "a huge field": (bar(more='<asset><hfield name="f" nrow="100000" ncol="9" size="1 1 1 1"/></asset>'), "nrow"),
+    "huge memory": (bar(more='<size memory="900G"/>'), "memory"),
+}
+
+
+@pytest.mark.parametrize("case", NONSENSE)
+def test_a_model_of_nonsense_is_refused_in_one_line(case):
+    text, word = NONSENSE[case]
+    with pytest.raises(ModelError) as refused:
+        load_mechanism(text)
+    assert word in str(refused.value)
+    assert str(refused.value).isprintable()
+
+
+@pytest.mark.parametrize("how", ["model", "include"])
+def test_a_pipe_is_refused_and_not_waited_for(how, tmp_path):
+    os.mkfifo(tmp_path / "pipe.xml")
+    path = tmp_path / "pipe.xml"
+    if how == "include":
+        path = tmp_path / "model.xml"
+        path.write_text(bar(more='<include file="pipe.xml"/>'))
+    with pytest.raises(ModelError, match="regular file"):
+        load_mechanism(path)
+
+
+def test_names_that_are_no_text_are_refused(tmp_path):
+    (tmp_path / "a.xml").write_bytes(bar().replace('"bar"', '"b\u00e4r"').encode("latin-1"))
+    with pytest.raises(ModelError, match="UTF-8"):
+        load_mechanism(tmp_path / "a.xml")
+
+
+@pytest.mark.parametrize("content", ["a = " + "[" * 5000, "a = " + "9" * 5000, "[a" + ".a" * 5000 + "]\nb=1"])
+def test_toml_that_breaks_its_reader_is_refused(content, tmp_path):
+    (tmp_path / "a.toml").write_text(content)
+    with pytest.raises(ProblemError):
+        load_problem(tmp_path / "a.toml")
+
+
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "mechanism.independent=3",
+        "mechanism.independent=true",
+        "mechanism.independent=1979-05-27",
+        "motion.duration_s=1e6",
+        "tracking.period_s=1e9",
+        "tracking.duration_s=1e9",
+        "tracking.kp=1e300",
+    ],
+)
+def test_a_value_out_of_its_range_is_refused_by_its_key(setting):
+    with pytest.raises(LinkplanError, match=setting.partition("=")[0]):
+        load_problem("knee-reach", [setting])
+
+
+def test_a_reference_of_a_million_periods_is_refused_with_the_figure():
+    with pytest.raises(ProblemError, match="periods"):
+        load_problem("knee-sine", ["motion.duration_s=90000"])
+
+
+@pytest.mark.parametrize("line", [["--from-hz", "1e-5"], ["--period-s", "1e9"], ["--from-hz", "1e-5", "--measure", "chirp"]])
+@pytest.mark.slow
+def test_bode_refuses_what_does_not_fit_into_memory(line, ask):
+    code, out, err = ask("bode", "optimus-knee", "--at-deg", "0", *line)
+    assert (code, out) == (2, "")
+    assert "at most" in err or "period" in err
+
+
+@pytest.mark.parametrize("angle", ["O=1,5", "O=1,O=2"])
+def test_a_comma_is_no_decimal_point(angle, ask):
+    code, _, err = ask("check", "optimus-knee", "--at-deg", angle)
+    assert code == 2
+    assert "--at-deg" in err
+
+
+def test_a_rod_without_mass_is_a_problem():
+    light = CRANK.replace('mass="0.2"', 'mass="1e-9"')
+    assert light != CRANK
+    whole = load_mechanism(light)
+    from linkplan.studies.check.inspection import inspect
+
+    assert any("mass" in said for said in inspect(whole, []).problems)
+    assert not any("mass" in said for said in inspect(load_mechanism("slider-crank"), []).problems)
+
+
+def test_a_name_of_dollars_is_drawn_as_it_stands(tmp_path):
+    with page(tmp_path / "a.png") as axes:
+        axes[0, 0].set_title("joint $x^$")
+    assert (tmp_path / "a.png").stat().st_size > 0
+
+
+def test_a_refusal_has_no_character_that_a_terminal_obeys():
+    assert one_line("a\x1b[2J\udce9\nb").isprintable()
+
+
+def test_an_unclosed_quote_in_cc_is_no_compiler(monkeypatch):
+    monkeypatch.setenv("CC", 'gcc "')
+    compiled.compiler.cache_clear()
+    try:
+        assert compiled.compiler() is None
+    finally:
+        compiled.compiler.cache_clear()
+
+
+def test_what_nobody_foresaw_is_one_line_and_a_file(ask, monkeypatch, tmp_path):
+    from linkplan.studies.cli import list_command
+
+    def fails(_arguments):
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr(list_command, "run_list", fails)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    import tempfile
+
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    code, out, err = ask("list")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "ZeroDivisionError" in err
+    assert "oh" in next(tmp_path.iterdir()).read_text(encoding="utf-8")
+    assert program.main(["--version"]) == 0
+
+
+# A saved plan is certified again.
+
+
+def edited(folder: Path, **changes) -> Path:
+    said = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
+    (folder / "plan.json").write_text(json.dumps(said | changes), encoding="utf-8")
+    return folder
+
+
+def scaled(folder: Path, name: str, factor: float) -> Path:
+    with np.load(folder / "trajectory.npz") as stored:
+        arrays = dict(stored)
+    arrays[name] = factor * arrays[name]
+    np.savez(folder / "trajectory.npz", **arrays)
+    return folder
+
+
+CHANGED = {
+    "status": lambda folder: edited(folder, status="failed"),
+    "objective": lambda folder: edited(folder, objective=300.0),
+    "effort": lambda folder: scaled(folder, "effort", 0.5),
+    "duration": lambda folder: scaled(folder, "breaks_s", 1.01),
+}
+
+
+@pytest.mark.parametrize("what", CHANGED)
+def test_a_plan_that_does_not_pass_is_refused_or_run_anyway_with_exit_one(what, tmp_path, ask):
+    folder = CHANGED[what](saved_plan("knee-reach", tmp_path))
+    with pytest.raises(CertificateError):
+        read_plan(folder)
+    assert read_plan(folder, anyway=True).status == "failed"
+    code, out, err = ask("track", str(folder))
+    assert (code, out) == (1, "")
+    assert "not used" in err.splitlines()[-1]
+    code, out, err = ask("track", str(folder), "--anyway")
+    assert code == 1
+    assert "run anyway" in err
+    assert out
+
+
+def test_a_plan_that_passes_is_read_and_its_objective_is_its_integral(tmp_path):
+    plan = read_plan(saved_plan("knee-reach", tmp_path))
+    assert plan.status == "optimal"
+    assert objective_value(plan.problem, plan.trajectory) == pytest.approx(optimal("knee-reach").objective, rel=1e-9)
+
+
+def test_an_array_that_declares_more_than_it_may_is_refused_before_it_is_read(tmp_path):
+    folder = saved_plan("knee-reach", tmp_path)
+    names = ("breaks_s", "position", "velocity", "effort", "start_pose", "periodic")
+    np.savez_compressed(folder / "trajectory.npz", **{name: np.zeros(9_000_000) for name in names})
+    assert (folder / "trajectory.npz").stat().st_size < 1_000_000
+    with pytest.raises(PlanFileError, match="bytes"):
+        read_plan(folder)
+
+
+@pytest.mark.slow
+def test_no_hostile_input_of_a_sample_gets_through(tmp_path):
+    found = fuzz(list(range(24)), 12, saved_plan("knee-reach", tmp_path))
+    assert len(found) == 24
+    assert not [outcome for outcome in found if outcome.wrong]
+    shutil.rmtree(tmp_path, ignore_errors=True)
+
+
+def test_a_model_with_a_word_of_a_million_letters_is_looked_through_at_once():
+    from linkplan.models.model_door import refuse_text
+
+    assert refuse_text("<mujoco>" + "a" * 1_000_000 + "</mujoco>", None) == []

@@ -1,0 +1,100 @@
+"""Tracking runs on disk and in figures: every joint, every actuator; soft loops are said."""
+
+import csv
+import re
+from functools import cache
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import ModelError
+from linkplan.models.library import built_in_text
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.planning import plan_motion
+from linkplan.studies.check.softness import soft_closures
+from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record, track
+from linkplan.studies.compare.comparison_text import comparison_text
+from linkplan.studies.compare.draw_tracking import comparison_figure
+from linkplan.studies.compare.time_series import run_columns, save_time_series
+
+SOFT = re.sub(r' solref="[^"]*" solimp="[^"]*"', "", built_in_text("optimus-knee"))
+
+
+@cache
+def compared(model: str, **mechanism: str) -> Comparison:
+    """Return one PD run on a motion of a model that is followed exactly."""
+    joints = {"five-bar": {"O1": -90.0, "O2": -90.0}}.get(model, {"O": 0.0})
+    tables = {
+        "mechanism": {"model": model, **mechanism},
+        "motion": {"kind": "track"},
+        "reference": {"amplitude_deg": dict.fromkeys(joints, 3.0), "bias_deg": joints, "frequency_hz": 2.0},
+        "tracking": {"kp": 50.0, "kd": 1.0, "period_s": 1e-3, "duration_s": 0.5},
+    }
+    plan = plan_motion(problem_from_tables("sine", tables))
+    run = track(plan, "pd")
+    return Comparison(plan=plan, nominal={"pd": run}, mismatch=None, mismatched={})
+
+
+def test_a_run_is_saved_with_units_in_its_heads_as_csv_and_npz(tmp_path):
+    comparison = compared("five-bar")
+    names = save_time_series(comparison, tmp_path)
+    assert sorted(names) == ["nominal-pd.csv", "nominal-pd.npz"] == sorted(path.name for path in tmp_path.iterdir())
+    run = comparison.nominal["pd"]
+    with (tmp_path / "nominal-pd.csv").open(newline="", encoding="utf-8") as file:
+        head, *rows = csv.reader(file)
+    assert head[:5] == ["time_s", "O1_ref_deg", "O1_deg", "O1_error_deg", "O1_deg_s"]
+    assert {"E1_deg", "P_deg", "act_O1_commanded_Nm", "act_O2_applied_Nm", "closure_gap_m"} <= set(head)
+    values = dict(zip(head, np.array(rows, dtype=float).T, strict=True))
+    assert np.diff(values["time_s"]).min() > 0
+    assert values["O2_error_deg"] == pytest.approx(np.degrees(run.error[:, 1]), abs=1e-9)
+    assert values["act_O2_applied_Nm"] == pytest.approx(run.applied[:, 1], rel=1e-11, abs=1e-12)
+    with np.load(tmp_path / "nominal-pd.npz", allow_pickle=False) as saved:
+        assert list(saved) == head
+        assert saved["P_deg"] == pytest.approx(values["P_deg"], rel=1e-11)
+
+
+def test_the_figure_has_every_joint_and_every_actuator():
+    comparison = compared("five-bar")
+    figure = comparison_figure(comparison)
+    shown = [axes.get_ylabel() for axes in figure.axes]
+    motions = ["O1 [deg]", "|error of O1| [deg]", "O2 [deg]", "|error of O2| [deg]", "E1 [deg]", "P [deg]"]
+    assert shown == [*motions, "act_O1 [N.m]", "act_O2 [N.m]"]
+    run, columns = comparison.nominal["pd"], run_columns(comparison.plan.problem.mechanism, comparison.nominal["pd"])
+    for axes, name in ((figure.axes[2], "O2_deg"), (figure.axes[5], "P_deg"), (figure.axes[7], "act_O2_applied_Nm")):
+        assert axes.lines[0].get_ydata() == pytest.approx(columns[name]), name
+    assert len(run.time_s) == 500
+
+
+def test_the_table_has_the_peak_of_every_actuator():
+    comparison = compared("five-bar")
+    text = comparison_text(comparison)
+    assert "peak act_O1 [N.m]  peak act_O2 [N.m]" in text
+    for peak in rollout_record(comparison.plan, comparison.nominal["pd"])["peak_effort"].values():
+        assert f"{peak:.4g}" in text
+
+
+def test_a_soft_loop_is_said_with_its_gap_and_what_it_does_to_the_joints():
+    comparison = compared(SOFT)
+    run = comparison.nominal["pd"]
+    assert run.gap_m.max() > 1e-4 * comparison.plan.problem.mechanism.extent_m
+    (note,) = comparison_notes(comparison)
+    assert note.startswith("pd, soft closures: MuJoCo's loops gape by up to ")
+    assert f"{1e3 * run.gap_m.max():.3g} mm" in note
+    assert re.search(r"[A-D] is off by up to [\d.e-]+ deg", note)
+    assert 'mechanism.solref = "stiff"' in note
+    assert note in comparison_text(comparison)
+    assert comparison_notes(compared("optimus-knee")) == []
+
+
+def test_one_key_makes_closures_as_stiff_as_check_recommends():
+    soft, stiff = load_mechanism(SOFT), load_mechanism(SOFT, solref="stiff")
+    (found,) = soft_closures(soft)
+    index = stiff.closures[0].index
+    assert stiff.model.eq_solref[index] == pytest.approx([float(x) for x in found.stiff_solref.split()])
+    assert stiff.source["solref"] == "stiff"
+    assert soft_closures(stiff) == ()
+    gaped, closed = (compared(SOFT, **key).nominal["pd"].gap_m.max() for key in ({}, {"solref": "stiff"}))
+    assert closed < 0.1 * gaped
+    with pytest.raises(ModelError, match=r'mechanism.solref is "stiff".*got \'soft\''):
+        load_mechanism(SOFT, solref="soft")
