@@ -21,7 +21,7 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "names", "reading", "catalogue", "payload", "model_door", "library", "digest", "tree",
+        "errors", "interrupts", "names", "reading", "catalogue", "payload", "model_door", "library", "digest", "tree",
         "closure", "reduction", "actuation", "audit", "stiffness", "mechanism", "poses",
     ),
     "planner": (

@@ -141,7 +141,13 @@ def test_without_pandas_a_frame_is_refused_in_a_sentence(plan, monkeypatch):
 
 def test_a_saved_plan_is_read_as_it_was(plan, tmp_path):
     folder = plan.save(tmp_path / "reach")
-    assert {path.name for path in folder.iterdir()} == {"plan.json", "trajectory.npz", "trajectory.csv", "plan.png"}
+    assert {path.name for path in folder.iterdir()} == {
+        ".linkplan.json",
+        "plan.json",
+        "trajectory.npz",
+        "trajectory.csv",
+        "plan.png",
+    }
     again = linkplan.read_plan(folder)
     assert again.status == "optimal"
     assert again.objective == plan.objective

@@ -12,7 +12,7 @@ import pytest
 from linkplan.models.errors import PlanFileError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.folders import plain, write_json, write_whole
+from linkplan.planner.files.folders import MANIFEST, plain, write_json, write_whole
 from linkplan.planner.files.motion_table import motion_table
 from linkplan.planner.files.plan_folder import FORMAT, read_plan, record, write_plan
 from tests.support.fourbar import KNEE_PROBLEMS
@@ -69,7 +69,7 @@ def test_overrides_outlive_the_folder(tmp_path):
 
 
 def test_a_folder_holds_the_plan_s_three_files(saved):
-    assert sorted(path.name for path in saved.iterdir()) == FILES
+    assert sorted(path.name for path in saved.iterdir()) == [MANIFEST, *FILES]
 
 
 def test_the_record_is_json_with_its_units_in_its_names(saved):

@@ -1,5 +1,6 @@
 """Results on disk are written whole or not at all, and never over what is somebody else's."""
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -7,9 +8,15 @@ from pathlib import Path
 import pytest
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.folders import RECORDS, check_target, write_json, write_whole
+from linkplan.planner.files.folders import MANIFEST, RECORDS, check_target, write_json, write_whole
 from linkplan.planner.files.plan_folder import read_plan, write_plan
 from tests.support.plans import optimal, planned
+
+# A key that a record of each kind has: by it a result of a version without manifests is known.
+KEYS = {
+    "plan.json": "problem", "track.json": "tracker", "compare.json": "plan", "bode.json": "points", "tune.json": "found",
+    "check.json": "problems", "demo.json": "versions", "batch.json": "cases",
+}  # fmt: skip
 
 
 def fails(folder: Path) -> None:
@@ -43,10 +50,11 @@ def test_a_disk_that_refuses_is_named_with_its_reason(tmp_path):
         write_whole(tmp_path / "plan", out_of_disk)
 
 
-def test_a_newer_result_replaces_an_older_one_whole(saved):
-    (saved / "figure.png").write_bytes(b"old")
+def test_a_newer_result_replaces_an_older_one_whole(tmp_path):
+    saved = tmp_path / "saved"
+    write_whole(saved, lambda new: [(new / name).write_text("old") for name in ("plan.json", "figure.png")])
     write_whole(saved, lambda new: write_plan(optimal("knee-reach"), new))
-    assert sorted(path.name for path in saved.iterdir()) == ["plan.json", "trajectory.csv", "trajectory.npz"]
+    assert sorted(path.name for path in saved.iterdir()) == [MANIFEST, "plan.json", "trajectory.csv", "trajectory.npz"]
     assert [path.name for path in saved.parent.iterdir()] == [saved.name]
 
 
@@ -70,7 +78,7 @@ def test_a_folder_of_other_things_is_not_overwritten(tmp_path):
 
 @pytest.mark.parametrize("name", RECORDS)
 def test_a_result_is_replaced_by_its_own_kind_only(name, tmp_path):
-    (tmp_path / name).write_text("{}")
+    (tmp_path / name).write_text(json.dumps({KEYS[name]: None}))
     check_target(tmp_path, name)
     other = next(record for record in RECORDS if record != name)
     with pytest.raises(PlanFileError, match=rf"another result \({name}\)"):

@@ -67,7 +67,7 @@ def test_a_case_without_a_plan_is_said_and_does_not_spoil_the_next(batch_file, t
         "case-3": "optimal",
     }
     assert said["case-3"]["history"][-1]["what"] == "solved again"
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["batch.json", "case-3", "slow"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".linkplan.json", "batch.json", "case-3", "slow"]
 
 
 @pytest.mark.slow

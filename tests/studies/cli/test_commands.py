@@ -142,7 +142,7 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
     assert code == 0
     assert set(tracked["trackers"]) == {"lqr"}
     assert {path.name for path in (tmp_path / "tracked").iterdir()} == {
-        *("track.json", "track.png", "nominal-lqr.csv", "nominal-lqr.npz")
+        *(".linkplan.json", "track.json", "track.png", "nominal-lqr.csv", "nominal-lqr.npz")
     }
     code, compared = ask_json("compare", folder, "-o", str(tmp_path / "compared"))
     assert code == 0
@@ -158,7 +158,7 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
         for name in ("pd", "pd+ff", "lqr")
         for end in ("csv", "npz")
     }
-    assert {path.name for path in (tmp_path / "compared").iterdir()} == {"compare.json", "compare.png", *series}
+    assert {path.name for path in (tmp_path / "compared").iterdir()} == {".linkplan.json", "compare.json", "compare.png", *series}
 
 
 @pytest.mark.slow
