@@ -120,7 +120,7 @@ def test_plan_gives_the_promised_keys_and_saves_a_whole_folder(ask_json, tmp_pat
     assert said["mesh"] == {"scheme": "radau-3", "intervals": 40}
     assert set(said["time_s"]) == {"build", "solve"}
     files = {path.name for path in (tmp_path / "reach").iterdir()}
-    assert files == {"plan.json", "trajectory.npz", "trajectory.csv", "plan.png"}
+    assert files == {".linkplan.json", "plan.json", "trajectory.npz", "trajectory.csv", "plan.png"}
     assert json.loads((tmp_path / "reach" / "plan.json").read_text())["status"] == "optimal"
 
 
