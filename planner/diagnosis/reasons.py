@@ -59,7 +59,7 @@ def one_limit(search: Search) -> Plan | None:
 
 def efforts_contradicted(search: Search) -> Plan | None:
     """Return the plan that says that the solver missed a motion which the phase plane knows."""
-    if not _over(search) or not enough_time(search):
+    if not _over(search) or not enough_time(search) or without(search.problem, "control") is not None:
         return None
     known = search.quickest.duration_s
     return _failed(search, f"by the phase plane a motion of {known:.5g} s keeps the effort limits, but it was not found")

@@ -20,8 +20,9 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
 # What may be taken away to see whether it is what forbids a motion, in this order, before the efforts' limits are looked at.
-RELAXABLE = ("speed", "power", "closure_force", "motor", "effort_rate", "singular_margin")
+RELAXABLE = ("speed", "power", "closure_force", "motor", "control", "effort_rate", "singular_margin")
 # Efforts that may jump have no rate to speak of: their rates are limited to so many times the limit in place of not at all.
+# So are servos' ctrl ranges.
 _ALL_BUT_FREE = 1e3
 # Halvings of the range of a limit's factor: its least is then known to four digits of what a motion without it comes to.
 _HALVINGS = 13
@@ -38,7 +39,19 @@ def scaled(problem: PlanningProblem, what: str, factor: float) -> PlanningProble
             id(m): replace(m, stall_effort=m.stall_effort * factor, no_load_speed=m.no_load_speed * factor) for m in lined
         }
         return replace(problem, motors=tuple(wider.get(id(m), m) for m in problem.motors))
+    if what == "control":
+        return _with_controls(problem, factor)
     return replace(problem, limits=replace(limits, **{what: getattr(limits, what) * factor}))
+
+
+def _with_controls(problem: PlanningProblem, factor: float) -> PlanningProblem:
+    """Return a problem in which the ctrl ranges of its servos are multiplied by a factor."""
+    mechanism = problem.mechanism
+    wider = tuple(
+        replace(a, control_lower=a.control_lower * factor, control_upper=a.control_upper * factor) if a.limits_control else a
+        for a in mechanism.actuators
+    )
+    return replace(problem, mechanism=replace(mechanism, actuators=wider))
 
 
 def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
@@ -49,6 +62,9 @@ def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
             return None
         bare = tuple(m and replace(m, stall_effort=None, no_load_speed=None) for m in problem.motors)
         return replace(problem, motors=bare)
+    if what == "control":
+        limited = any(actuator.limits_control for actuator in problem.mechanism.actuators)
+        return _with_controls(problem, _ALL_BUT_FREE) if limited else None
     value = getattr(limits, what)
     if what == "singular_margin":
         return replace(problem, limits=replace(limits, singular_margin=0.0)) if value else None

@@ -22,7 +22,7 @@ _RANGES: Mapping[str, tuple[float, float]] = {
     "tracking.duration_s": (1e-6, 1e5),
     "tracking.kp": (0.0, 1e12),
     "tracking.kd": (0.0, 1e12),
-    "solver.max_time_s": (1e-3, 1e7),
+    "solver.max_time_s": (1e-9, 1e7),
 }
 
 

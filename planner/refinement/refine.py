@@ -48,7 +48,7 @@ _TOUCHED = 1e-7
 _SAME = 1e-6
 # Of motions that pass, a coarser mesh's is kept where it is better than the last one by more than this share: what that mesh
 # errs by is less, so that a finer one has lost it.
-_LOST = 1e-5
+_LOST = 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

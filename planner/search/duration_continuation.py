@@ -16,6 +16,7 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refine import refine
+from linkplan.planner.refinement.switch_search import at_bounds
 from linkplan.planner.search.attempts import certified
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.durations import longest
@@ -126,7 +127,8 @@ def continued(
     def finer(at: Continued) -> Continued | None:
         if nears_singular(problem, at.start):
             return None  # it goes on there, where no mesh is fine enough
-        switches = (np.cumsum(at.shares) * at.start.duration_s)[:-1]
+        # A free duration is not held by how far switch times may move.
+        switches = (np.cumsum(at.shares) * at.start.duration_s)[:-1] if fixed else np.empty(0)
         mesh, durations = graded_mesh(at.start, switches, min(2 * at.mesh.n_intervals, _FINEST))
         return replace(at, mesh=mesh, shares=durations / durations.sum())
 
@@ -137,8 +139,8 @@ def continued(
         shares = durations / durations.sum()
     begin = Continued(start=quickest, mesh=mesh, shares=shares, scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
     whole = min(DURATION_FACTOR, longest(problem) / quickest.duration_s)
-    least = min(_LEAST, whole**_PART)
-    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, least=least, most=_STEPS)
+    smallest = min(_LEAST, whole**_PART)
+    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, least=smallest, most=_STEPS)
     path = followed(begin, steps, solve, enough=enough, after_loss=finer)
     if not path.arrived:
         return None
@@ -167,6 +169,8 @@ def _step(problem: PlanningProblem, at: Continued, allowed: float, history: list
         return None
     transcribed = better.solution.transcribed
     mesh = transcribed.program.mesh
+    if not fixed and mesh.n_segments > 1 and at_bounds(better.solution):
+        return None  # how far switch times may move held it
     durations = np.bincount(mesh.segment, weights=np.diff(better.motion.breaks_s))
     return Continued(
         start=motion_of(better.motion),

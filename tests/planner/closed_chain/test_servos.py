@@ -1,4 +1,4 @@
-"""Servos as bounded efforts: what their ctrl cannot give is said at once, and no finer mesh is tried for it."""
+"""Servos as bounded efforts: their ctrl ranges limit the motion, and are named where they forbid it."""
 
 import pytest
 
@@ -16,9 +16,16 @@ def test_a_servo_with_room_is_planned():
 
 
 @pytest.mark.slow
-def test_a_servo_that_would_need_more_ctrl_than_it_has_fails_on_the_first_mesh():
-    plan = body_plan(SERVO.format(reach=0.9), REACH)
-    assert plan.status == "failed"
-    assert "s would need a ctrl" in plan.message
-    assert len(plan.history) == 1
-    assert plan.history[0].intervals == 40
+def test_a_servo_that_would_need_more_ctrl_than_it_has_is_named_with_its_range():
+    plan = body_plan(SERVO.format(reach=0.5), REACH)
+    assert plan.status == "infeasible"
+    assert "the ctrl of s would have to come to" in plan.message
+    assert "beyond its limit of 0.5" in plan.message
+
+
+@pytest.mark.slow
+def test_a_servos_ctrl_stays_in_its_range_where_the_motion_needs_all_of_it():
+    plan = body_plan(SERVO.format(reach=0.9), REACH).require()
+    (ctrl,) = (margin for margin in plan.certificate.margins if margin.what == "control")
+    assert ctrl.kept
+    assert ctrl.value == pytest.approx(0.9, rel=1e-3)

@@ -104,7 +104,7 @@ MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
     ("mechanism.payload.inertia_kgm2=[1, 0, 0]", ["payload.inertia_kgm2", "no rigid body"]),
     # words with a line's end in them
     ('motion.kind="reach\\nx"', ["motion.kind"]),
-    ('mechanism.model="a\\nb"', ["unknown model"]),
+    ('mechanism.model="a\\nb"', ["a model's name", "cannot be shown"]),
     ("mechanism.model=" + "a" * 300, ["unknown model"]),
     # values that contradict each other
     ("objective.minimize=time", ["minimize 'time'", '"free"', "0.16"]),

@@ -24,6 +24,8 @@ from tests.support.plans import planned, problem_of
 
 # Two solvers on one program, each asked for 1e-10, relative. Measured 3e-14; 3e-11 where the objective has kinks.
 SAME_ANSWER = 1e-8
+# Where smoothing is taken out by continuation, two solvers end it at a hair's different meshes. Measured 6e-8.
+SAME_WITHOUT_SMOOTHING = 1e-6
 # An optimum against its closed form, relative: the solver's complementarity leaves 1e-9.
 CLOSED_FORM = 1e-8
 # A bound that binds, in the program's units: the solver's complementarity leaves 1e-10 over a multiplier of order one.
@@ -86,19 +88,19 @@ def transcribed(problem: PlanningProblem, intervals: int = 20, segments: int = 1
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "overrides"),
+    ("name", "overrides", "same"),
     [
-        ("knee-reach", ()),
-        ("knee-sprint", ()),
-        ("knee-sine-shank", ("motion.kind=periodic",)),
-        ("knee-reach", ("motion.kind=periodic", "motion.duration_s=0.4")),
+        ("knee-reach", (), SAME_ANSWER),
+        ("knee-sprint", (), SAME_ANSWER),
+        ("knee-sine-shank", ("motion.kind=periodic",), SAME_WITHOUT_SMOOTHING),
+        ("knee-reach", ("motion.kind=periodic", "motion.duration_s=0.4"), SAME_ANSWER),
     ],
     ids=("least effort", "least time, cuts at switches", "periodic without jumps", "periodic between poses"),
 )
-def test_a_mechanisms_plan_is_ipopts_and_certified(name, overrides):
+def test_a_mechanisms_plan_is_ipopts_and_certified(name, overrides, same):
     expected = planned(name, *overrides).require()
     plan = plan_motion(by(FATROP, expected.problem)).require()
-    assert plan.objective == pytest.approx(expected.objective, rel=SAME_ANSWER)
+    assert plan.objective == pytest.approx(expected.objective, rel=same)
     assert plan.certificate.passed
     assert plan.certificate.effort_excess == 0
 

@@ -130,8 +130,10 @@ def test_the_assembled_derivatives_agree_with_differences_along_a_random_directi
     step = 1e-5
 
     def difference(index: int) -> np.ndarray:
-        ahead, behind = (np.array(functions["nlp"](x + sign * step * direction, p)[index]).ravel() for sign in (1, -1))
-        return (ahead - behind) / (2 * step)
+        ahead, behind, far, back = (
+            np.array(functions["nlp"](x + steps * step * direction, p)[index]).ravel() for steps in (1, -1, 2, -2)
+        )
+        return (8 * (ahead - behind) - (far - back)) / (12 * step)
 
     rows = np.array(functions["jac_g"](x, p)[1] @ direction).ravel()
     slope = float(ca.dot(functions["grad_f"](x, p)[1], direction))
