@@ -73,13 +73,13 @@ def listening(*, to_the_end: bool = False) -> Iterator[None]:
     try:
         yield
     finally:
+        _State.listening = False  # from here on nothing is raised
         if timer:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             heard.append(signal.SIGALRM)
         for number in heard:
             handler = before[number]
             signal.signal(number, signal.SIG_IGN if to_the_end else signal.SIG_DFL if handler is None else handler)
-        _State.listening = False
 
 
 @contextlib.contextmanager
@@ -126,7 +126,7 @@ def _remember(number: int, frame: FrameType | None) -> None:
 
 def _again(number: int, frame: FrameType | None) -> None:
     del number
-    if _State.asked is None:
+    if _State.asked is None or not _State.listening:
         return
     may = not _State.shields and can_raise(frame)
     if hasattr(signal, "setitimer"):

@@ -13,7 +13,7 @@ import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NoReturn
+from typing import NoReturn, TextIO
 
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import asked, check, listening
@@ -46,6 +46,11 @@ class _Parser(argparse.ArgumentParser):
         """Print the refusal and leave with exit code 2."""
         put(sys.stderr, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
         raise SystemExit(BAD_INPUT)
+
+    def print_help(self, file: TextIO | None = None) -> NoReturn:
+        """Print the help and leave, with exit code 0 where it could be printed."""
+        stream = sys.stdout if file is None else file
+        raise SystemExit(_delivered("", put(stream, self.format_help()), DONE))
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -210,10 +215,17 @@ def main(argv: Sequence[str] | None = None) -> int:
             else:
                 target = getattr(arguments, "output", None)
                 before = _Before(command=arguments.command, target=target, folder=_folder_at(target))
+                if argv is None and before.command != "view":
+                    # Nothing is rendered; MuJoCo would look for a window library, in a process that signals reach too.
+                    os.environ.setdefault("MUJOCO_GL", "disable")
                 code = _run(arguments)
             check()
     except KeyboardInterrupt:
         code = _interrupted(before)
+        if argv is None:
+            let_go()
+            # Python ends itself by SIGINT where an interrupt went through its exec, as of a dataclass that is being made.
+            os._exit(code)
     if argv is None:
         let_go()
     return code
@@ -225,8 +237,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
     try:
         arguments = parser.parse_args(argv)
     except SystemExit as leave:
-        code = int(leave.code or 0)
-        return code if code else _delivered("", put(sys.stdout, ""), DONE)  # --help
+        return int(leave.code or 0)
     if arguments.version:
         from importlib.metadata import version
 
