@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import NoReturn, TextIO
 
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
-from linkplan.models.interrupts import asked, check, listening
+from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO, NOBODY_READS
 from linkplan.studies.cli.printing import keep_closed_streams_closed, let_go, put, refuse
 
@@ -287,7 +287,7 @@ def _interrupted(before: _Before) -> int:
     if folder is not None and folder != before.folder:
         what = f"the result is in '{before.target}', whole"
     refuse(before.command, f"interrupted; {what}")
-    return BY_SIGNAL + (asked() or signal.SIGINT)
+    return BY_SIGNAL + (ended_by() or signal.SIGINT)
 
 
 def _folder_at(target: str | None) -> tuple[int, int] | None:
