@@ -3,7 +3,7 @@
 An entry is a library and a record: one line with the hash of the rest, which is JSON and has the library's own hash and
 size. Both are checked before the library is loaded: what was cut short, altered or put there by somebody else counts as not
 there, and is compiled again. Files are moved into place whole, so that processes in parallel at worst compile the same thing
-twice; work folders are locked while they are used, and those that a kill left behind are removed by the next compilation.
+twice; work folders are locked while they are used, and those that a kill left behind are removed by the next run.
 """
 
 import contextlib
@@ -137,12 +137,11 @@ def _read(path: Path, most: int) -> bytes:
 
 @contextlib.contextmanager
 def work_folder(folder: Path) -> Iterator[Path]:
-    """Give a folder to compile in, gone at the end; those that killed processes left in the cache go now.
+    """Give a folder to compile in, gone at the end.
 
     Raises:
         OSError: when it cannot be made.
     """
-    _sweep(folder)
     work = Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
     lock = None
     try:
@@ -154,11 +153,11 @@ def work_folder(folder: Path) -> Iterator[Path]:
             os.close(lock)
 
 
-def _sweep(folder: Path) -> None:
+def sweep(folder: Path) -> None:
     """Remove the work folders whose owners are gone."""
     if fcntl is None:
         return
-    for left in folder.glob(f"{_WORK}*"):
+    for left in [folder / entry.name for entry in os.scandir(folder) if entry.name.startswith(_WORK)]:
         with contextlib.suppress(OSError):
             lock = _locked(left)
             try:

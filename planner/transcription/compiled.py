@@ -26,7 +26,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import one_line
-from linkplan.planner.transcription.cache import find, keep, trusted_folder, work_folder
+from linkplan.planner.transcription.cache import find, keep, sweep, trusted_folder, work_folder
 from linkplan.planner.transcription.interval import NAMES, OPEN_END_NAMES, IntervalFunctions, IntervalRows
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import System
@@ -82,7 +82,9 @@ def key_of(system: System, chosen: Scheme, rows: IntervalRows) -> str:
 def cached(key: str) -> IntervalFunctions | None:
     """Return the compiled functions kept under a key, or None where there are none that can be loaded."""
     try:
-        entry = find(trusted_folder(make=False), key)
+        folder = trusted_folder(make=False)
+        sweep(folder)
+        entry = find(folder, key)
         if entry is None:
             return None
         library, said = entry

@@ -30,7 +30,7 @@ def shell(line: str, folder: Path) -> tuple[int, str, str]:
 @pytest.mark.parametrize(
     ("line", "code"),
     [
-        ("L plan knee-reach -o P 2>&1 | (read line)", 0),
+        ("L plan knee-reach -o P 2>&1 | (exec <&-)", 0),
         ("L plan knee-reach -o P > /dev/full", 0),
         ("L plan knee-reach -o P 2> /dev/full", 0),
         ("L plan knee-reach -o P >&-", 0),
