@@ -37,6 +37,8 @@ LIMIT_S = 300.0
 _EVENTS = {"open", "os.mkdir", "os.rename", "os.link", "os.remove", "os.rmdir", "os.chmod", "os.scandir", "os.listdir"}
 _NEEDS_ROOM = {"open", "os.mkdir", "os.link"}
 _LARGEST_FILE = 120_000
+# Before this the interpreter is starting, and signals end it as they do any program [ms].
+_STARTED_MS = 400
 BATCH = """problem = "knee-reach"
 [[case]]
 name = "near"
@@ -255,10 +257,8 @@ def prepared(root: Path, name: str, earlier: Path | None) -> dict[str, bytes]:
 
 def late(root: Path, words: tuple[str, ...], way: str, moment: int) -> tuple[int | None, str]:
     """Return exit code and stderr of a command in a process of its own that is sent a signal after some milliseconds."""
-    code = f"import sys; from tests.bench.kills import run; sys.exit(run({words!r}))"
-    paths = os.pathsep.join([str(Path(__file__).resolve().parents[2]), os.environ.get("PYTHONPATH", "")])
-    given = os.environ | {"LINKPLAN_CACHE": str(root / "cache"), "PYTHONPATH": paths}
-    with subprocess.Popen([sys.executable, "-c", code], cwd=root, env=given, stdout=-3, stderr=-1, text=True) as process:
+    given, argv = os.environ | {"LINKPLAN_CACHE": str(root / "cache")}, [sys.executable, "-m", "linkplan", *words]
+    with subprocess.Popen(argv, cwd=root, env=given, stdout=-3, stderr=-1, text=True) as process:
         try:
             process.wait(moment / 1000)
         except subprocess.TimeoutExpired:
@@ -290,7 +290,7 @@ def ended(name: str, ways: tuple[str, ...], count: int, seed: int, *, by_time: b
             way, root = ways[number % len(ways)], base / "run"
             before = prepared(root, name, earlier if rng.random() < 0.8 else None)
             if by_time:
-                moment = rng.randint(200, longest_ms)
+                moment = rng.randint(_STARTED_MS, longest_ms)
                 code, said = late(root, command.words, way, moment)
             else:
                 # With an earlier result there is more to do than without.
