@@ -18,6 +18,7 @@ from mujoco.batch import Batch
 from linkplan.controllers.rollout import admit
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import ModelError
+from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
 
@@ -125,6 +126,7 @@ class BatchControlLoop:
         everyone = None if len(ids) == self.n else ids
         p, d, late = timing.memory, timing.whole, timing.late
         for t in range(len(drive)):
+            check()
             x = states[t]
             x[:, :n_s], x[:, n_s:] = qpos[at_joints], qvel[at_joints]
             command = np.subtract(drive[t], np.matmul(gains[t], x[:, :, None])[:, :, 0], out=commands[t])

@@ -18,6 +18,7 @@ from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.tracker import Tracker
 from linkplan.models.actuation.actuators import Actuator, constant_arms
 from linkplan.models.errors import LinkplanError
+from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.payload import BODY_NAME
 
@@ -125,6 +126,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
     mujoco.set_mju_user_warning(_ignore)  # a blow-up is this function's answer, not a line in a log file
     try:
         for k in range(n):
+            check()
             poses[k] = mechanism.q_of(data.qpos)
             velocities[k] = mechanism.rates_of(poses[k], data.qvel)[independent]
             commanded[k] = tracker.effort(k, poses[k][independent], velocities[k])
@@ -189,6 +191,7 @@ def run_as_it_stands(
     for index, value in idle_ctrl.items():
         data.ctrl[index] = value
     for k in range(n):
+        check()
         poses[k], velocities[k] = mechanism.q_of(data.qpos), data.qvel[joint]
         commanded[k] = law(data.time, float(poses[k, joint]), float(data.qvel[joint]))
         data.ctrl[actuator.channel] = commanded[k, 0] / actuator.gain

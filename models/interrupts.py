@@ -24,6 +24,7 @@ class _State:
     """What has been asked of this process; there is one, as there is one set of signal handlers."""
 
     asked: int | None = None  # the signal's number
+    last: int | None = None  # of the last listening
     times = 0
     listening = False
     shields = 0
@@ -32,6 +33,11 @@ class _State:
 def asked() -> int | None:
     """Return the number of the signal that asks this process to end, or None; None in threads, which hear no signals."""
     return _State.asked if threading.current_thread() is threading.main_thread() else None
+
+
+def ended_by() -> int | None:
+    """Return the number of the signal that came while it was last listened to, or None."""
+    return _State.last
 
 
 def check() -> None:
@@ -61,7 +67,7 @@ def listening(*, to_the_end: bool = False) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread() or _State.listening:
         yield
         return
-    _State.asked, _State.times, _State.listening = None, 0, True
+    _State.asked, _State.last, _State.times, _State.listening = None, None, 0, True
     before = {number: signal.getsignal(number) for number in _SIGNALS}
     # What was ignored stays ignored: nohup, and jobs in the background of a shell without job control.
     heard = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
@@ -73,13 +79,14 @@ def listening(*, to_the_end: bool = False) -> Iterator[None]:
     try:
         yield
     finally:
+        _State.listening = False  # from here on nothing is raised
+        _State.last, _State.asked = _State.asked, None
         if timer:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
             heard.append(signal.SIGALRM)
         for number in heard:
             handler = before[number]
             signal.signal(number, signal.SIG_IGN if to_the_end else signal.SIG_DFL if handler is None else handler)
-        _State.listening = False
 
 
 @contextlib.contextmanager
@@ -126,7 +133,7 @@ def _remember(number: int, frame: FrameType | None) -> None:
 
 def _again(number: int, frame: FrameType | None) -> None:
     del number
-    if _State.asked is None:
+    if _State.asked is None or not _State.listening:
         return
     may = not _State.shields and can_raise(frame)
     if hasattr(signal, "setitimer"):

@@ -4,6 +4,7 @@ import copy
 from collections.abc import Iterator
 
 from linkplan.models.errors import ProblemError
+from linkplan.models.interrupts import check
 from linkplan.planner.files.batch_file import Batch, Case
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override, read_tables
@@ -22,7 +23,7 @@ def plan_batch(batch: Batch, say: Say = silent) -> Iterator[tuple[Case, Plan]]:
     """
     # Ten thousand problems take gigabytes: each is made to be checked, forgotten, and made again when its turn comes.
     for _ in _problems(batch):
-        pass
+        check()
     planner = Planner()
     for number, (case, problem) in enumerate(_problems(batch)):
         say(f"{number + 1} of {len(batch.cases)}: {case.name}")

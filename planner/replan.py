@@ -10,9 +10,9 @@ where the warm solve does not lead to a plan that is optimal, judged as any othe
 planned from the beginning.
 """
 
+import threading
 from dataclasses import replace
 
-import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
@@ -25,6 +25,7 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.free_duration import bounded_by_guess
 from linkplan.planner.refinement.history import Say, Step, silent
 from linkplan.planner.search.presolve import plain_contradiction, start_pose_of
+from linkplan.planner.solvers.outcome import Solver
 from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program
@@ -34,13 +35,17 @@ _ROOM = 1e-6
 
 
 class Planner:
-    """A planner that keeps its last program; `plan` answers as `plan_motion` does, sooner where it can."""
+    """A planner that keeps its last program; `plan` answers as `plan_motion` does, sooner where it can.
+
+    Threads that share one wait for each other: its solver works on one thing at a time. Each with its own do not.
+    """
 
     def __init__(self, say: Say = silent) -> None:
         self._say = say
+        self._alone = threading.RLock()
         self._key: tuple | None = None
         self._last: Transcribed | None = None
-        self._solver: ca.Function | None = None
+        self._solver: Solver | None = None
         self._program: Program | None = None
 
     def plan(self, problem: PlanningProblem) -> Plan:
@@ -49,24 +54,26 @@ class Planner:
         Raises:
             ProblemError: when start, goal or reference contradict the mechanism itself.
         """
-        again = self.solve_again(problem)
-        if again is not None:
-            plan = self._certified(problem, again)
-            if plan is not None:
-                return plan
-        plan = plan_motion(problem, self._say)
-        if plan.status == "optimal" and plan.solved is not None:
-            self._keep(problem, plan.solved)
-        return plan
+        with self._alone:
+            again = self.solve_again(problem)
+            if again is not None:
+                plan = self._certified(problem, again)
+                if plan is not None:
+                    return plan
+            plan = plan_motion(problem, self._say)
+            if plan.status == "optimal" and plan.solved is not None:
+                self._keep(problem, plan.solved)
+            return plan
 
     def solve_again(self, problem: PlanningProblem) -> Solution | None:
         """Return a warm solve of the kept program with a problem's numbers; None where it does not serve or converge.
 
         The motion is not certified: `plan` does that.
         """
-        if self._last is None or self._solver is None or structure(problem) != self._key:
-            return None
-        solution = run_solver(self._solver, renumbered(self._last, problem, self._last.start))
+        with self._alone:
+            if self._last is None or self._solver is None or structure(problem) != self._key:
+                return None
+            solution = run_solver(self._solver, renumbered(self._last, problem, self._last.start))
         return solution if solution.converged and not _held_back(problem, solution) else None
 
     def _certified(self, problem: PlanningProblem, solution: Solution) -> Plan | None:

@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from linkplan.models.interrupts import check
+
 # The integration's own error: two digits below the 1e-10 that certificates speak of.
 _RTOL, _ATOL = 1e-12, 1e-13
 # The most evaluations of the dynamics on one interval, sixteen hundred steps; where a motion is one, some ten do. At a fold
@@ -64,6 +66,7 @@ def _counted(rate: Rate, until: float) -> Rate:
     calls = itertools.count()
 
     def counted(t: float, y: np.ndarray) -> np.ndarray:
+        check()
         if next(calls) > _EVALUATIONS or time.monotonic() > until:
             raise _CrawlsError
         return rate(t, y)

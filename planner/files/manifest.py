@@ -97,6 +97,19 @@ def read_manifest(folder: Path) -> Manifest | None:
     return Manifest(record=record, files=frozenset(files), identity=identity)
 
 
+def with_inner(folder: Path, files: frozenset[str]) -> frozenset[str]:
+    """Return a result's files and those of results that were since written into folders of it, a batch's case say."""
+    found = set(files)
+    for below in {str(parent) for name in files for parent in PurePosixPath(name).parents} - {"."}:
+        try:
+            inner = read_manifest(folder / below)
+        except PlanFileError:  # the user's, then
+            inner = None
+        if inner is not None:
+            found |= {f"{below}/{name}" for name in (*inner.files, MANIFEST)}
+    return frozenset(found)
+
+
 def _stays_inside(name: str) -> bool:
     path = PurePosixPath(name)
     return bool(name) and "\0" not in name and not path.is_absolute() and ".." not in path.parts and str(path) == name
@@ -112,7 +125,7 @@ def replaceable(folder: Path, record: str) -> frozenset[str]:
     if manifest is not None:
         if manifest.record != record:
             raise PlanFileError(f"'{folder}' holds another result ({manifest.record}); name a new or an empty folder")
-        return manifest.files
+        return with_inner(folder, manifest.files)
     if not any(folder.iterdir()):
         return frozenset()
     if not (folder / record).is_file():

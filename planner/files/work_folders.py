@@ -29,7 +29,7 @@ from pathlib import Path, PurePosixPath
 
 from linkplan.models.errors import PlanFileError
 from linkplan.models.interrupts import shielded
-from linkplan.planner.files.manifest import MANIFEST, RECORDS, earlier_files, files_in, read_manifest
+from linkplan.planner.files.manifest import MANIFEST, RECORDS, earlier_files, files_in, read_manifest, with_inner
 
 try:
     import fcntl
@@ -230,7 +230,7 @@ def hand_over(earlier: Path, place: Path) -> None:
     """Move the user's files from an earlier result to the one in its place, and delete the earlier one's own files."""
     try:
         manifest = read_manifest(earlier)
-        ours = frozenset() if manifest is None else manifest.files
+        ours = frozenset() if manifest is None else with_inner(earlier, manifest.files)
     except PlanFileError:
         manifest, ours = None, frozenset()
     if manifest is None:
@@ -245,7 +245,7 @@ def hand_over(earlier: Path, place: Path) -> None:
             target = _free(target)
         target.parent.mkdir(parents=True, exist_ok=True)
         source.rename(target)
-    for name in ours:
+    for name in sorted(ours, key=lambda name: name.endswith(MANIFEST)):  # manifests last: they say what is ours
         (earlier / name).unlink(missing_ok=True)
     if manifest is not None:
         (earlier / MANIFEST).unlink(missing_ok=True)

@@ -6,6 +6,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from linkplan.models.interrupts import check
 from linkplan.planner.refinement.case import Aims, Case, CertificateT, Findings, Found, MotionT, attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, standing_off
 from linkplan.planner.refinement.history import Say, Step
@@ -109,6 +110,7 @@ def refine(
     best, moved = None, 0.0  # the best of all that passed, and by what share the last two differ
     settled, again, polished = True, 0, 0
     for turn in range(_ROUNDS):
+        check()
         if at.findings is not None and not at.passed and not at.findings.mendable:
             break
         motion, solution, fixed = at.found.motion, at.found.solution, at.found.fixed

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from linkplan.models.interrupts import check
 from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -158,6 +159,7 @@ PATIENT, HURRIED = Budget(), Budget(iterations=200)
 def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
     """Return the best plan that the rungs lead to, tried in their order; None where none found a motion."""
     for rung in rungs:
+        check()
         if search.verdicts or search.stopped:
             break
         if rung.tried(search):

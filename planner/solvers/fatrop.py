@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from linkplan.models.errors import ProblemError
+from linkplan.models.interrupts import asked
 from linkplan.planner.solvers.outcome import INVALID, OUT_OF_ITERATIONS, OUT_OF_TIME, SUCCEEDED, TOLERANCE
 from linkplan.planner.solvers.stages import Stages, stages_of
 from linkplan.planner.transcription.layout import Layout
@@ -111,10 +112,6 @@ class FatropSolver:
             status = SUCCEEDED if kept else "Rows_Not_Kept"
         return self._answer(x, f, status, said)
 
-    def watch(self, interrupted: list[int]) -> None:
-        """Stop the next solve when there is something in a list."""
-        self._clock.interrupted = interrupted
-
     def _checked(self, x, p, lower, upper) -> tuple[np.ndarray, float, np.ndarray]:
         """Return unknowns within their bounds, their objective and their rows."""
         x = np.clip(x, lower, upper)
@@ -131,12 +128,15 @@ class FatropSolver:
 
 
 class _Clock(ca.Callback):
-    """Zero while there is time. Afterwards nothing is evaluated any more: FATROP has no limit on time of its own."""
+    """Zero while there is time and no signal asks for an end. Afterwards nothing is evaluated any more.
+
+    FATROP has no limit on time of its own.
+    """
 
     def __init__(self, max_time_s: float) -> None:
         ca.Callback.__init__(self)
         self._max_time_s, self._end = max_time_s, np.inf
-        self.stopped, self.interrupted = False, []
+        self.stopped = False
         self.construct("clock", {})
 
     def start(self) -> None:
@@ -146,7 +146,7 @@ class _Clock(ca.Callback):
     def eval(self, arg: list) -> list:
         """Return what is added to every unknown."""
         del arg
-        if self.stopped or self.interrupted or time.monotonic() > self._end:
+        if self.stopped or asked() is not None or time.monotonic() > self._end:
             self.stopped = True
             raise KeyboardInterrupt  # CasADi gives this evaluation up, and the solver stops soon after
         return [0.0]

@@ -2,10 +2,8 @@
 
 import contextlib
 import io
-import signal
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import ProblemError, one_line
+from linkplan.models.interrupts import asked, solving
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.solvers.fatrop import FatropSolver
 from linkplan.planner.solvers.outcome import ACCEPTABLE, INVALID, MAX_ITERATIONS, OUT_OF_TIME, TOLERANCE, Solver
@@ -114,7 +113,7 @@ def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool, 
     if program.mesh.n_intervals >= _LARGE:
         options["ipopt.mumps_permuting_scaling"] = 0
     if not warm:
-        return ca.nlpsol("solver", "ipopt", functions["nlp"], options)
+        return _Ipopt(functions["nlp"], options)
     barrier = _AT_BARRIER if close else _NEAR_BARRIER
     near = options | {"ipopt.mu_init": barrier}
     near |= {f"ipopt.{push}": 0.01 * barrier for push in ("bound_push", "bound_frac")}
@@ -124,13 +123,55 @@ def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool, 
     return _WarmIpopt(functions["nlp"], near, again)
 
 
+class _Watch(ca.Callback):
+    """What IPOPT asks after every iteration: one where a signal asks this process to end, and the solve with it."""
+
+    def __init__(self) -> None:
+        ca.Callback.__init__(self)
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        """Return how many things CasADi has to tell of an iteration."""
+        return ca.nlpsol_n_out()
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        """Return that nothing of them is wanted."""
+        del i
+        return ca.Sparsity(0, 0)
+
+    def get_n_out(self) -> int:
+        """Return how many answers there are."""
+        return 1
+
+    def eval(self, arg: list) -> list:
+        """Return whether to stop."""
+        del arg
+        return [float(asked() is not None)]
+
+
+class _Ipopt:
+    """IPOPT with the callback that stops it, which CasADi itself does not keep alive."""
+
+    def __init__(self, nlp: ca.Function, options: dict[str, Any]) -> None:
+        self._watch = _Watch()
+        self._solver = ca.nlpsol("solver", "ipopt", nlp, options | {"iteration_callback": self._watch})
+
+    def __call__(self, **numbers: Any) -> Any:
+        """Return the answer, "x", "f" and multipliers."""
+        return self._solver(**numbers)
+
+    def stats(self) -> dict[str, Any]:
+        """Return what there is to say of the last answer."""
+        return self._solver.stats()
+
+
 class _WarmIpopt:
     """IPOPT that begins next to the point that it is given, and from its second answer on from the last multipliers."""
 
     def __init__(self, nlp: ca.Function, near: dict[str, Any], again: dict[str, Any]) -> None:
-        self._solver = self._near = ca.nlpsol("solver", "ipopt", nlp, near)
-        self._build = lambda: ca.nlpsol("solver", "ipopt", nlp, again)
-        self._again: ca.Function | None = None
+        self._solver = self._near = _Ipopt(nlp, near)
+        self._build = lambda: _Ipopt(nlp, again)
+        self._again: _Ipopt | None = None
         self._multipliers: dict[str, ca.DM] = {}
 
     def __call__(self, **numbers: Any) -> Any:
@@ -158,14 +199,13 @@ def solve(
 
 
 def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0) -> Solution:
-    """Return a built solver's answer to a program's numbers, from its starting point."""
+    """Return a built solver's answer to a program's numbers, from its starting point.
+
+    Raises:
+        KeyboardInterrupt: when a signal stopped the solver.
+    """
     begin = time.perf_counter()
-    with (
-        _interruptible() as interrupted,
-        contextlib.redirect_stderr(io.StringIO()),
-    ):  # what CasADi says there, the status says too
-        if isinstance(solver, FatropSolver):
-            solver.watch(interrupted)
+    with solving(), _unheard():
         try:
             result = solver(
                 x0=transcribed.start,
@@ -202,23 +242,8 @@ def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0
     )
 
 
-@contextlib.contextmanager
-def _interruptible() -> Iterator[list[int]]:
-    """Raise KeyboardInterrupt at the end of a solve that Ctrl-C cut short: CasADi only stops the solver for it."""
-    interrupted: list[int] = []
+def _unheard() -> contextlib.AbstractContextManager:
+    """Keep from the terminal what CasADi says there, which the status says too; threads would take it from each other."""
     if threading.current_thread() is not threading.main_thread():
-        yield interrupted
-        return
-
-    def remember(number: int, frame: object) -> None:
-        del frame
-        interrupted.append(number)
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, remember)
-    try:
-        yield interrupted
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if interrupted:
-        raise KeyboardInterrupt
+        return contextlib.nullcontext()
+    return contextlib.redirect_stderr(io.StringIO())

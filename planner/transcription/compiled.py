@@ -3,29 +3,30 @@
 CasADi's interpreter takes about ten times as long on these functions as compiled code. The functions are small (one node,
 one interval) and serve a mesh of any size, so that one compilation of a second or so serves every later solve of the same
 mechanism, transcription and objective. A cached result is found before an interval's derivatives are built: the key hashes
-the node's own expressions, the choices, the sources that write an interval from a node, CasADi and the compiler. Files are
-moved into place whole, so that processes in parallel at worst compile the same thing twice. Where there is no compiler, the
-interpreter serves.
+the node's own expressions, the choices, the sources that write an interval from a node, CasADi and the compiler. Where the
+cache (`cache.py`) cannot be used, or there is no compiler, the interpreter serves.
 """
 
 import contextlib
 import functools
 import hashlib
-import json
 import os
 import shlex
 import shutil
+import signal
 import subprocess
 import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import IO
 
 import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import one_line
+from linkplan.planner.transcription.cache import find, keep, sweep, trusted_folder, work_folder
 from linkplan.planner.transcription.interval import NAMES, OPEN_END_NAMES, IntervalFunctions, IntervalRows
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import System
@@ -34,18 +35,10 @@ _FLAGS = ("-O2", "-fPIC", "-shared")
 # Sources beyond this many bytes (a leg of thirteen joints makes seven million) take -O2 minutes, and -O0 seconds: their
 # code is then three times as fast as the interpreter's in place of ten.
 _LARGE_BYTES, _LARGE_FLAGS = 2_000_000, ("-O0", "-fPIC", "-shared")
-# A compiler that hangs must not hang the planner; these functions take seconds.
-_TIMEOUT_S = 120
+# A compiler that hangs must not hang the planner; these functions take seconds, its version less than one.
+_TIMEOUT_S, _VERSION_S = 120.0, 10.0
 # The sources that write an interval's functions from those of a node: this room's.
 _SOURCES = sorted(Path(__file__).parent.glob("*.py"))
-
-
-def cache_folder() -> Path:
-    """Return the folder of compiled functions: $LINKPLAN_CACHE, or linkplan in the user's cache folder."""
-    own = os.environ.get("LINKPLAN_CACHE")
-    if own:
-        return Path(own)
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "linkplan"
 
 
 @functools.cache
@@ -71,7 +64,7 @@ def _common_key() -> bytes:
     version = b""
     if command:
         with contextlib.suppress(OSError, subprocess.SubprocessError):
-            version = subprocess.run([*command, "--version"], capture_output=True, timeout=10, check=False).stdout
+            version = _said([*command, "--version"])
     digest.update(repr((ca.__version__, command, _FLAGS, os.uname().machine if hasattr(os, "uname") else "")).encode())
     digest.update(version)
     return digest.digest()
@@ -88,11 +81,15 @@ def key_of(system: System, chosen: Scheme, rows: IntervalRows) -> str:
 
 def cached(key: str) -> IntervalFunctions | None:
     """Return the compiled functions kept under a key, or None where there are none that can be loaded."""
-    folder = cache_folder()
     try:
-        said = json.loads((folder / f"{key}.json").read_text(encoding="utf-8"))
+        folder = trusted_folder(make=False)
+        sweep(folder)
+        entry = find(folder, key)
+        if entry is None:
+            return None
+        library, said = entry
         names = (*NAMES, *OPEN_END_NAMES) if said["n_open_ends"] else NAMES
-        functions = dict.fromkeys(OPEN_END_NAMES) | {name: ca.external(name, str(folder / f"{key}.so")) for name in names}
+        functions = dict.fromkeys(OPEN_END_NAMES) | {name: ca.external(name, str(library)) for name in names}
         patterns = {name: tuple(np.array(part, dtype=int) for part in said.pop(name)) for name in _PATTERNS}
         return IntervalFunctions(
             **functions,
@@ -120,14 +117,12 @@ def compiled(key: str, build: Callable[[], IntervalFunctions]) -> IntervalFuncti
     functions = build()
     if compiler() is None:
         return functions
-    folder = cache_folder()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder) as work:
-            _compile(functions, Path(work), key)
-            os.replace(Path(work) / f"{key}.so", folder / f"{key}.so")
-            os.replace(Path(work) / f"{key}.json", folder / f"{key}.json")
-        return replace(functions, **{name: ca.external(name, str(folder / f"{key}.so")) for name in _names(functions)})
+        folder = trusted_folder(make=True)
+        with work_folder(folder) as work:
+            said = _compile(functions, work, key)
+            library = keep(work / f"{key}.so", said, folder, key)
+        return replace(functions, **{name: ca.external(name, str(library)) for name in _names(functions)})
     except (OSError, subprocess.SubprocessError, RuntimeError) as error:
         # A full disk or a broken compiler costs speed and nothing else, but it is said.
         warnings.warn(f"functions are interpreted, compiling them failed: {one_line(error)}", RuntimeWarning, stacklevel=2)
@@ -138,17 +133,18 @@ def _names(functions: IntervalFunctions) -> tuple[str, ...]:
     return (*NAMES, *OPEN_END_NAMES) if functions.n_open_ends else NAMES
 
 
-def _compile(functions: IntervalFunctions, work: Path, key: str) -> None:
+def _compile(functions: IntervalFunctions, work: Path, key: str) -> dict:
+    """Write functions' library into a folder and return what else there is to know of them."""
     generator = ca.CodeGenerator(f"{key}.c")
     for name in _names(functions):
         generator.add(getattr(functions, name))
     generator.generate(f"{work}{os.sep}")
     flags = _FLAGS if (work / f"{key}.c").stat().st_size <= _LARGE_BYTES else _LARGE_FLAGS
     command = [*(compiler() or ()), *flags, f"{key}.c", "-o", f"{key}.so", "-lm"]
-    subprocess.run(command, cwd=work, capture_output=True, timeout=_TIMEOUT_S, check=True)
+    _run(command, work)
     said = {name: [part.tolist() for part in getattr(functions, name)] for name in _PATTERNS}
     said |= {name: getattr(functions, name) for name in ("n_own", "n_equations", "n_path", "n_nodes", "n_open_ends")}
-    said |= {
+    return said | {
         "weights": functions.weights.tolist(),
         "own_kinds": list(functions.own_kinds),
         "own_items": list(functions.own_items),
@@ -156,4 +152,35 @@ def _compile(functions: IntervalFunctions, work: Path, key: str) -> None:
         "open_end_rows": list(functions.open_end_rows),
         "open_end_z": list(functions.open_end_z),
     }
-    (work / f"{key}.json").write_text(json.dumps(said), encoding="utf-8")
+
+
+def _said(command: list[str]) -> bytes:
+    """Return what a command prints."""
+    with tempfile.TemporaryFile() as said:
+        _run(command, None, _VERSION_S, said)
+        said.seek(0)
+        return said.read()
+
+
+def _run(command: list[str], work: Path | None, timeout_s: float = _TIMEOUT_S, said: IO[bytes] | None = None) -> None:
+    """Run a compiler in a folder; where it hangs or is interrupted, its children end with it.
+
+    Raises:
+        OSError: where it cannot be started.
+        subprocess.SubprocessError: where it fails, or takes too long.
+    """
+    nothing = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, cwd=work, stdin=nothing, stdout=said or nothing, stderr=nothing, start_new_session=True
+    ) as process:
+        try:
+            code = process.wait(timeout_s)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                if hasattr(os, "killpg"):
+                    os.killpg(process.pid, signal.SIGKILL)
+                else:
+                    process.kill()
+            raise
+    if code:
+        raise subprocess.CalledProcessError(code, command)

@@ -11,7 +11,6 @@ def run_demo(arguments: argparse.Namespace) -> int:
     """Run the whole path on the knee."""
     from linkplan.studies.demo.demo import demo
 
-    arguments.output = "linkplan-demo" if arguments.output is None else arguments.output
     target = output_folder(arguments)
     said, text = demo(target, progress(arguments))
     show(arguments, said, text)

@@ -1,18 +1,24 @@
 """The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | demo`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
-problems found), said in a sentence; 2 bad input or a disk that refuses, one line. Heavy imports wait for the command
-that needs them.
+problems found), said in a sentence; 2 bad input or a disk that refuses, one line; 130 or 143 ended by a signal; 141 nobody
+read the result. Heavy imports wait for the command that needs them.
 """
 
 import argparse
+import errno
 import importlib
+import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
-from typing import NoReturn
+from dataclasses import dataclass
+from typing import NoReturn, TextIO
 
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
-from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NO
+from linkplan.models.interrupts import check, ended_by, listening
+from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO, NOBODY_READS
+from linkplan.studies.cli.printing import keep_closed_streams_closed, let_go, put, refuse
 
 # The module of each command, loaded when the command is given.
 _MODULES = {
@@ -29,7 +35,8 @@ _MODULES = {
 }
 
 _EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), said in a sentence;
-2 bad input, or a file that cannot be read or written (a full disk), one line on stderr; 130 interrupted"""
+2 bad input, or a file that cannot be read or written (a full disk), one line on stderr;
+130 interrupted, 143 ended by SIGTERM; 141 the reader of stdout left before the result, which no -o has saved"""
 
 
 class _Parser(argparse.ArgumentParser):
@@ -37,7 +44,13 @@ class _Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the refusal and leave with exit code 2."""
-        self.exit(BAD_INPUT, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
+        put(sys.stderr, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
+        raise SystemExit(BAD_INPUT)
+
+    def print_help(self, file: TextIO | None = None) -> NoReturn:
+        """Print the help and leave, with exit code 0 where it could be printed."""
+        stream = sys.stdout if file is None else file
+        raise SystemExit(_delivered("", put(stream, self.format_help()), DONE))
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -135,7 +148,8 @@ def build_parser() -> argparse.ArgumentParser:
     view.add_argument("--slow", type=float, default=4.0, metavar="X", help="times slower than real (default: %(default)s)")
     view.add_argument("--seconds", type=float, metavar="S", help="close the window after this time (default: when you do)")
 
-    command("demo", "run the whole path on the Optimus knee into one folder (default: linkplan-demo)", settings=False)
+    text = "run the whole path on the Optimus knee into one folder (default: linkplan-demo)"
+    command("demo", text, settings=False).set_defaults(output="linkplan-demo")
     return parser
 
 
@@ -175,8 +189,50 @@ def _mismatch(parser: argparse.ArgumentParser, mass_factor: float, delay: int) -
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Before:
+    """A command, its -o, and which folder stood there before it began: a new result is another folder."""
+
+    command: str = ""
+    target: str | None = None
+    folder: tuple[int, int] | None = None
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command and return its exit code."""
+    """Run a command and return its exit code.
+
+    Args:
+        argv: its words; by default those of the process, which ends afterwards.
+    """
+    if argv is None:
+        keep_closed_streams_closed()
+    before = _Before()
+    try:
+        with listening(to_the_end=argv is None):
+            arguments = _arguments(argv)
+            if isinstance(arguments, int):
+                code = arguments
+            else:
+                target = getattr(arguments, "output", None)
+                before = _Before(command=arguments.command, target=target, folder=_folder_at(target))
+                if argv is None and before.command != "view":
+                    # Nothing is rendered; MuJoCo would look for a window library, in a process that signals reach too.
+                    os.environ.setdefault("MUJOCO_GL", "disable")
+                code = _run(arguments)
+            check()
+    except KeyboardInterrupt:
+        code = _interrupted(before)
+        if argv is None:
+            let_go()
+            # Python ends itself by SIGINT where an interrupt went through its exec, as of a dataclass that is being made.
+            os._exit(code)
+    if argv is None:
+        let_go()
+    return code
+
+
+def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
+    """Return a command's arguments, or the exit code where there is nothing to run."""
     parser = build_parser()
     try:
         arguments = parser.parse_args(argv)
@@ -185,40 +241,62 @@ def main(argv: Sequence[str] | None = None) -> int:
     if arguments.version:
         from importlib.metadata import version
 
-        print(f"linkplan {version('linkplan')}")
-        return DONE
+        return _delivered("", put(sys.stdout, f"linkplan {version('linkplan')}\n"), DONE)
     if arguments.command is None:
-        parser.print_help(sys.stderr)
+        put(sys.stderr, parser.format_help())
         return BAD_INPUT
-    return _run(arguments)
+    return arguments
 
 
 def _run(arguments: argparse.Namespace) -> int:
     try:
         module = importlib.import_module(f"linkplan.studies.cli.{_MODULES[arguments.command]}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
-        code = run(arguments)
-        sys.stdout.flush()
-        return code
+        code, lost = run(arguments), getattr(arguments, "lost", None)
+        # With -o the folder is the result, and what is printed is about it.
+        saved = getattr(arguments, "output", None) is not None and not arguments.json
+        return code if saved else _delivered(arguments.command, lost, code)
     except LinkplanError as error:
-        print(f"linkplan {arguments.command}: {one_line(error)}", file=sys.stderr)
+        check()
+        refuse(arguments.command, one_line(error))
         return NO if isinstance(error, CertificateError) else BAD_INPUT
     except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            # The reader of our output left; leave without a word, and keep Python from flushing into the closed pipe.
-            sys.stdout = None
-            return DONE
-        sys.stdout = None  # a disk that is full for the result is full for what is left of it
-        print(f"linkplan {arguments.command}: the result cannot be written: {error.strerror or error}", file=sys.stderr)
+        check()
+        refuse(arguments.command, f"the result cannot be written: {error.strerror or error}")
         return BAD_INPUT
-    except (KeyboardInterrupt, SystemError) as error:
-        # CasADi wraps an interrupt that comes while it converts a number.
-        if isinstance(error, SystemError) and not isinstance(error.__cause__, KeyboardInterrupt):
-            return unforeseen(arguments.command, error)
-        print(f"linkplan {arguments.command}: interrupted; nothing was written", file=sys.stderr)
-        return INTERRUPTED
     except Exception as error:
+        check()  # libraries make other errors of an interrupt that comes while they are loaded
         return unforeseen(arguments.command, error)
+
+
+def _delivered(command: str, lost: OSError | None, code: int) -> int:
+    """Return the exit code of a command whose result could be printed, or could not."""
+    if lost is None:
+        return code
+    if isinstance(lost, BrokenPipeError):
+        return NOBODY_READS
+    closed = lost.errno == errno.EBADF
+    why = "stdout is closed" if closed else f"the result cannot be written: {lost.strerror or lost}"
+    refuse(command, why)
+    return BAD_INPUT
+
+
+def _interrupted(before: _Before) -> int:
+    """Say what an interrupted command leaves, and return its exit code."""
+    what, folder = "nothing was written", _folder_at(before.target)
+    if folder is not None and folder != before.folder:
+        what = f"the result is in '{before.target}', whole"
+    refuse(before.command, f"interrupted; {what}")
+    return BY_SIGNAL + (ended_by() or signal.SIGINT)
+
+
+def _folder_at(target: str | None) -> tuple[int, int] | None:
+    """Return which folder stands at a place; None where there is none."""
+    try:
+        found = os.stat(target) if target else None
+    except (OSError, ValueError):
+        return None
+    return None if found is None else (found.st_dev, found.st_ino)
 
 
 def unforeseen(command: str, error: BaseException) -> int:
@@ -240,7 +318,7 @@ def unforeseen(command: str, error: BaseException) -> int:
         send = f"; please send '{file.name}' to linkplan's makers"
     except OSError:
         send = ""
-    print(f"linkplan {command}: {what}{send}", file=sys.stderr)
+    refuse(command, f"{what}{send}")
     return BAD_INPUT
 
 

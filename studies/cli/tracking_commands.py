@@ -1,7 +1,6 @@
 """The commands `track`, `compare` and `view`."""
 
 import argparse
-import json
 from pathlib import Path
 
 import numpy as np
@@ -111,5 +110,5 @@ def run_view(arguments: argparse.Namespace) -> int:
     say(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
     play(plan.problem.mechanism, rollout, arguments.slow, arguments.seconds)
     if arguments.json:
-        print(json.dumps({"plan": plan.problem.name, "tracker": arguments.tracker, "stable": rollout.stable}))
+        show(arguments, {"plan": plan.problem.name, "tracker": arguments.tracker, "stable": rollout.stable}, "")
     return DONE if plan.status == "optimal" else NO

@@ -19,6 +19,7 @@ from linkplan.controllers.trackers.lqr import linearise, lqr
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.errors import LinkplanError
+from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.models.poses.along import needed_effort
@@ -277,6 +278,7 @@ class FeedbackLoop:
 
 def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:
     """Return the loop of a gain K (n_u, 2 n_s) about a point."""
+    check()  # sweeps and bisections come by here
     states = (point.pose[None], point.velocity[None], point.hold[None])
     if kind == CONTINUOUS:
         A, B = linearise(point.mechanism, *states)

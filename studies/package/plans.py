@@ -82,7 +82,7 @@ class Planner:
     """A planner for many problems that differ in numbers: each is solved from the last one's solution where that serves.
 
     Payload, start, goal, duration, limits, waypoints, weights and references are such numbers. Mutable: it keeps its last
-    program.
+    program; threads that share a planner wait for each other.
 
     Args:
         progress: called with a line of text now and then.

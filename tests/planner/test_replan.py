@@ -1,5 +1,7 @@
 """Solving again: the same answers as from the beginning, no building, and the beginning where numbers do not suffice."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -191,3 +193,29 @@ def test_a_program_with_a_limit_that_was_not_asked_for_is_not_solved_again():
     clear = plan_motion(replace(problem, limits=replace(problem.limits, singular_margin=0.1)))
     planner._keep(problem, clear.solved)
     assert planner.solve_again(problem) is None
+
+
+SHARED = """
+import sys, threading
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.replan import Planner
+shared, statuses = Planner(), []
+def run(first):
+    planner = shared if sys.argv[1] == "one" else Planner()
+    for goal in range(first, 60, 4):
+        statuses.append(planner.plan(load_problem("knee-reach", [f"motion.goal_deg.O={goal}"])).status)
+threads = [threading.Thread(target=run, args=(first,)) for first in (50, 51)]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+print(*statuses)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("planners", ["one", "their own"])
+def test_threads_may_share_a_planner(planners):
+    done = subprocess.run([sys.executable, "-c", SHARED, planners], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.split() == 6 * ["optimal"]

@@ -225,3 +225,26 @@ def test_an_interrupt_while_it_is_written_leaves_the_earlier_result(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         write_whole(place, write)
     assert names(tmp_path) == []
+
+
+def test_a_result_that_was_written_into_a_folder_of_another_is_replaced_with_it(tmp_path):
+    """A case of a batch that was planned again by itself: its figure is not left beside the batch's newer plan."""
+    place = tmp_path / "run"
+    write_whole(place, result(json.dumps({"problem": "old"})))
+    write_whole(place / "case", lambda new: [(new / name).write_text("alone") for name in ("plan.json", "plan.png")])
+    (place / "case" / "notes.txt").write_text("mine")
+    assert names(place / "case") == [MANIFEST, "notes.txt", "plan.json", "plan.png"]
+    write_whole(place, result("new"))
+    assert names(place / "case") == ["notes.txt", "plan.json"]
+    assert (place / "case" / "plan.json").read_text() == "new"
+    assert (place / "case" / "notes.txt").read_text() == "mine"
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_result_of_its_own_below_another_stays(tmp_path):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    write_whole(place / "compared", result("mine"))
+    write_whole(place, result("new"))
+    assert (place / "compared" / "case" / "plan.json").read_text() == "mine"
+    assert names(place / "compared") == [MANIFEST, "case", "plan.json"]

@@ -12,7 +12,8 @@ from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.transcription import compiled as module
-from linkplan.planner.transcription.compiled import cache_folder, cached, compiled, compiler, key_of
+from linkplan.planner.transcription.cache import cache_folder
+from linkplan.planner.transcription.compiled import cached, compiled, compiler, key_of
 from linkplan.planner.transcription.interval import NAMES, IntervalRows, build_interval
 from linkplan.planner.transcription.schemes import scheme
 from tests.support.tolerances_planner import COMPILED, ROUNDING

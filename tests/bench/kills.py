@@ -1,0 +1,339 @@
+"""Commands ended at random moments: `python -m tests.bench.kills N SEED` ends each of them N times in each of five ways.
+
+The ways are kill -9, SIGTERM and Ctrl-C at a random one of the things that the command does to its folders, a disk that is
+full from there on, and one on which no file may grow beyond a random size; `python -m tests.bench.kills N SEED late` sends
+the signals after a random time, to processes of their own. What must hold: the earlier result or the new one stands there
+whole, nothing of the user's is lost, after the next run there is no litter, the exit code is that of the way, no traceback,
+and what is said of the result is true.
+"""
+
+import contextlib
+import errno
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from linkplan.planner.files.folders import MANIFEST, check_target
+
+WAYS = ("kill", "term", "int", "full", "size")
+LATE = ("kill", "term", "int")
+SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM, "int": signal.SIGINT}
+LEGAL = {"kill": {-signal.SIGKILL}, "term": {143}, "int": {130}, "full": {2}, "size": {2}}
+# Beyond this a command hangs [s].
+LIMIT_S = 300.0
+# What a command does to its folders, as Python tells it before it is done.
+_EVENTS = {"open", "os.mkdir", "os.rename", "os.link", "os.remove", "os.rmdir", "os.chmod", "os.scandir", "os.listdir"}
+_NEEDS_ROOM = {"open", "os.mkdir", "os.link"}
+_LARGEST_FILE = 120_000
+# Before this the interpreter is starting, and signals end it as they do any program [ms].
+_STARTED_MS = 400
+BATCH = """problem = "knee-reach"
+[[case]]
+name = "near"
+set = ["motion.goal_deg.O=20"]
+[[case]]
+name = "far"
+set = ["motion.goal_deg.O=25"]
+"""
+THEIRS = {"notes.txt": "mine", "mine/thesis.tex": "all my work"}
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Outcome:
+    """What became of a case: command, way, moment, exit code, whether the result is the new one, and what was wrong."""
+
+    command: str
+    way: str
+    moment: int
+    code: int | None
+    new: bool
+    wrong: str
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Command:
+    """A command line that writes into `out`, the name of its record, and a folder of the user's inside of the result."""
+
+    words: tuple[str, ...]
+    record: str
+    inside: str = ""
+
+
+COMMANDS = {
+    "plan": Command(words=("plan", "knee-reach", "-o", "out"), record="plan.json"),
+    "compiled": Command(
+        words=("plan", "knee-reach", "--set", "solver.compile=always", "--set", "mesh.intervals=10", "-o", "out"),
+        record="plan.json",
+    ),
+    "batch": Command(words=("batch", "batch.toml", "-o", "out"), record="batch.json", inside="near/"),
+    "compare": Command(words=("compare", "planned", "-o", "out"), record="compare.json"),
+    "bode": Command(words=("bode", "optimus-knee", "--at-deg", "3.6", "--measure", "none", "-o", "out"), record="bode.json"),
+    "demo": Command(words=("demo", "-o", "out"), record="demo.json", inside="plans/knee-sine/"),
+}
+
+
+def run(words: tuple[str, ...]) -> int:
+    """Run a command as a process of its own does, with a demo that is as short as it can be."""
+    import warnings
+
+    from linkplan.studies.cli import main as program
+    from linkplan.studies.demo import demo
+
+    warnings.simplefilter("ignore")
+    demo.PLANNED = demo.COMPARED = ("knee-sine",)
+    demo.LOOPS, demo.ANGLES_DEG = demo.LOOPS[:1], demo.ANGLES_DEG[2:3]
+    demo.map_study = demo.map_record = demo.map_figure = lambda *_: {}
+    demo.map_text = lambda _: ""
+    demo.Setup = lambda: None
+    demo.printed_runs = lambda *_: {}
+    sys.argv = ["linkplan", *words]
+    return program.main()
+
+
+def forked(root: Path, words: tuple[str, ...], before: Callable[[], None]) -> tuple[int | None, str]:
+    """Return exit code and stderr of a command in a child of this process; None where it hangs."""
+    child = os.fork()
+    if child == 0:
+        code = 70
+        try:
+            os.chdir(root)
+            os.environ["LINKPLAN_CACHE"] = str(root / "cache")
+            for number, name in ((1, "../stdout"), (2, "../stderr")):
+                os.dup2(os.open(name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+            before()
+            code = run(words)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(code)
+    until, status = time.monotonic() + LIMIT_S, None
+    while time.monotonic() < until:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            break
+        time.sleep(0.01)
+    else:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        return None, ""
+    return os.waitstatus_to_exitcode(status), (root.parent / "stderr").read_text(encoding="utf-8", errors="replace")
+
+
+def counted(root: Path, act: Callable[[int, str], None]) -> None:
+    """Call a function before each thing that this process does to a folder, with its number and its kind."""
+    number, inside, busy = 0, str(root), False
+
+    def hook(event: str, arguments: tuple) -> None:
+        nonlocal number, busy
+        exchange = event == "ctypes.dlsym" and arguments[1] == "renameat2"
+        if busy or not (event in _EVENTS or exchange):
+            return
+        if not exchange:
+            path = arguments[0]
+            if not isinstance(path, str | bytes | os.PathLike):
+                return
+            busy = True
+            path = os.path.abspath(os.fsdecode(path))
+            busy = False
+            if not path.startswith(inside) or (event == "open" and not arguments[2] & (os.O_WRONLY | os.O_RDWR)):
+                return
+        number += 1
+        act(number, event)
+
+    sys.addaudithook(hook)
+
+
+def ending(root: Path, way: str, moment: int) -> Callable[[], None]:
+    """Return what prepares a command to be ended in a way at a moment."""
+    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def act(number: int, event: str) -> None:
+        if way in SIGNALS and number == moment:
+            os.kill(os.getpid(), SIGNALS[way])
+        if way == "full" and number >= moment and event in _NEEDS_ROOM:
+            raise full
+
+    if way == "size":
+        return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (moment, moment))
+    return lambda: counted(root, act)
+
+
+def moments(root: Path, words: tuple[str, ...]) -> int:
+    """Return how many things a command does to its folders, by running it."""
+    tally = root.parent / "tally"
+
+    def act(number: int, event: str) -> None:
+        del event
+        os.pwrite(log, f"{number:9d}".encode(), 0)
+
+    log = os.open(tally, os.O_RDWR | os.O_CREAT)
+    code, said = forked(root, words, lambda: counted(root, act))
+    os.close(log)
+    if code != 0:
+        raise RuntimeError(f"{words} ends with {code}: {said}")
+    return int(tally.read_text(encoding="ascii"))
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """Return every file below a folder with its bytes."""
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def identity(files: dict[str, bytes]) -> str:
+    """Return which writing a result is of; nothing where there is none."""
+    return json.loads(files[MANIFEST])["identity"] if MANIFEST in files else ""
+
+
+def faults(out: Path, before: dict[str, bytes], record: str) -> list[str]:
+    """Return what is wrong with a result: it is to be the earlier one or a new one, whole, and what is the user's in it."""
+    if not before and not out.exists():
+        return []
+    if not out.is_dir():
+        return ["the result is gone"]
+    after = content(out)
+    ours = set(json.loads(before[MANIFEST])["files"]) | {MANIFEST} if before else set()
+    theirs = {name: data for name, data in before.items() if name not in ours}
+    wrong = [f"{name} of the user's is lost" for name, data in theirs.items() if after.get(name) != data]
+    if identity(after) == identity(before):
+        return wrong + [f"{name} has changed" for name in ours if after.get(name) != before[name]]
+    listed = set(json.loads(after[MANIFEST])["files"])
+    wrong += [f"{name} is missing" for name in {*listed, record} - set(after)]
+    return wrong + [f"{name} is litter" for name in set(after) - listed - set(theirs) - {MANIFEST}]
+
+
+def judged(
+    root: Path, way: str, code: int | None, said: str, before: dict[str, bytes], command: Command
+) -> tuple[bool, str]:
+    """Return whether a result is the new one, and what is wrong after a command was ended."""
+    out = root / "out"
+    # Folders of the user's go over after the new result has taken its place, in the next run where this one was killed.
+    wrong = [] if way == "kill" else faults(out, before, command.record)
+    new = out.is_dir() and identity(content(out)) != identity(before)
+    if code not in LEGAL[way] | {0} or (code == 0 and not new):
+        wrong.append(f"exit code {code}, {said[-300:]}")
+    if "Traceback" in said or "fault of linkplan's own" in said:
+        wrong.append(f"a traceback: {said[-600:]}")
+    if new == ("nothing was written" in said) and "interrupted" in said:
+        wrong.append(f"untrue: {said[-300:]}")
+    check_target(out, command.record)  # what the next run begins with
+    wrong += faults(out, before, command.record)
+    litter = {p.name for p in root.iterdir()} - {"out", "cache", "batch.toml", "planned", "other.txt"}
+    wrong += [f"{name} is litter" for name in litter]
+    if (root / "other.txt").read_text(encoding="utf-8") != "beside it":
+        wrong.append("the file beside it is lost")
+    return new, "; ".join(dict.fromkeys(wrong))
+
+
+def prepared(root: Path, name: str, earlier: Path | None) -> dict[str, bytes]:
+    """Fill a new folder for a command, with an earlier result or without, and return what is in that."""
+    command, planned = COMMANDS[name], root.parent / "planned"
+    root.mkdir()
+    (root / "other.txt").write_text("beside it", encoding="utf-8")
+    (root / "batch.toml").write_text(BATCH, encoding="utf-8")
+    if command.words[1] == "planned":
+        shutil.copytree(planned, root / "planned")
+    if earlier is None:
+        return {}
+    shutil.copytree(earlier, root / "out")
+    for path, text in THEIRS.items():
+        for below in {"", command.inside}:
+            place = root / "out" / below / path
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_text(text, encoding="utf-8")
+    return content(root / "out")
+
+
+def late(root: Path, words: tuple[str, ...], way: str, moment: int) -> tuple[int | None, str]:
+    """Return exit code and stderr of a command in a process of its own that is sent a signal after some milliseconds."""
+    given, argv = os.environ | {"LINKPLAN_CACHE": str(root / "cache")}, [sys.executable, "-m", "linkplan", *words]
+    with subprocess.Popen(argv, cwd=root, env=given, stdout=-3, stderr=-1, text=True) as process:
+        try:
+            process.wait(moment / 1000)
+        except subprocess.TimeoutExpired:
+            process.send_signal(SIGNALS[way])
+        try:
+            said = process.communicate(timeout=LIMIT_S)[1]
+        except subprocess.TimeoutExpired:
+            process.kill()
+            return None, ""
+    return process.returncode, said
+
+
+def ended(name: str, ways: tuple[str, ...], count: int, seed: int, *, by_time: bool = False) -> list[Outcome]:
+    """Return what became of a command that was ended `count` times in each of some ways."""
+    rng, command, found = random.Random(f"{seed}/{name}"), COMMANDS[name], []
+    with tempfile.TemporaryDirectory() as place:
+        base = Path(place).resolve()
+        (base / "first").mkdir()
+        if command.words[1] == "planned" and forked(base / "first", ("plan", "knee-reach", "-o", "../planned"), int)[0]:
+            raise RuntimeError("the plan to compare cannot be made")
+        prepared(base / "run", name, None)
+        begin = time.monotonic()
+        last = moments(base / "run", command.words)
+        longest_ms = int(1e3 * (time.monotonic() - begin)) + 2000
+        earlier = base / "earlier"
+        shutil.move(base / "run" / "out", earlier)
+        shutil.rmtree(base / "run")
+        for number in range(count * len(ways)):
+            way, root = ways[number % len(ways)], base / "run"
+            before = prepared(root, name, earlier if rng.random() < 0.8 else None)
+            if by_time:
+                moment = rng.randint(_STARTED_MS, longest_ms)
+                code, said = late(root, command.words, way, moment)
+            else:
+                # With an earlier result there is more to do than without.
+                moment = rng.randint(0, _LARGEST_FILE) if way == "size" else rng.randint(1, last + 10)
+                code, said = forked(root, command.words, ending(root, way, moment))
+            new, wrong = judged(root, way, code, said, before, command)
+            if name == "compiled" and not wrong:
+                wrong = _cache_faults(root, command, rng.random() < 0.2)
+            found.append(Outcome(command=name, way=way, moment=moment, code=code, new=new, wrong=wrong))
+            if wrong:
+                print(found[-1], flush=True)
+            shutil.rmtree(root)
+    return found
+
+
+def _cache_faults(root: Path, command: Command, look: bool) -> str:
+    """Return what is wrong with the cache after the next run."""
+    if not look:
+        return ""
+    code, said = forked(root, command.words, int)
+    left = [path.name for path in (root / "cache").iterdir() if path.suffix not in (".so", ".json")]
+    return f"the next run: exit code {code}, {left} in the cache, {said[-300:]}" if code or left else ""
+
+
+def main() -> int:
+    """End each command N times in each way and print what came of it; 1 where something was wrong."""
+    count, seed, by_time = int(sys.argv[1]), int(sys.argv[2]), "late" in sys.argv[3:]
+    names = [name for name in sys.argv[3:] if name in COMMANDS] or list(COMMANDS)
+    wrong = 0
+    for name in names:
+        begin, ways = time.monotonic(), LATE if by_time else WAYS
+        found = ended(name, ways, count, seed, by_time=by_time)
+        for way in ways:
+            of = [outcome for outcome in found if outcome.way == way]
+            codes = dict(sorted(Counter(str(outcome.code) for outcome in of).items()))
+            bad, new = sum(bool(o.wrong) for o in of), sum(o.new for o in of)
+            print(f"{name}, {way}: {len(of)} times, exit codes {codes}, the new result {new}, wrong {bad}", flush=True)
+            wrong += bad
+        print(f"{name}: {time.monotonic() - begin:.0f} s", flush=True)
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    with contextlib.suppress(ImportError):
+        import linkplan.studies.compare.draw_tracking  # noqa: F401  (loaded once, not in every child)
+    sys.exit(main())

@@ -1,0 +1,58 @@
+"""Commands that are ended at random moments: a sample of `python -m tests.bench.kills`, and that it can find something."""
+
+import json
+import os
+
+import pytest
+
+from linkplan.planner.files.folders import MANIFEST, write_json, write_whole
+from tests.bench import kills
+
+pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="commands are run in forked processes")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["plan", "batch"])
+def test_a_command_that_is_ended_leaves_the_earlier_result_or_the_new_one(name):
+    found = kills.ended(name, kills.WAYS, 1, 5)
+    assert [outcome.wrong for outcome in found] == [""] * len(kills.WAYS)
+    assert any(not outcome.new for outcome in found)  # ended in the midst of it, some of them
+
+
+@pytest.fixture
+def earlier(tmp_path):
+    write_whole(tmp_path / "out", lambda new: write_json(new / "plan.json", {"problem": "old"}))
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    return tmp_path / "out", kills.content(tmp_path / "out")
+
+
+def test_what_is_whole_is_not_faulted(earlier):
+    out, before = earlier
+    assert kills.faults(out, before, "plan.json") == []
+    write_whole(out, lambda new: write_json(new / "plan.json", {"problem": "new"}))
+    assert kills.faults(out, before, "plan.json") == []
+
+
+@pytest.mark.parametrize(
+    ("damage", "fault"),
+    [
+        (lambda out: (out / "notes.txt").unlink(), "notes.txt of the user's is lost"),
+        (lambda out: (out / "plan.json").write_text("{}"), "plan.json has changed"),
+        (lambda out: (out / "plan.json").unlink(), "plan.json has changed"),
+        (lambda out: out.rename(out.with_name("elsewhere")), "the result is gone"),
+    ],
+)
+def test_what_is_lost_is_found(damage, fault, earlier):
+    out, before = earlier
+    damage(out)
+    assert fault in kills.faults(out, before, "plan.json")
+
+
+def test_litter_in_a_new_result_is_found(earlier):
+    out, before = earlier
+    write_whole(out, lambda new: write_json(new / "plan.json", {"problem": "new"}))
+    (out / "half.tmp").write_text("left behind")
+    assert kills.faults(out, before, "plan.json") == ["half.tmp is litter"]
+    said = json.loads((out / MANIFEST).read_text())
+    (out / MANIFEST).write_text(json.dumps(said | {"files": ["plan.json", "half.tmp", "plan.png"]}))
+    assert kills.faults(out, before, "plan.json") == ["plan.png is missing"]

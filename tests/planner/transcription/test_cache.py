@@ -1,0 +1,220 @@
+"""The cache of compiled functions is code that is run: nobody else's, never half of one, and it costs no more than speed."""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
+from linkplan.planner.transcription import cache
+from linkplan.planner.transcription import compiled as module
+from linkplan.planner.transcription.cache import cache_folder, find, keep, trusted_folder, work_folder
+from linkplan.planner.transcription.compiled import cached, compiled, compiler
+from linkplan.planner.transcription.interval import IntervalRows, build_interval
+from linkplan.planner.transcription.schemes import scheme
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
+needs_owners = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system's files have no owners")
+LIBRARY = bytes(range(256)) * 20
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("LINKPLAN_CACHE", str(tmp_path / "cache"))
+    return trusted_folder(make=True)
+
+
+def kept(folder: Path, key: str = "k1") -> Path:
+    """Return the library of an entry that is none, put into the cache as a compiled one is."""
+    with work_folder(folder) as work:
+        (work / f"{key}.so").write_bytes(LIBRARY)
+        return keep(work / f"{key}.so", {"n": 3}, folder, key)
+
+
+def built():
+    mechanism = load_mechanism("optimus-knee", payload="shank")
+    return build_interval(mechanism_system(mechanism, NodeTerms()), scheme("radau-2"), IntervalRows(costs=("effort",)))
+
+
+@needs_owners
+def test_the_cache_is_made_for_its_user_alone(folder):
+    assert folder.stat().st_mode & 0o777 == 0o700
+    assert {path.stat().st_mode & 0o777 for path in (kept(folder), folder / "k1.json")} == {0o600}
+
+
+def test_what_is_kept_is_found(folder):
+    library = kept(folder)
+    assert find(folder, "k1") == (library, {"n": 3})
+    assert sorted(path.name for path in folder.iterdir()) == ["k1.json", "k1.so"]
+
+
+@pytest.mark.parametrize("at", [0, 100, len(LIBRARY) - 1])
+@pytest.mark.parametrize("damage", ["cut", "flipped", "longer"])
+def test_a_damaged_library_counts_as_none(damage, at, folder):
+    library = kept(folder)
+    changed = {"cut": LIBRARY[:at], "flipped": LIBRARY[:at] + b"!" + LIBRARY[at + 1 :], "longer": LIBRARY + b"x"}[damage]
+    assert changed != LIBRARY
+    library.write_bytes(changed)
+    assert find(folder, "k1") is None
+
+
+def test_a_record_with_any_byte_altered_counts_as_none(folder):
+    kept(folder)
+    record = folder / "k1.json"
+    whole = record.read_bytes()
+    for at in range(len(whole)):
+        record.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+        assert find(folder, "k1") is None
+    record.write_bytes(whole)
+    assert find(folder, "k1") is not None
+
+
+@pytest.mark.parametrize("name", ["k1.json", "k1.so"])
+def test_a_file_larger_than_any_of_ours_is_not_read(name, folder):
+    kept(folder)
+    with (folder / name).open("r+b") as file:
+        file.truncate(1 << 40)  # takes no room, and more memory than there is
+    assert find(folder, "k1") is None
+
+
+@needs_owners
+@pytest.mark.parametrize("name", ["k1.json", "k1.so"])
+def test_a_file_that_others_may_write_counts_as_none(name, folder):
+    kept(folder)
+    (folder / name).chmod(0o622)
+    assert find(folder, "k1") is None
+
+
+@needs_owners
+@pytest.mark.parametrize("name", ["k1.json", "k1.so"])
+def test_a_link_counts_as_none(name, folder, tmp_path):
+    kept(folder)
+    (folder / name).rename(tmp_path / name)
+    (folder / name).symlink_to(tmp_path / name)
+    assert find(folder, "k1") is None
+
+
+@needs_owners
+def test_somebody_elses_folder_is_not_used(folder, monkeypatch):
+    kept(folder)
+    other = os.geteuid() + 1
+    monkeypatch.setattr(os, "geteuid", lambda: other)
+    with pytest.raises(PermissionError, match="belongs to somebody else"):
+        trusted_folder(make=True)
+    assert find(folder, "k1") is None
+
+
+@needs_owners
+@pytest.mark.parametrize("mode", [0o777, 0o770, 0o1777])
+def test_a_folder_that_others_may_write_is_not_used_and_left_as_it_is(mode, folder):
+    folder.chmod(mode)
+    with pytest.raises(PermissionError, match="may be written by others"):
+        trusted_folder(make=True)
+    assert folder.stat().st_mode & 0o7777 == mode
+
+
+@needs_owners
+def test_a_folder_that_anybody_can_replace_is_not_used(folder):
+    folder.parent.chmod(0o777)
+    with pytest.raises(PermissionError, match="which all may write"):
+        trusted_folder(make=True)
+
+
+@needs_owners
+@needs_compiler
+def test_without_a_folder_to_trust_the_interpreter_serves_and_it_is_said(folder):
+    folder.chmod(0o777)
+    with pytest.warns(RuntimeWarning, match="may be written by others"):
+        functions = compiled("k1", built)
+    assert "External" not in functions.node_value.class_name()
+    assert list(folder.iterdir()) == []
+
+
+@pytest.mark.slow
+@needs_compiler
+@pytest.mark.parametrize("damage", ["cut", "flipped"])
+def test_a_damaged_entry_is_compiled_again(damage, folder):
+    """In processes of their own: loading such a library ended them."""
+    compiled("k1", built)
+    library = folder / "k1.so"
+    whole = library.read_bytes()
+    middle = len(whole) // 2
+    altered = bytearray(whole)
+    altered[middle:] = bytes(len(whole) - middle) if damage == "flipped" else b""
+    library.write_bytes(altered)
+    assert cached("k1") is None
+    again = compiled("k1", built)
+    assert {field.name for field in fields(again)} >= {"node_value"}
+    assert "External" in again.node_value.class_name()
+    assert cached("k1") is not None
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell script for a compiler")
+@pytest.mark.parametrize("hangs", ["compiling", "telling its version"])
+def test_a_compiler_that_hangs_ends_with_its_children(hangs, folder, tmp_path, monkeypatch):
+    script = tmp_path / "compiler"
+    version = 'case "$1" in --version) echo 1; exit;; esac\n' if hangs == "compiling" else ""
+    script.write_text(f'#!/bin/sh\n{version}sleep 600 & echo $! > "{tmp_path}/child"\nwait\n', encoding="utf-8")
+    script.chmod(0o700)
+    monkeypatch.setattr(module, "compiler", lambda: (str(script),))
+    monkeypatch.setattr(module, "_TIMEOUT_S", 0.5)
+    monkeypatch.setattr(module, "_VERSION_S", 0.5)
+    if hangs == "compiling":
+        with pytest.warns(RuntimeWarning, match="timed out"):
+            compiled("k1", built)
+        assert list(folder.iterdir()) == []
+    else:
+        with pytest.raises(subprocess.TimeoutExpired):
+            module._said([str(script), "--version"])
+    # One that ended but that nobody has asked after has no command line any more.
+    line = Path(f"/proc/{int((tmp_path / 'child').read_text())}/cmdline")
+    assert not line.exists() or not line.read_bytes()
+
+
+def test_what_a_kill_left_in_the_cache_is_removed_by_the_next_run(folder):
+    left = folder / ".work-left"
+    left.mkdir()
+    (left / "k1.c").write_text("int", encoding="utf-8")
+    with work_folder(folder) as used:
+        (used / "k2.c").write_text("int", encoding="utf-8")
+        assert cached("k1") is None
+        assert (used / "k2.c").is_file()  # in use, and so left alone
+    assert list(folder.iterdir()) == []
+
+
+def test_users_without_a_home_have_a_temporary_cache(tmp_path, monkeypatch):
+    def nobody() -> Path:
+        raise RuntimeError("could not determine home directory")
+
+    for name in ("LINKPLAN_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(Path, "home", nobody)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    assert cache_folder().parent == tmp_path
+    assert find(trusted_folder(make=True), "k1") is None
+    monkeypatch.setattr(Path, "home", lambda: Path("/nonexistent"))
+    assert cache_folder().parent == tmp_path
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "caches"))
+    assert cache_folder() == tmp_path / "caches" / "linkplan"
+
+
+@needs_owners
+def test_an_earlier_versions_own_folder_is_closed_to_others(tmp_path, monkeypatch):
+    monkeypatch.delenv("LINKPLAN_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (tmp_path / "linkplan").mkdir()
+    (tmp_path / "linkplan").chmod(0o775)
+    assert trusted_folder(make=False).stat().st_mode & 0o777 == 0o700
+
+
+def test_a_record_says_the_library_s_hash(folder):
+    library = kept(folder)
+    check, _, text = (folder / "k1.json").read_bytes().partition(b"\n")
+    assert json.loads(text)["library"] == cache.hash_of(library.read_bytes())
+    assert check.decode() == cache.hash_of(text)
