@@ -55,6 +55,7 @@ class PlanningProblem:
     solver: SolverSettings = field(default_factory=SolverSettings)
     tracking: Tracking = field(default_factory=Tracking)
     source: dict = field(default_factory=dict)
+    notes: tuple[str, ...] = ()  # sentences on what was chosen where the problem says nothing
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "objective", objective_from(self.objective))

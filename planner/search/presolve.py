@@ -30,7 +30,7 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
         if value is not None:
             _check_reach(problem, f"motion.{name}_deg", value, can)
     for k, waypoint in enumerate(motion.waypoints):
-        if not np.any(np.isnan(waypoint.position)):
+        if not np.all(np.isnan(waypoint.position)):
             _check_reach(problem, f"motion.waypoints[{k}].at_deg", waypoint.position, can)
     if motion.start is not None:
         return close_at(mechanism, motion.start)
@@ -48,6 +48,8 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
 def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, can: Reach | None, ranges: bool = True) -> None:
     mechanism = problem.mechanism
     for column, joint in enumerate(mechanism.independent_joints):
+        if np.isnan(s[column]):  # a waypoint leaves it free
+            continue
         index = int(mechanism.independent[column])
         low, high = problem.limits.position[index]
         interval, reason = (low, high), f"range of {joint.name}"

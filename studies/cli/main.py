@@ -9,10 +9,10 @@ import argparse
 import importlib
 import sys
 from collections.abc import Callable, Sequence
-from typing import NoReturn
 
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, INTERRUPTED, NO
+from linkplan.studies.cli.parser import Parser
 
 # The module of each command, loaded when the command is given.
 _MODULES = {
@@ -32,27 +32,20 @@ _EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, probl
 2 bad input, or a file that cannot be read or written (a full disk), one line on stderr; 130 interrupted"""
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that refuses in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print the refusal and leave with exit code 2."""
-        self.exit(BAD_INPUT, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
-
-
-def build_parser() -> argparse.ArgumentParser:
+def build_parser() -> Parser:
     """Return the command line's parser."""
-    parser = _Parser(
+    parser = Parser(
         prog="linkplan",
         description="Optimal-control motion planning for closed-chain mechanisms.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="store_true", help="print linkplan's version and exit")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
     def command(name: str, text: str, *, output: bool = True, settings: bool = True) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=_EPILOG)
+        parser.commands[name] = sub
         sub.formatter_class = argparse.RawDescriptionHelpFormatter
         sub.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
         if output:
@@ -179,6 +172,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code."""
     parser = build_parser()
     try:
+        parser.refuse_misspelled(sys.argv[1:] if argv is None else argv)
         arguments = parser.parse_args(argv)
     except SystemExit as leave:
         return int(leave.code or 0)
