@@ -336,6 +336,6 @@ def _check_poses(section: dict, problem: PlanningProblem) -> None:
                 pairs = zip(mechanism.independent_joints, s, strict=True)
                 raise ProblemError(
                     f"{where}.{key}_{joint.unit} does not close: with"
-                    f" {', '.join(f'{j.name} = {j.shown(x):.6g}' for j, x in pairs)} the loop has {joint.name} at"
-                    f" {joint.shown(pose[index]):.6g} {joint.unit}, asked {joint.shown(asked):.6g}"
+                    f" {', '.join(f'{j.name} = {j.said(x, 6)}' for j, x in pairs)} the loop has {joint.name} at"
+                    f" {joint.said(pose[index], 6)} {joint.unit}, asked {joint.said(asked, 6)}"
                 )

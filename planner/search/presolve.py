@@ -62,8 +62,8 @@ def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, can: Reach 
             reason = can.lower.reason if s[column] < interval[0] else can.upper.reason
         if not inside:
             raise ProblemError(
-                f"{what} {joint.name} = {joint.shown(s[column]):.6g} {joint.unit} is beyond reach:"
-                f" {joint.name} reaches from {joint.shown(interval[0]):.6g} to {joint.shown(interval[1]):.6g} {joint.unit}"
+                f"{what} {joint.name} = {joint.said(s[column], 6)} {joint.unit} is beyond reach:"
+                f" {joint.name} reaches from {joint.said(interval[0], 6)} to {joint.said(interval[1], 6)} {joint.unit}"
                 f" ({reason}"
                 f"{_way_through(can, reason, s[column])})"
             )
@@ -88,8 +88,8 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
             low, high = limits.speed[mechanism.independent[column]]
             if value is not None and not low <= value[column] <= high:
                 return (
-                    f"infeasible: motion.{name} of joint {joint.name} is {joint.shown(value[column]):.4g} {joint.unit}/s,"
-                    f" beyond its speed limit of {joint.shown(high if value[column] > 0 else low):.4g} {joint.unit}/s"
+                    f"infeasible: motion.{name} of joint {joint.name} is {joint.said(value[column], 4)} {joint.unit}/s,"
+                    f" beyond its speed limit of {joint.said(high if value[column] > 0 else low, 4)} {joint.unit}/s"
                 )
     for name in ("start", "goal"):
         if getattr(motion, name) is None:
@@ -98,9 +98,9 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
         for joint, x, (low, high) in zip(mechanism.joints, pose, limits.position, strict=True):
             if not low <= x <= high:
                 return (
-                    f"infeasible: joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at the {name},"
+                    f"infeasible: joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at the {name},"
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
-                    f" {joint.shown(min(max(x, low), high)):.4g}"
+                    f" {joint.said(min(max(x, low), high), 4)}"
                 )
     contradiction = _singular(problem)
     if contradiction is not None:
@@ -113,8 +113,8 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                 bound = high if mean > 0 else low
                 shortest = (motion.goal[column] - motion.start[column]) / bound if bound else np.inf
                 return (
-                    f"infeasible: joint {joint.name} would have to move at {joint.shown(mean):.4g} {joint.unit}/s on average"
-                    f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.shown(bound):.4g} {joint.unit}/s;"
+                    f"infeasible: joint {joint.name} would have to move at {joint.said(mean, 4)} {joint.unit}/s on average"
+                    f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.said(bound, 4)} {joint.unit}/s;"
                     f" that limit alone asks for {shortest:.4g} s"
                 )
     return None

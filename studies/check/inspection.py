@@ -119,7 +119,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
         if not joint.lower - AT_THE_END <= x <= joint.upper + AT_THE_END:
             problems.append(
-                f"joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at home, outside its range {_range(joint)}"
+                f"joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at home, outside its range {_range(joint)}"
             )
     pressed = pressed_stops(mechanism)
     problems += [] if pressed is None else [pressed]
@@ -147,7 +147,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
             if end.joint is not None and end.joint != index:
                 other = mechanism.joints[end.joint]
                 stop = f"joint {other.name}'s range {_range(other)} stops the mechanism at {joint.name} ="
-                stop += f" {joint.shown(end.position):.4g} {joint.unit}"
+                stop += f" {joint.said(end.position, 4)} {joint.unit}"
                 own = joint.lower if end is can.lower else joint.upper
                 if np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
                     joint.upper - joint.lower
@@ -167,7 +167,7 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     """Return a sentence on each singular pose of a reach: a dead centre of its coordinate, or a pose that branches."""
     joint, branching, said = mechanism.joints[mechanism.independent[can.coordinate]], dict(can.branching), []
     for position in can.singular:
-        at = f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}"
+        at = f"singular pose at {joint.name} = {joint.said(position, 5)} {joint.unit}"
         if position in branching:
             said.append(
                 f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}: the mechanism may"
@@ -212,7 +212,7 @@ def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
             found.append(position)
     said = []
     for other, positions in by_joint.items():
-        first = ", ".join(f"{joint.shown(x):.5g}" for x in positions[:_TOGGLES])
+        first = ", ".join(f"{joint.said(x, 5)}" for x in positions[:_TOGGLES])
         more = f" and {len(positions) - _TOGGLES} more" if len(positions) > _TOGGLES else ""
         said.append(f"joint {mechanism.joints[other].name} turns back at {joint.name} = {first}{more} {joint.unit}")
     again = ", and again every turn" if np.isfinite(turn) else ""

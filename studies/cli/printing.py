@@ -3,16 +3,18 @@
 import argparse
 import json
 import sys
+import time
 from collections.abc import Callable
 
 Say = Callable[[str], None]
 
 
 def progress(arguments: argparse.Namespace) -> Say:
-    """Return the function that prints a command's progress on stderr."""
+    """Return the function that prints a command's progress on stderr, with the seconds since it was made."""
+    begin = time.monotonic()
 
     def say(text: str) -> None:
-        print(f"  {arguments.command}: {text}", file=sys.stderr, flush=True)
+        print(f"  {arguments.command} {time.monotonic() - begin:5.1f} s: {text}", file=sys.stderr, flush=True)
 
     return say
 
