@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.audit import audit
+from linkplan.models.closure.closed_pose import keyframe_of
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.poses.assembly import Reach, close_at, reach
@@ -116,6 +117,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
             f"loop {', '.join(mechanism.closure_names)} is open by {1e3 * mechanism.home_gap_m:.3g} mm at the model's"
             " reference pose: the simulator closes it abruptly, on either branch"
         )
+        notes.append(f"a pose that closes it, to write into the model: {keyframe_of(mechanism.coordinates, mechanism.home)}")
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
         if not joint.lower - AT_THE_END <= x <= joint.upper + AT_THE_END:
             problems.append(
@@ -149,9 +151,14 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
                 stop = f"joint {other.name}'s range {_range(other)} stops the mechanism at {joint.name} ="
                 stop += f" {joint.said(end.position, 4)} {joint.unit}"
                 own = joint.lower if end is can.lower else joint.upper
-                if np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
+                elsewhere = np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
                     joint.upper - joint.lower
-                ):
+                )
+                if other.kind == "slide" and joint.kind == "hinge":
+                    notes.append(
+                        f"{stop}, a stroke's end inside {joint.name}'s own range {_range(joint)}" if elsewhere else stop
+                    )
+                elif elsewhere:
                     problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
                 else:  # the coordinate has no range of its own that says otherwise: the stop is meant
                     notes.append(stop)
