@@ -13,10 +13,10 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
 from linkplan.models.actuation.transmission import TRN_TENDON
-from linkplan.models.closure.closed_pose import with_closed_pose
+from linkplan.models.closure.closed_pose import locked_or_singular, with_closed_pose
 from linkplan.models.closure.equations import Closure, read_closures
 from linkplan.models.closure.initial_assembly import assemble, home_positions, poses_about, refuse_singular_assembly
-from linkplan.models.closure.locked import locked_by, refuse_locked
+from linkplan.models.closure.locked import refuse_locked
 from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
 from linkplan.models.closure.nearest_pose import nearest_closed_pose
 from linkplan.models.closure.newton import KinematicLoop
@@ -256,7 +256,7 @@ def load_mechanism(
     try:
         refuse_singular_assembly(name, joints, loop, pose, free, extent, about)
     except LockedError as error:
-        raise locked_by(error, closures, jacobians[0], share) from None
+        raise locked_or_singular(error, joints, closures, loop, tree.coordinates, pose, unit) from None
     except UnassembledError as error:
         raise with_closed_pose(error, joints, tree.coordinates, nearest_closed_pose(loop, joints, pose, unit)) from None
     B = effort_matrix(model, tree, actuators)

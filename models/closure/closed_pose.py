@@ -6,7 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from linkplan.models.errors import UnassembledError
+from linkplan.models.closure.equations import Closure
+from linkplan.models.closure.locked import locked_by
+from linkplan.models.closure.nearest_pose import nearest_closed_pose
+from linkplan.models.closure.newton import KinematicLoop
+from linkplan.models.closure.rank import numerical_rank
+from linkplan.models.errors import AssemblyError, LockedError, UnassembledError
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint
 
@@ -50,8 +55,32 @@ def with_closed_pose(
 ) -> UnassembledError:
     """Return a refusal that offers a closed pose (n_q,), or says that none was found."""
     if pose is None:
-        said = "no closed pose was found near it: the links may be too short, or an anchor in the wrong place"
+        said = (
+            "no closed pose was found near it: the links may be too short; else name one with mechanism.home_deg"
+        )
         return UnassembledError(f"{error}; {said}", error.gap_m)
     home = home_of(joints, pose)
     said = f"nearest closed pose found: mechanism.{' and mechanism.'.join(home_text(home).splitlines())}"
     return UnassembledError(f"{error}; {said}", error.gap_m, keyframe_of(coordinates, pose), home)
+
+
+def locked_or_singular(
+    error: LockedError,
+    joints: Sequence[Joint],
+    closures: Sequence[Closure],
+    loop: KinematicLoop,
+    coordinates: Coordinates,
+    pose: np.ndarray,
+    unit: np.ndarray,
+) -> AssemblyError:
+    """Return the refusal of a pose (n_q,) from which a joint cannot move: of a singular one, with another, or of a lock.
+
+    A parallelogram drawn flat has fewer independent rows there than elsewhere; a truss drawn flat is nowhere else closed.
+    """
+    jacobian, share = loop.residual(pose)[1] * unit, loop.rank_tolerance
+    other = nearest_closed_pose(loop, joints, pose, unit)
+    if other is not None:
+        there = numerical_rank(loop.residual(other)[1] * unit, share)
+        if numerical_rank(jacobian, share) < there < len(joints):
+            return with_closed_pose(UnassembledError(str(error)), joints, coordinates, other)
+    return locked_by(error, closures, jacobian, share)

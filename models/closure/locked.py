@@ -10,8 +10,9 @@ from linkplan.models.closure.mobility import Mobility
 from linkplan.models.closure.rank import numerical_rank, weak_rank
 from linkplan.models.errors import LockedError
 
-# Closures are left out by so many at a time to see which lock a mechanism, and so many sets of them are named.
-_TOGETHER, _SETS = 3, 8
+# Closures are left out by so many at a time to see which lock a mechanism, more than two only where two do not; and so many
+# sets of them are named.
+_TOGETHER, _ALWAYS, _SETS = 3, 2, 8
 
 
 def refuse_locked(
@@ -51,20 +52,25 @@ def locked_by(error: LockedError, closures: Sequence[Closure], jacobian: np.ndar
 def without_which_it_moves(closures: Sequence[Closure], jacobian: np.ndarray, share: float) -> dict[str, int]:
     """Return the degrees of freedom that come with leaving out a closure, or the orientation of a weld, by what is left out.
 
-    Where no closure alone locks a mechanism, the smallest sets that do together, their names joined by " and ".
+    Sets that do so only together have their names joined by " and ".
     """
     least = numerical_rank(jacobian, share)
     parts = list(_parts(closures))
+    found: dict[frozenset[str], int] = {}
     for size in range(1, _TOGETHER + 1):
-        found: dict[str, int] = {}
+        if size > _ALWAYS and found:
+            break
         for chosen in itertools.combinations(parts, size):
+            names = frozenset(part for part, _ in chosen)
+            if any(fewer <= names for fewer in found):
+                continue
             left_out = np.unique([row for _, rows in chosen for row in rows])
             more = least - numerical_rank(np.delete(jacobian, left_out, axis=0), share)
             if more:
-                found[" and ".join(part for part, _ in chosen)] = more
-        if found:
-            return dict(itertools.islice(found.items(), _SETS))
-    return {}
+                found[names] = more
+    order = [part for part, _ in parts]
+    said = {" and ".join(sorted(names, key=order.index)): more for names, more in found.items()}
+    return dict(itertools.islice(said.items(), _SETS))
 
 
 def _parts(closures: Sequence[Closure]) -> Iterator[tuple[str, list[int]]]:
@@ -77,7 +83,7 @@ def _parts(closures: Sequence[Closure]) -> Iterator[tuple[str, list[int]]]:
         yield names[index], own
     for gap in closures:
         if gap.kind == "orientation":
-            yield f"the orientation of weld {gap.name}", list(range(gap.rows.start, gap.rows.stop))
+            yield f"weld {gap.name}'s orientation", list(range(gap.rows.start, gap.rows.stop))
 
 
 def freed_words(freed: dict[str, int]) -> str:
@@ -85,10 +91,10 @@ def freed_words(freed: dict[str, int]) -> str:
     if not freed:
         return ""
 
-    def without(part: str, more: int) -> str:
-        return f"{more} degree{'s' if more > 1 else ''} of freedom without {part}"
-
-    return f"; it would have {', '.join(without(part, more) for part, more in freed.items())}"
+    parts = [f"{part} ({more})" for part, more in freed.items()]
+    first = next(iter(freed.values()))
+    parts[0] = parts[0].replace(f"({first})", f"({first} degree{'s' if first > 1 else ''} of freedom)")
+    return f"; it moves without {', '.join(parts)}"
 
 
 def _hint(weak: int, locked, tolerance_m: float) -> str:
