@@ -55,9 +55,7 @@ def with_closed_pose(
 ) -> UnassembledError:
     """Return a refusal that offers a closed pose (n_q,), or says that none was found."""
     if pose is None:
-        said = (
-            "no closed pose was found near it: the links may be too short; else name one with mechanism.home_deg"
-        )
+        said = "no closed pose was found near it: the links may be too short; else name one with mechanism.home_deg"
         return UnassembledError(f"{error}; {said}", error.gap_m)
     home = home_of(joints, pose)
     said = f"nearest closed pose found: mechanism.{' and mechanism.'.join(home_text(home).splitlines())}"

@@ -71,7 +71,9 @@ def path_effort(problem: PlanningProblem, guess: Guess) -> PathEffort | None:
     v, a = guess.velocity(time), guess.acceleration(time)
     (effort, missed), (held, _) = (needed_effort(mechanism, q, rate * v, rate * a) for rate in (1.0, 0.0))
     bound = np.where(effort > 0, limit[:, 1], limit[:, 0])
-    factors, inertial = (np.abs(x) / np.maximum(np.abs(bound), np.finfo(float).tiny) for x in (effort, effort - held))
+    widest = np.abs(limit).max(axis=1)  # to a side to which an actuator gives nothing, the other one's limit is the measure
+    factors = np.abs(effort) / np.where(bound == 0, widest, np.abs(bound))
+    inertial = np.abs(effort - held) / widest
     at, column = np.unravel_index(int(np.argmax(factors)), factors.shape)
     actuator = mechanism.actuators[column]
     sentence = (

@@ -21,7 +21,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     try:
         mechanism, problem, note = _to_check(*asked)
     except (LockedError, UnassembledError) as error:
-        return _refused(arguments, target, RefusedModel(name=asked[0], error=error))
+        return _refused(arguments, target, RefusedModel(name=Path(asked[0]).stem, error=error))
     whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), [] if note is None else [note])
     found, said = whole.found, whole.record()
     if target is not None:
