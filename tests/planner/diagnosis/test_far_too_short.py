@@ -36,6 +36,7 @@ def test_the_factor_is_that_of_inverse_dynamics_along_the_smoothest_path():
     assert found == pytest.approx(np.abs(effort).max() / LIMIT, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("duration", ["0.1", "0.03"])
 def test_a_duration_that_is_only_a_little_too_short_is_looked_into_as_before(duration):
     plan = planned("knee-reach", f"motion.duration_s={duration}")
@@ -63,6 +64,7 @@ def test_other_mechanisms_are_answered_so_too(problem, words):
         assert word in plan.message
 
 
+@pytest.mark.slow
 def test_a_weak_motor_that_swings_up_is_not_taken_for_hurried():
     weak = planned("knee-reach", "motion.duration_s=0.2", "limits.effort.act_O=[-0.1, 0.1]")
     assert "times too short" not in weak.message
