@@ -7,6 +7,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import Reach, close_at, reach
+from linkplan.models.poses.controls import needed_controls
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
@@ -102,7 +103,7 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
                     f" {joint.said(min(max(x, low), high), 4)}"
                 )
-    contradiction = _singular(problem)
+    contradiction = _singular(problem) or _beyond_ctrl(problem)
     if contradiction is not None:
         return contradiction
     if motion.kind == "reach" and motion.duration_s is not None:
@@ -116,6 +117,28 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f"infeasible: joint {joint.name} would have to move at {joint.said(mean, 4)} {joint.unit}/s on average"
                     f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.said(bound, 4)} {joint.unit}/s;"
                     f" that limit alone asks for {shortest:.4g} s"
+                )
+    return None
+
+
+def _beyond_ctrl(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a start or goal where no ctrl of a servo gives an effort within its limits, or None."""
+    mechanism, motion = problem.mechanism, problem.motion
+    if not any(actuator.limits_control for actuator in mechanism.actuators):
+        return None
+    for name in ("start", "goal"):
+        s, speed = getattr(motion, name), getattr(motion, f"{name}_speed")
+        if s is None:
+            continue
+        q, v = close_at(mechanism, s)[None], np.zeros((1, mechanism.dof)) if speed is None else speed[None]
+        ends = [needed_controls(mechanism, q, v, end[None])[0] for end in problem.limits.effort.T]
+        for actuator, least, most in zip(mechanism.actuators, np.min(ends, axis=0), np.max(ends, axis=0), strict=True):
+            low, high = actuator.control_lower, actuator.control_upper
+            nearest_ctrl = least if least > high else most
+            if actuator.limits_control and (least > high or most < low):
+                return (
+                    f"infeasible: {actuator.name} on {actuator.target} would need a ctrl of {nearest_ctrl:.4g} at the {name}"
+                    f" for any effort within its limits, beyond its ctrlrange of {low:g} to {high:g}"
                 )
     return None
 
