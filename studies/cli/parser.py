@@ -41,6 +41,8 @@ class Parser(argparse.ArgumentParser):
 
     def _refuse_options(self, words: Sequence[str]) -> None:
         for word in itertools.takewhile(lambda word: word != "--", words):
+            if not word.startswith("-"):
+                continue
             name = word.partition("=")[0]
             # argparse takes a beginning for the whole; "-o" may have its folder in the same word
             if name.startswith("--") and not any(option.startswith(name) for option in self.options):

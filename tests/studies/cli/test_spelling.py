@@ -58,6 +58,7 @@ def test_beginnings_of_options_and_negative_values_are_taken_as_before(ask):
     code, out, _ = ask("check", "optimus-knee", "--at", "-3")
     assert code == 0
     assert "-3" in out
+    assert "'o' is not in mechanism" in ask("check", "optimus-knee", "--at-deg", "o=3")[2]  # a value, and not -o
     assert "--kd is a number of at least 0, got -1" in ask("bode", "optimus-knee", "--kd", "-1")[2]
 
 
