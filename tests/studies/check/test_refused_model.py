@@ -1,11 +1,14 @@
 """`check` of what is no mechanism as it stands, and of cylinders: reports with an exit code, and lines to paste."""
 
 import json
+from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.check.inspection import inspect
+from linkplan.studies.check.inspection_text import inspection_text
 from linkplan.studies.cli.main import main
 from tests.support.mechanisms import replaced
 
@@ -121,8 +124,9 @@ def test_a_hinges_stops_inside_another_hinges_range_stay_a_problem():
     assert any("joint C's range" in problem for problem in inspect(load_mechanism(text), []).problems)
 
 
-def test_positions_at_home_are_zero_where_they_are_rounding(check):
-    out = check(BOOM, "--at-deg", "stroke=0")[1]
-    table = out.split("\n\n")[1]
-    assert "boom [deg]" in table
-    assert "e-" not in table.splitlines()[2].split("  ")[0]
+def test_positions_in_the_table_of_poses_are_zero_where_they_are_rounding():
+    found = inspect(load_mechanism(BOOM), [{"stroke": 0.0}])
+    (point,) = found.points
+    drifted = replace(found, points=(replace(point, pose=np.array([-1.2e-10, 0.5, 0.0])),))
+    row = inspection_text(drifted).split("\n\n")[1].splitlines()[2].split()
+    assert row[:3] == ["0", "28.65", "0"]
