@@ -1,7 +1,11 @@
 """What is built in, by name: models and payloads, their text, and whether a name is a file's. Loads nothing heavy."""
 
+import itertools
+from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
+
+from linkplan.models.names import closest
 
 MODELS = {
     "optimus-knee": "the humanoid's knee: a four-bar driven at O within +-100 N.m",
@@ -14,6 +18,8 @@ MODELS = {
     "optimus-knee-source": "the source document's knee, as printed: kept to be checked, not to be used",
 }
 PAYLOADS = ("shank",)
+# So many names of a folder are looked through for one that is misspelled.
+_MOST_NEIGHBOURS = 1000
 
 
 def built_in_text(name: str) -> str:
@@ -40,6 +46,18 @@ def is_there(path: Path) -> bool:
         return path.exists() and not path.is_dir()
     except (OSError, ValueError):
         return False
+
+
+def nearest_source(source: str, names: Iterable[str]) -> str:
+    """Return " (did you mean 'x'?)" for the closest of built-in names and what stands where a path leads."""
+    path = Path(source)
+    lead = source[: len(source) - len(path.name)] if source.endswith(path.name) else ""
+    try:
+        there = sorted(one.name for one in itertools.islice(path.parent.iterdir(), _MOST_NEIGHBOURS))
+    except (OSError, ValueError):
+        there = []
+    match = closest(path.name, [*([] if lead else names), *(name for name in there if not name.startswith("."))])
+    return "" if match is None else f" (did you mean '{lead}{match}'?)"
 
 
 def is_folder(path: Path) -> bool:

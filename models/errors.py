@@ -3,6 +3,8 @@
 A message is one line that says what was asked, what is legal and what was got.
 """
 
+from collections.abc import Mapping
+
 # A refusal quotes what it was given; what is longer than this is a file's content and not a name.
 _LONGEST = 4000
 
@@ -27,6 +29,30 @@ class ModelError(LinkplanError):
 
 class AssemblyError(ModelError):
     """A pose that does not close the loops, or that cannot be reached on the branch."""
+
+
+class LockedError(AssemblyError):
+    """A mechanism that its closures lock; carries the degrees of freedom that come with leaving each of them out."""
+
+    def __init__(self, message: str, freed: Mapping[str, int]) -> None:
+        LinkplanError.__init__(self, message)
+        self.freed = dict(freed)
+
+
+class UnassembledError(AssemblyError):
+    """A model whose own pose is none to begin from: a loop does not close from there, or is singular.
+
+    Carries the gap [m] and the nearest closed pose that was found, as a keyframe to write into the model and as the tables
+    home_deg and home_m of a problem file; "" and nothing where none was found.
+    """
+
+    def __init__(
+        self, message: str, gap_m: float = 0.0, keyframe: str = "", home: Mapping[str, Mapping[str, float]] | None = None
+    ) -> None:
+        LinkplanError.__init__(self, message)
+        self.gap_m = gap_m
+        self.keyframe = keyframe
+        self.home = {key: dict(values) for key, values in (home or {}).items()}
 
 
 class ProblemError(LinkplanError):

@@ -13,14 +13,17 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
 from linkplan.models.actuation.transmission import TRN_TENDON
+from linkplan.models.closure.closed_pose import locked_or_singular, with_closed_pose
 from linkplan.models.closure.equations import Closure, read_closures
 from linkplan.models.closure.initial_assembly import assemble, home_positions, poses_about, refuse_singular_assembly
+from linkplan.models.closure.locked import refuse_locked
 from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
+from linkplan.models.closure.nearest_pose import nearest_closed_pose
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.passive_freedom import find_passive_dofs
-from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank, weak_rank
+from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank
 from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
-from linkplan.models.errors import AssemblyError, ModelError
+from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.library import compile_model
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree
@@ -234,24 +237,28 @@ def load_mechanism(
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])  # what counts as a radian
     tolerance = closure_tolerance(closure_tolerance_m, extent)
     reference = tree.coordinates.q_of(reference_qpos)
-    pose = assemble(name, joints, loop, reference, home_positions(name, joints, home), tolerance)
+    try:
+        pose = assemble(name, joints, loop, reference, home_positions(name, joints, home), tolerance)
+    except UnassembledError as error:
+        raise with_closed_pose(error, joints, tree.coordinates, nearest_closed_pose(loop, joints, reference, unit)) from None
     _refuse_beyond_charts(name, tree.coordinates, pose)
     mobility = judge_mobility(loop, pose, unit, tolerance)
     loop, share = mobility.loop, mobility.loop.rank_tolerance
     about = poses_about(loop, pose, unit)
     jacobians = [loop.residual(q)[1] * unit for q in (pose, *about)]
+    refuse_locked(name, len(joints), closures, jacobians[0], mobility, tolerance)
     rank = numerical_rank(jacobians[0], share)
-    if rank == len(joints):
-        raise ModelError(
-            f"mechanism '{name}' is locked: {len(joints)} joints less {rank} independent closure rows leave 0 degrees of"
-            f" freedom{_hint(weak_rank(jacobians[0], share), mobility.locked, tolerance)}"
-        )
     ordinary = [jacobian for jacobian in jacobians if numerical_rank(jacobian, share) == rank]
     rows = independent_rows(ordinary, rank, share)
     named = _named(name, joints, independent, len(joints) - rank)
     dependent = _choose_dependent(joints, model, jacobians[0][rows], rank, actuators, named)
     free = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
-    refuse_singular_assembly(name, joints, loop, pose, rank, free, extent, about)
+    try:
+        refuse_singular_assembly(name, joints, loop, pose, free, extent, about)
+    except LockedError as error:
+        raise locked_or_singular(error, joints, closures, loop, tree.coordinates, pose, unit) from None
+    except UnassembledError as error:
+        raise with_closed_pose(error, joints, tree.coordinates, nearest_closed_pose(loop, joints, pose, unit)) from None
     B = effort_matrix(model, tree, actuators)
     sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
     projected = projected_loops(sparse, rows.tolist(), dependent.tolist(), pose, mobility.noise * _NOISE_ROOM)
@@ -313,17 +320,6 @@ def _table_of(
     if tolerance_m is not None:
         table["closure_tolerance_m"] = tolerance_m
     return table
-
-
-def _hint(weak: int, locked, tolerance_m: float) -> str:
-    if not weak:
-        return ""
-    gap = max((gap for _, gap in locked), default=0.0)
-    opens = f" (moved by 0.1 rad the loops open by {gap:.3g} m; closure_tolerance_m = {tolerance_m:g})" if gap else ""
-    return (
-        f"; {weak} of these rows is nearly dependent on the others (1e-4 of the largest singular value): joint axes or"
-        f" points meant to be aligned are slightly off{opens}"
-    )
 
 
 def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:

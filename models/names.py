@@ -5,11 +5,23 @@ from collections.abc import Iterable
 
 from linkplan.models.errors import ModelError
 
+# Names count as close from this share of common letters on (`difflib`'s ratio): half of them.
+_CLOSE = 0.5
+
 
 def nearest(asked: str, legal: Iterable[str]) -> str:
     """Return " (did you mean 'x'?)" for the legal name closest to `asked`, or nothing where none is close."""
-    matches = difflib.get_close_matches(str(asked), list(legal), n=1, cutoff=0.5)
-    return f" (did you mean '{matches[0]}'?)" if matches else ""
+    match = closest(asked, legal)
+    return "" if match is None else f" (did you mean '{match}'?)"
+
+
+def closest(asked: str, legal: Iterable[str]) -> str | None:
+    """Return the legal name closest to `asked`, capitals not counted; None where none is close."""
+    folded: dict[str, str] = {}
+    for name in legal:
+        folded.setdefault(name.casefold(), name)
+    matches = difflib.get_close_matches(str(asked).casefold(), list(folded), n=1, cutoff=_CLOSE)
+    return folded[matches[0]] if matches else None
 
 
 def choose(what: str, asked: str, legal: Iterable[str], error: type[Exception] = ModelError) -> str:

@@ -41,7 +41,9 @@ def _problems(batch: Batch) -> Iterator[tuple[Case, PlanningProblem]]:
             for setting in (*batch.common, *case.settings):
                 apply_override(tables, setting)
             wanted = copy.deepcopy(tables.get("mechanism"))
-            same = mechanism is not None and wanted == asked
+            # coordinates that a case's own motion chose are not the next one's
+            chosen = mechanism is not None and "independent" in mechanism.source and "independent" not in (wanted or {})
+            same = mechanism is not None and wanted == asked and not chosen
             problem = problem_from_tables(f"{name}/{case.name}", tables, folder, mechanism if same else None)
         except ProblemError as error:
             raise ProblemError(f"case '{case.name}': {error}") from error

@@ -166,8 +166,20 @@ def plan_motion(problem: PlanningProblem, say: Say = silent, rungs: Sequence[Run
     start_pose = start_pose_of(problem)
     if problem.motion.kind == "track":
         return plan_prescribed(problem, start_pose, say)
-    search = Search(problem=problem, start_pose=start_pose, say=say, deadline=deadline, repairs=REPAIRS)
-    return reasons.contradicted(search) or climb(search, rungs) or _diagnosed(search)
+    plans: list[Plan] = []
+    said = _with_the_best(say, plans)
+    search = Search(problem=problem, start_pose=start_pose, say=said, deadline=deadline, repairs=REPAIRS, plans=plans)
+    return reasons.contradicted(search) or reasons.too_short(search) or climb(search, rungs) or _diagnosed(search)
+
+
+def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:
+    """Return progress that ends in the objective of the best of the plans so far that pass, where there is one."""
+
+    def told(text: str) -> None:
+        passed = [plan.objective for plan in plans if plan.status == "optimal" and plan.objective is not None]
+        say(f"{text}; best certified {min(passed):.6g}" if passed else text)
+
+    return told
 
 
 def _diagnosed(search: Search) -> Plan:

@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.models.closure import newton
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.rank import numerical_rank
-from linkplan.models.errors import AssemblyError, ModelError
+from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.tree.joints import Joint, index_of, where
 
 # Joint angles named in `home` beside the independent ones choose a branch; the loop may settle this far from them.
@@ -66,9 +66,9 @@ def _assemble(
     if not asked:
         if gap > loop.closed_m:
             gap = min(gap, newton.least_gap(loop, near, everything))
-            raise AssemblyError(
-                f"mechanism '{name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm;"
-                " name a pose near a closed one with mechanism.home_deg"
+            raise UnassembledError(
+                f"mechanism '{name}' does not close from its reference pose: the loop stays open by {1e3 * gap:.3g} mm",
+                gap,
             )
         return near
     base = near if gap <= loop.closed_m else reference
@@ -131,13 +131,33 @@ def poses_about(loop: KinematicLoop, home: np.ndarray, unit: np.ndarray) -> list
 
 
 def refuse_singular_assembly(
-    name: str, joints: tuple[Joint, ...], loop: KinematicLoop, pose: np.ndarray, rank: int, independent, extent: float, about
+    name: str,
+    joints: tuple[Joint, ...],
+    loop: KinematicLoop,
+    pose: np.ndarray,
+    independent: np.ndarray,
+    extent: float,
+    about: list[np.ndarray],
 ) -> None:
     """Refuse a home pose where the rank is not that of its neighbours, or from which nothing can move.
 
     A parallelogram drawn flat, or a truss of three bars in a line, shows fewer independent rows there than it has.
-    `about` holds further closed poses.
+
+    Args:
+        name: of the mechanism.
+        joints: of the mechanism.
+        loop: its closure.
+        pose: its home (n_q,).
+        independent: indices of the independent joints.
+        extent: of what moves [m].
+        about: further closed poses.
+
+    Raises:
+        LockedError: where an independent joint cannot move.
+        UnassembledError: where the pose is singular.
     """
+    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])
+    rank = numerical_rank(loop.residual(pose)[1] * unit, loop.rank_tolerance)
     held = [int(i) for i in independent]
     rest = [i for i in range(len(joints)) if i not in held]
     neighbours = list(about)
@@ -154,16 +174,16 @@ def refuse_singular_assembly(
             if moved:
                 break
         if not moved and rank:
-            raise AssemblyError(
+            raise LockedError(
                 f"mechanism '{name}' cannot move joint {joints[index].name} from its home pose: the loop is singular or"
-                " locked there; name another pose with mechanism.home_deg"
+                " locked there; name another pose with mechanism.home_deg",
+                {},
             )
-    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])
     there = max(
         (numerical_rank(loop.residual(neighbour)[1] * unit, loop.rank_tolerance) for neighbour in neighbours), default=rank
     )
     if there != rank:
-        raise AssemblyError(
+        raise UnassembledError(
             f"mechanism '{name}' is assembled in a singular pose: its closure has rank {rank} there and {there} next"
             " to it; name another pose with mechanism.home_deg"
         )

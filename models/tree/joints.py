@@ -93,4 +93,4 @@ def index_of(
 
 def where(joints: tuple[Joint, ...], positions: Mapping[int, float]) -> str:
     """Return positions [rad or m] by joint index in words: "O = 10 deg, B = 0.2 m"."""
-    return ", ".join(f"{joints[i].name} = {joints[i].shown(x):.6g} {joints[i].unit}" for i, x in positions.items())
+    return ", ".join(f"{joints[i].name} = {joints[i].said(x, 6)} {joints[i].unit}" for i, x in positions.items())

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.planner.diagnosis.far_too_short import far_too_short, path_effort
 from linkplan.planner.diagnosis.infeasibility import effort_sentence
 from linkplan.planner.diagnosis.relaxation import RELAXABLE, least_of, violated_sentence, without
 from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
@@ -40,6 +41,12 @@ def contradicted(search: Search) -> Plan | None:
     details: dict[str, float] = {}
     longer_would_do = plain_contradiction(replace(problem, motion=replace(problem.motion, duration_s=None))) is None
     return _infeasible(search, sentence, details, shortest=longer_would_do)
+
+
+def too_short(search: Search) -> Plan | None:
+    """Return the plan that says that a duration is a small share of the shortest one's, found without a search for it."""
+    found = far_too_short(search)
+    return None if found is None else _infeasible(search, *found, shortest=False)
 
 
 def solver_stopped(search: Search) -> Plan | None:
@@ -105,7 +112,9 @@ def nothing_found(search: Search) -> Plan:
     if stopped is not None:
         return stopped
     status = search.history[-1].solver_status if search.history else "no initial guess closes the kinematic loops"
-    return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status})")
+    path = path_effort(search.problem, search.smooth) if np.all(np.isfinite(search.problem.limits.effort)) else None
+    asks = "" if path is None or path.factor <= 1 else f"; {path.sentence}"
+    return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){asks}")
 
 
 def _over(search: Search) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from linkplan.models.catalogue import is_there
+from linkplan.models.catalogue import is_there, nearest_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
 from linkplan.models.reading import read_toml
@@ -50,7 +50,10 @@ def read_batch(path: str | Path) -> Batch:
     """
     path = Path(path)
     if not is_there(path):
-        raise ProblemError(f"batch '{path}' is not a file; a batch is a TOML file with problem, and [[case]] or [sweep]")
+        raise ProblemError(
+            f"batch '{path}'{nearest_source(str(path), ())} is not a file; a batch is a TOML file with problem, and [[case]]"
+            " or [sweep]"
+        )
     tables = read_toml(path, f"batch '{path}'")
     for key in tables:
         if key not in KEYS:

@@ -75,6 +75,9 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
                 f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which is independent{hint}"
             )
         value = values.get(int(index), default)
+        if index not in values and default is not None and np.isnan(default):
+            result.append(default)  # a waypoint leaves free what it does not name
+            continue
         # a passive degree of freedom stays where it is, unless it is named
         if value is None and int(index) in mechanism.passive_dofs:
             value = joint.shown(mechanism.home[index])

@@ -69,6 +69,7 @@ def record(plan: Plan) -> dict:
             },
             "details": plan.details,
             "history": [{name: getattr(step, name) for name in step.__slots__} for step in plan.history],
+            "notes": list(problem.notes),
             "not_honoured": list(not_honoured(plan)),
             "versions": versions(),
             "fingerprint": part_hashes(mechanism.model),

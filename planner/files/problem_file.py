@@ -13,7 +13,7 @@ import numpy as np
 
 from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS, is_file
-from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.errors import AssemblyError, ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.names import nearest
 from linkplan.models.poses.assembly import close_at
@@ -22,6 +22,7 @@ from linkplan.planner.files.limits_file import KEYS as LIMIT_KEYS
 from linkplan.planner.files.limits_file import limits_of, motors_of
 from linkplan.planner.files.motion_file import KEYS as MOTION_KEYS
 from linkplan.planner.files.motion_file import motion_of
+from linkplan.planner.files.named_coordinates import coordinates_note, other_coordinates
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.files.trajectory_file import read_trajectory
 from linkplan.planner.files.values import word
@@ -98,6 +99,11 @@ def problem_from_tables(
             f"mechanism '{mechanism.name}' has no usable actuator; a plan needs one"
             + "".join(f"; {item.text}" for item in audit(mechanism.model))
         )
+    notes = []
+    others = other_coordinates(section, mechanism)
+    if others is not None:
+        notes.append(coordinates_note(mechanism, others))
+        mechanism = _in_coordinates(tables, mechanism, others, folder)
     kind = word(section["motion"], "motion.kind", KINDS)
     default = "tracking" if kind == "track" or (kind == "periodic" and section["reference"]) else "effort"
     objective = _objective(section["objective"], default)
@@ -112,13 +118,34 @@ def problem_from_tables(
         reference=reference,
         guess=_guess(section["guess"], mechanism, folder),
         contacts=word(section["limits"], "limits.contacts", CONTACTS, "refuse"),
-        mesh=_mesh(section["mesh"], objective),
+        mesh=_mesh(section["mesh"], objective, rated="effort_rate" in section["limits"]),
         solver=SolverSettings(**section["solver"]),
         tracking=_tracking(section["tracking"], mechanism),
         source=tables,
+        notes=(*notes, *_duration_notes(section["motion"], objective, reference)),
     )
     _check_poses(section["motion"], problem)
     return problem
+
+
+def _in_coordinates(tables: Tables, mechanism: Mechanism, named: list[str], folder: Path | None) -> Mechanism:
+    """Return a mechanism with other independent coordinates, which the tables then name."""
+    tables["mechanism"]["independent"] = named
+    try:
+        return _mechanism(tables["mechanism"], folder)
+    except ModelError as error:
+        had = ", ".join(joint.name for joint in mechanism.independent_joints)
+        raise ProblemError(
+            f"the motion names {', '.join(named)}, in which it cannot be planned; by default it is named in {had}: {error}"
+        ) from error
+
+
+def _duration_notes(section: dict, objective: Objective, reference: Sine | None) -> list[str]:
+    """Return the sentence on a duration that is free because nothing is said of it."""
+    said = any(key in section for key in ("duration_s", "min_duration_s", "max_duration_s"))
+    if said or reference is not None or objective.has("time"):
+        return []
+    return ['motion.duration_s is not given: the duration is free (give it, or write motion.duration_s = "free")']
 
 
 def mechanism_from_tables(tables: Tables, folder: Path | None = None) -> Mechanism:
@@ -255,10 +282,11 @@ def _guess(section: dict, mechanism: Mechanism, folder: Path | None) -> GuessedP
     return GuessedPath(path=np.array(columns).T, duration_s=duration)
 
 
-def _mesh(section: dict, objective: Objective) -> MeshSettings:
+def _mesh(section: dict, objective: Objective, *, rated: bool) -> MeshSettings:
     # Least work pushes in full, coasts and brakes in full: a polynomial smears that, and is charged at its nodes alone.
+    # Efforts whose rates are limited cannot jump, and bend where these were jumps.
     smeared = objective.has("work") and {*objective.weights} <= {"work", "time"}
-    values = {"effort": "constant"} if smeared else {}
+    values = {"effort": "linear" if rated else "constant"} if smeared else {}
     if "scheme" in section:
         values["refine"] = "intervals"  # a transcription that was named is kept, unless its degree is given free
     breaks = section.get("breaks")
@@ -281,24 +309,33 @@ def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
 
 
 def _check_poses(section: dict, problem: PlanningProblem) -> None:
-    """Refuse a start or goal whose dependent joints do not stand where the closed loop has them."""
-    mechanism = problem.mechanism
-    for key, s in (("start", problem.motion.start), ("goal", problem.motion.goal)):
-        named = joint_values(section, key, "motion", mechanism)
+    """Refuse a start, goal or waypoint whose dependent joints do not stand where the closed loop has them."""
+    mechanism, motion = problem.mechanism, problem.motion
+    states = [(section, "motion", "start", motion.start), (section, "motion", "goal", motion.goal)]
+    for k, (item, waypoint) in enumerate(zip(section.get("waypoints", []), motion.waypoints, strict=True)):
+        states.append((item, f"motion.waypoints[{k}]", "at", waypoint.position))
+    for table, where, key, s in states:
+        named = joint_values(table, key, where, mechanism)
         extra = [index for index in named if index not in mechanism.independent]
         if s is None or not extra:
             continue
+        if np.any(np.isnan(s)):
+            names = ", ".join(joint.name for joint in mechanism.independent_joints)
+            raise ProblemError(
+                f"{where}.{key} of joint {mechanism.joints[extra[0]].name}: it follows from {names}; a waypoint that leaves"
+                " one of them free names none that follows"
+            )
         try:
             pose = close_at(mechanism, s)
         except AssemblyError as error:
-            raise ProblemError(f"motion.{key}_deg does not close: {error}") from error
+            raise ProblemError(f"{where}.{key}_deg does not close: {error}") from error
         for index in extra:
             joint = mechanism.joints[index]
-            asked = joint.read(number(named[index], f"motion.{key} of joint {joint.name}"))
+            asked = joint.read(number(named[index], f"{where}.{key} of joint {joint.name}"))
             if abs(asked - pose[index]) > _POSE_TOLERANCE:
                 pairs = zip(mechanism.independent_joints, s, strict=True)
                 raise ProblemError(
-                    f"motion.{key}_{joint.unit} does not close: with"
-                    f" {', '.join(f'{j.name} = {j.shown(x):.6g}' for j, x in pairs)} the loop has {joint.name} at"
-                    f" {joint.shown(pose[index]):.6g} {joint.unit}, asked {joint.shown(asked):.6g}"
+                    f"{where}.{key}_{joint.unit} does not close: with"
+                    f" {', '.join(f'{j.name} = {j.said(x, 6)}' for j, x in pairs)} the loop has {joint.name} at"
+                    f" {joint.said(pose[index], 6)} {joint.unit}, asked {joint.said(asked, 6)}"
                 )

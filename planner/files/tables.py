@@ -5,9 +5,8 @@ import tomllib
 from importlib import resources
 from pathlib import Path
 
-from linkplan.models.catalogue import PAYLOADS, is_folder, is_there
+from linkplan.models.catalogue import PAYLOADS, is_folder, is_there, nearest_source
 from linkplan.models.errors import ProblemError
-from linkplan.models.names import nearest
 from linkplan.models.reading import parse_toml, read_toml
 from linkplan.models.reading import shown as shown_name
 
@@ -46,7 +45,8 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
         raise ProblemError(f"problem '{text}' is a folder; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
     if not is_there(path):
         raise ProblemError(
-            f"unknown problem '{shown}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)}) nor a file"
+            f"unknown problem '{shown}'{nearest_source(text, BUILT_IN)}: neither a built-in name"
+            f" ({', '.join(BUILT_IN)}) nor a file"
         )
     return shown_name(path.stem), read_toml(path, f"problem '{text}'"), path.parent
 

@@ -55,6 +55,7 @@ class PlanningProblem:
     solver: SolverSettings = field(default_factory=SolverSettings)
     tracking: Tracking = field(default_factory=Tracking)
     source: dict = field(default_factory=dict)
+    notes: tuple[str, ...] = ()  # sentences on what was chosen where the problem says nothing
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "objective", objective_from(self.objective))
@@ -112,7 +113,15 @@ class PlanningProblem:
         """Refuse an objective that the motion or the actuators do not go with."""
         motion, objective = self.motion, self.objective
         if list(objective.weights) == ["time"] and not np.all(np.isfinite(self.limits.effort)):
-            raise ProblemError("objective.minimize 'time' needs finite limits.effort: without them no time is the least")
+            unlimited = [
+                actuator.name
+                for actuator, ends in zip(self.mechanism.actuators, self.limits.effort, strict=False)
+                if not np.all(np.isfinite(ends))
+            ]
+            raise ProblemError(
+                "objective.minimize 'time' needs finite limits.effort: without them no time is the least; there are none"
+                f" (a motor's ctrlrange, a servo's forcerange) for {', '.join(unlimited)}"
+            )
         if objective.has("tracking") and self.reference is None:
             raise ProblemError("objective.minimize 'tracking' needs a [reference]")
         if list(objective.weights) == ["time"] and motion.stays:

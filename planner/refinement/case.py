@@ -196,7 +196,7 @@ def attempt(
     settings = case.problem
     if settings.solver.deadline is not None and time.monotonic() > settings.solver.deadline:
         return None
-    say(f"{what}: {settings.mesh.scheme}, {mesh.n_intervals} intervals, {mesh.n_segments} segment(s)")
+    say(_attempted(what, settings.mesh.scheme, mesh, history))
     efforts, paths = (bang_efforts, None) if fixed is None else (fixed.efforts, fixed.paths)
     try:
         transcribed = case.transcribe(
@@ -210,3 +210,11 @@ def attempt(
         return None
     motion = case.motion(solution)
     return None if motion is None else Found(motion=motion, solution=solution, fixed=fixed)
+
+
+def _attempted(what: str, scheme: str, mesh: Mesh, history: list[Step]) -> str:
+    """Return the line on a solve that begins, and on what the one before it came to."""
+    segments = f"{mesh.n_segments} segments" if mesh.n_segments > 1 else "1 segment"
+    last = history[-1] if history else None
+    came = "" if last is None else f"; last objective {last.objective:.6g}" if last.converged else "; last one not solved"
+    return f"{what}: {scheme}, {mesh.n_intervals} intervals, {segments}{came}"

@@ -7,6 +7,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import Reach, close_at, reach
+from linkplan.models.poses.controls import needed_controls
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
@@ -30,7 +31,7 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
         if value is not None:
             _check_reach(problem, f"motion.{name}_deg", value, can)
     for k, waypoint in enumerate(motion.waypoints):
-        if not np.any(np.isnan(waypoint.position)):
+        if not np.all(np.isnan(waypoint.position)):
             _check_reach(problem, f"motion.waypoints[{k}].at_deg", waypoint.position, can)
     if motion.start is not None:
         return close_at(mechanism, motion.start)
@@ -48,6 +49,8 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
 def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, can: Reach | None, ranges: bool = True) -> None:
     mechanism = problem.mechanism
     for column, joint in enumerate(mechanism.independent_joints):
+        if np.isnan(s[column]):  # a waypoint leaves it free
+            continue
         index = int(mechanism.independent[column])
         low, high = problem.limits.position[index]
         interval, reason = (low, high), f"range of {joint.name}"
@@ -60,8 +63,8 @@ def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, can: Reach 
             reason = can.lower.reason if s[column] < interval[0] else can.upper.reason
         if not inside:
             raise ProblemError(
-                f"{what} {joint.name} = {joint.shown(s[column]):.6g} {joint.unit} is beyond reach:"
-                f" {joint.name} reaches from {joint.shown(interval[0]):.6g} to {joint.shown(interval[1]):.6g} {joint.unit}"
+                f"{what} {joint.name} = {joint.said(s[column], 6)} {joint.unit} is beyond reach:"
+                f" {joint.name} reaches from {joint.said(interval[0], 6)} to {joint.said(interval[1], 6)} {joint.unit}"
                 f" ({reason}"
                 f"{_way_through(can, reason, s[column])})"
             )
@@ -86,8 +89,8 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
             low, high = limits.speed[mechanism.independent[column]]
             if value is not None and not low <= value[column] <= high:
                 return (
-                    f"infeasible: motion.{name} of joint {joint.name} is {joint.shown(value[column]):.4g} {joint.unit}/s,"
-                    f" beyond its speed limit of {joint.shown(high if value[column] > 0 else low):.4g} {joint.unit}/s"
+                    f"infeasible: motion.{name} of joint {joint.name} is {joint.said(value[column], 4)} {joint.unit}/s,"
+                    f" beyond its speed limit of {joint.said(high if value[column] > 0 else low, 4)} {joint.unit}/s"
                 )
     for name in ("start", "goal"):
         if getattr(motion, name) is None:
@@ -96,11 +99,11 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
         for joint, x, (low, high) in zip(mechanism.joints, pose, limits.position, strict=True):
             if not low <= x <= high:
                 return (
-                    f"infeasible: joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at the {name},"
+                    f"infeasible: joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at the {name},"
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
-                    f" {joint.shown(min(max(x, low), high)):.4g}"
+                    f" {joint.said(min(max(x, low), high), 4)}"
                 )
-    contradiction = _singular(problem)
+    contradiction = _singular(problem) or _beyond_ctrl(problem)
     if contradiction is not None:
         return contradiction
     if motion.kind == "reach" and motion.duration_s is not None:
@@ -111,9 +114,31 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                 bound = high if mean > 0 else low
                 shortest = (motion.goal[column] - motion.start[column]) / bound if bound else np.inf
                 return (
-                    f"infeasible: joint {joint.name} would have to move at {joint.shown(mean):.4g} {joint.unit}/s on average"
-                    f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.shown(bound):.4g} {joint.unit}/s;"
+                    f"infeasible: joint {joint.name} would have to move at {joint.said(mean, 4)} {joint.unit}/s on average"
+                    f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.said(bound, 4)} {joint.unit}/s;"
                     f" that limit alone asks for {shortest:.4g} s"
+                )
+    return None
+
+
+def _beyond_ctrl(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a start or goal where no ctrl of a servo gives an effort within its limits, or None."""
+    mechanism, motion = problem.mechanism, problem.motion
+    if not any(actuator.limits_control for actuator in mechanism.actuators):
+        return None
+    for name in ("start", "goal"):
+        s, speed = getattr(motion, name), getattr(motion, f"{name}_speed")
+        if s is None:
+            continue
+        q, v = close_at(mechanism, s)[None], np.zeros((1, mechanism.dof)) if speed is None else speed[None]
+        ends = [needed_controls(mechanism, q, v, end[None])[0] for end in problem.limits.effort.T]
+        for actuator, least, most in zip(mechanism.actuators, np.min(ends, axis=0), np.max(ends, axis=0), strict=True):
+            low, high = actuator.control_lower, actuator.control_upper
+            nearest_ctrl = least if least > high else most
+            if actuator.limits_control and (least > high or most < low):
+                return (
+                    f"infeasible: {actuator.name} on {actuator.target} would need a ctrl of {nearest_ctrl:.4g} at the {name}"
+                    f" for any effort within its limits, beyond its ctrlrange of {low:g} to {high:g}"
                 )
     return None
 

@@ -175,9 +175,9 @@ def default_poses(
         return (low + shares * (high - low))[:, None], None
     kept, unheld, joint = looked[held], looked[~held], mechanism.independent_joints[0]
     return kept[(shares * (len(kept) - 1)).round().astype(int)][:, None], (
-        f"poses are taken from {joint.name} = {joint.shown(kept[0]):.4g} to {joint.shown(kept[-1]):.4g} {joint.unit}; of"
-        f" {len(looked)} from {joint.shown(low):.4g} to {joint.shown(high):.4g}, the actuators cannot hold {len(unheld)} at"
-        f" rest, between {joint.shown(unheld[0]):.4g} and {joint.shown(unheld[-1]):.4g}"
+        f"poses are taken from {joint.name} = {joint.said(kept[0], 4)} to {joint.said(kept[-1], 4)} {joint.unit}; of"
+        f" {len(looked)} from {joint.said(low, 4)} to {joint.said(high, 4)}, the actuators cannot hold {len(unheld)} at"
+        f" rest, between {joint.said(unheld[0], 4)} and {joint.said(unheld[-1], 4)}"
     )
 
 
@@ -303,7 +303,7 @@ def bode_study(
 def _scans(mechanism, lines: Sequence[tuple[int | None, Line]], settings, effort_limit, timing, law: str, count: int, say):
     """Yield the margins along lines: of the coordinate that a line is of, of every one's where it is of a motion."""
     for coordinate, line in lines:
-        say(f"margins over {line.name} from {line.shown(line.low):.4g} to {line.shown(line.high):.4g} {line.unit}")
+        say(f"margins over {line.name} from {line.said(line.low, 4)} to {line.said(line.high, 4)} {line.unit}")
         for channel in range(mechanism.dof) if coordinate is None else [coordinate]:
             judge = judge_of(mechanism, settings, effort_limit, timing, law, [channel])
 

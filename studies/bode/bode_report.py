@@ -132,7 +132,7 @@ def bode_text(study: BodeStudy) -> str:
     lines = [f"{study.message[0].upper()}{study.message[1:]}", *([broken] if broken else []), "", table(head, rows)]
     for scan in study.scans:
         line, worst = scan.line, scan.margins[scan.worst]
-        ends = f"{line.shown(scan.positions[0]):.4g} to {line.shown(scan.positions[-1]):.4g} {line.unit}"
+        ends = f"{line.said(scan.positions[0], 4)} to {line.said(scan.positions[-1], 4)} {line.unit}"
         of = "" if mechanism.dof == 1 else f" of the loop of {mechanism.independent_joints[scan.channel].name}"
         said = (
             f"disk margin {worst.disk_margin:.3g}" if worst.stable else f"unstable, largest pole {worst.spectral_radius:.4g}"

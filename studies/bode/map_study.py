@@ -159,7 +159,7 @@ def map_text(study: MapStudy) -> str:
     found = study.found
     joint = found.points[0].mechanism.independent_joints[0]
     rows = [
-        [f"{joint.shown(p.state[0]):.4g}", float(p.inertia[0, 0]), float(low), float(high)]
+        [f"{joint.said(p.state[0], 4)}", float(p.inertia[0, 0]), float(low), float(high)]
         for p, (low, high) in zip(found.points, study.critical, strict=True)
     ]
     head = [f"{joint.name} [{joint.unit}]", "inertia", "least kd", "largest kd"]

@@ -13,6 +13,8 @@ from linkplan.studies.frequency.feedback_loops import OperatingPoint, feedback_l
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.worst import local_minima
 
+# A parameter [rad, m or s] below this is zero to people.
+_NOTHING = 1e-9
 # What an actuator is to have left beside what holds a default pose, of its range: room for a loop to answer in.
 _ROOM = 0.05
 # The figures whose local minima are refined beside that of stability.
@@ -39,9 +41,13 @@ class Line:
         """Return a parameter in the unit for people."""
         return float(self.factor * x)
 
+    def said(self, x: float, digits: int = 4) -> str:
+        """Return a parameter as people read it: what is rounding of zero is zero."""
+        return f"{0.0 if abs(x) < _NOTHING else self.shown(x):.{digits}g}"
+
     def place(self, x: float) -> str:
         """Return a parameter for people."""
-        return f"{self.name} = {self.shown(x):.4g} {self.unit}"
+        return f"{self.name} = {self.said(x, 4)} {self.unit}"
 
 
 def coordinate_line(mechanism: Mechanism, channel: int, low: float, high: float, others: np.ndarray) -> Line:

@@ -57,6 +57,6 @@ def contact_findings(
 
 def _on_the_way(mechanism: Mechanism, meeting: Meeting, path: KinematicLoopPath, position_at) -> str:
     at = position_at(np.array([meeting.since]))[0]
-    where = ", ".join(f"{j.name} = {j.shown(x):.5g} {j.unit}" for j, x in zip(mechanism.independent_joints, at, strict=True))
+    where = ", ".join(f"{j.name} = {j.said(x, 5)} {j.unit}" for j, x in zip(mechanism.independent_joints, at, strict=True))
     depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
     return f"{who(meeting)} collide at {where} on {path.title}, {depth}"

@@ -79,7 +79,7 @@ def pressed_stops(mechanism: Mechanism) -> str | None:
     ]
     if not pressed:
         return None
-    names = ", ".join(f"{joint.name} ({joint.shown(x):.4g} {joint.unit})" for joint, x in pressed)
+    names = ", ".join(f"{joint.name} ({joint.said(x, 4)} {joint.unit})" for joint, x in pressed)
     return (
         f"at home weight and springs press {names} onto {'its stop' if len(pressed) == 1 else 'their stops'}, against which"
         " no actuator holds: a stop's force is not planned for, an equality's that locks the joint is"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.audit import audit
+from linkplan.models.closure.closed_pose import keyframe_of
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.poses.assembly import Reach, close_at, reach
@@ -116,10 +117,11 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
             f"loop {', '.join(mechanism.closure_names)} is open by {1e3 * mechanism.home_gap_m:.3g} mm at the model's"
             " reference pose: the simulator closes it abruptly, on either branch"
         )
+        notes.append(f"a pose that closes it, to write into the model: {keyframe_of(mechanism.coordinates, mechanism.home)}")
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
         if not joint.lower - AT_THE_END <= x <= joint.upper + AT_THE_END:
             problems.append(
-                f"joint {joint.name} stands at {joint.shown(x):.4g} {joint.unit} at home, outside its range {_range(joint)}"
+                f"joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at home, outside its range {_range(joint)}"
             )
     pressed = pressed_stops(mechanism)
     problems += [] if pressed is None else [pressed]
@@ -147,11 +149,16 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
             if end.joint is not None and end.joint != index:
                 other = mechanism.joints[end.joint]
                 stop = f"joint {other.name}'s range {_range(other)} stops the mechanism at {joint.name} ="
-                stop += f" {joint.shown(end.position):.4g} {joint.unit}"
+                stop += f" {joint.said(end.position, 4)} {joint.unit}"
                 own = joint.lower if end is can.lower else joint.upper
-                if np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
+                elsewhere = np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
                     joint.upper - joint.lower
-                ):
+                )
+                if other.kind == "slide" and joint.kind == "hinge":
+                    notes.append(
+                        f"{stop}, a stroke's end inside {joint.name}'s own range {_range(joint)}" if elsewhere else stop
+                    )
+                elif elsewhere:
                     problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
                 else:  # the coordinate has no range of its own that says otherwise: the stop is meant
                     notes.append(stop)
@@ -167,7 +174,7 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     """Return a sentence on each singular pose of a reach: a dead centre of its coordinate, or a pose that branches."""
     joint, branching, said = mechanism.joints[mechanism.independent[can.coordinate]], dict(can.branching), []
     for position in can.singular:
-        at = f"singular pose at {joint.name} = {joint.shown(position):.5g} {joint.unit}"
+        at = f"singular pose at {joint.name} = {joint.said(position, 5)} {joint.unit}"
         if position in branching:
             said.append(
                 f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}: the mechanism may"
@@ -212,7 +219,7 @@ def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
             found.append(position)
     said = []
     for other, positions in by_joint.items():
-        first = ", ".join(f"{joint.shown(x):.5g}" for x in positions[:_TOGGLES])
+        first = ", ".join(f"{joint.said(x, 5)}" for x in positions[:_TOGGLES])
         more = f" and {len(positions) - _TOGGLES} more" if len(positions) > _TOGGLES else ""
         said.append(f"joint {mechanism.joints[other].name} turns back at {joint.name} = {first}{more} {joint.unit}")
     again = ", and again every turn" if np.isfinite(turn) else ""

@@ -5,6 +5,9 @@ import numpy as np
 from linkplan.studies.check.inspection import Inspection, branch
 from linkplan.studies.output.tables import table
 
+# Digits that leave a number as it is.
+_EXACT = 17
+
 
 def inspection_text(found: Inspection) -> str:
     """Return the report on an assembled mechanism."""
@@ -44,7 +47,7 @@ def _points_table(found: Inspection) -> str:
     rows = []
     for point in found.points:
         upper = point.reduced_inertia[np.triu_indices(mechanism.dof)]
-        positions = [j.shown(x) for j, x in zip(mechanism.joints, point.pose, strict=True)]
+        positions = [float(j.said(x, _EXACT)) for j, x in zip(mechanism.joints, point.pose, strict=True)]
         efforts = [*point.gravity_effort, *point.holding_effort, *point.effort_map.T.ravel()]
         rows.append([float(x) for x in [*positions, *upper, *efforts]])
     return table(head, rows)

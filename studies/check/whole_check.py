@@ -48,7 +48,8 @@ def check_whole(
     motion, off_path = _motion(problem)
     found = inspect(mechanism, list(poses), motion=motion, contacts="refuse" if problem is None else problem.contacts)
     paths = reach_paths(mechanism, found.reaches) if motion is None else (motion,)
-    return WholeCheck(found=replace(found, notes=(*found.notes, *notes, *off_path)), paths=paths)
+    chosen = () if problem is None else problem.notes
+    return WholeCheck(found=replace(found, notes=(*found.notes, *notes, *chosen, *off_path)), paths=paths)
 
 
 def _motion(problem: PlanningProblem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:

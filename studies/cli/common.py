@@ -6,10 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.models.catalogue import MODELS
+from linkplan.models.catalogue import MODELS, nearest_source
 from linkplan.models.errors import ModelError, PlanFileError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import nearest
 from linkplan.planner.files.folders import check_target
 from linkplan.planner.files.plan_folder import read_plan, record, unchecked
 from linkplan.planner.files.problem_file import problem_from_tables
@@ -78,7 +77,8 @@ def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None
         if source not in MODELS and not path.exists():
             names = [*MODELS, *PROBLEMS]
             raise ModelError(
-                f"unknown model '{source}'{nearest(source, names)}: neither a built-in name ({', '.join(names)}) nor a file"
+                f"unknown model '{source}'{nearest_source(source, names)}: neither a built-in name"
+                f" ({', '.join(names)}) nor a file"
             )
         name, tables, folder = source, {"mechanism": {"model": source}}, None
     set_all(tables, overrides)
@@ -92,8 +92,8 @@ def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
     if source in PROBLEMS or path.is_file() or not path.exists():
         if source not in PROBLEMS and not path.is_file():
             raise ProblemError(
-                f"unknown plan or problem '{source}'{nearest(source, PROBLEMS)}: neither a plan's folder, nor a problem"
-                f" file, nor built-in ({', '.join(PROBLEMS)})"
+                f"unknown plan or problem '{source}'{nearest_source(source, PROBLEMS)}: neither a plan's folder,"
+                f" nor a problem file, nor built-in ({', '.join(PROBLEMS)})"
             )
         name, tables, folder = read_tables(source)
         set_all(tables, overrides)

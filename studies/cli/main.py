@@ -6,19 +6,18 @@ read the result. Heavy imports wait for the command that needs them.
 """
 
 import argparse
-import errno
 import importlib
 import os
 import signal
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NoReturn, TextIO
 
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
-from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO, NOBODY_READS
-from linkplan.studies.cli.printing import keep_closed_streams_closed, let_go, put, refuse
+from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
+from linkplan.studies.cli.parser import Parser
+from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, put, refuse
 
 # The module of each command, loaded when the command is given.
 _MODULES = {
@@ -39,33 +38,20 @@ _EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, probl
 130 interrupted, 143 ended by SIGTERM; 141 the reader of stdout left before the result, which no -o has saved"""
 
 
-class _Parser(argparse.ArgumentParser):
-    """A parser that refuses in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        """Print the refusal and leave with exit code 2."""
-        put(sys.stderr, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
-        raise SystemExit(BAD_INPUT)
-
-    def print_help(self, file: TextIO | None = None) -> NoReturn:
-        """Print the help and leave, with exit code 0 where it could be printed."""
-        stream = sys.stdout if file is None else file
-        raise SystemExit(_delivered("", put(stream, self.format_help()), DONE))
-
-
-def build_parser() -> argparse.ArgumentParser:
+def build_parser() -> Parser:
     """Return the command line's parser."""
-    parser = _Parser(
+    parser = Parser(
         prog="linkplan",
         description="Optimal-control motion planning for closed-chain mechanisms.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="store_true", help="print linkplan's version and exit")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=_Parser)
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
     def command(name: str, text: str, *, output: bool = True, settings: bool = True) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=_EPILOG)
+        parser.commands[name] = sub
         sub.formatter_class = argparse.RawDescriptionHelpFormatter
         sub.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
         if output:
@@ -235,13 +221,14 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
     """Return a command's arguments, or the exit code where there is nothing to run."""
     parser = build_parser()
     try:
+        parser.refuse_misspelled(sys.argv[1:] if argv is None else argv)
         arguments = parser.parse_args(argv)
     except SystemExit as leave:
         return int(leave.code or 0)
     if arguments.version:
         from importlib.metadata import version
 
-        return _delivered("", put(sys.stdout, f"linkplan {version('linkplan')}\n"), DONE)
+        return delivered("", put(sys.stdout, f"linkplan {version('linkplan')}\n"), DONE)
     if arguments.command is None:
         put(sys.stderr, parser.format_help())
         return BAD_INPUT
@@ -255,7 +242,7 @@ def _run(arguments: argparse.Namespace) -> int:
         code, lost = run(arguments), getattr(arguments, "lost", None)
         # With -o the folder is the result, and what is printed is about it.
         saved = getattr(arguments, "output", None) is not None and not arguments.json
-        return code if saved else _delivered(arguments.command, lost, code)
+        return code if saved else delivered(arguments.command, lost, code)
     except LinkplanError as error:
         check()
         refuse(arguments.command, one_line(error))
@@ -267,18 +254,6 @@ def _run(arguments: argparse.Namespace) -> int:
     except Exception as error:
         check()  # libraries make other errors of an interrupt that comes while they are loaded
         return unforeseen(arguments.command, error)
-
-
-def _delivered(command: str, lost: OSError | None, code: int) -> int:
-    """Return the exit code of a command whose result could be printed, or could not."""
-    if lost is None:
-        return code
-    if isinstance(lost, BrokenPipeError):
-        return NOBODY_READS
-    closed = lost.errno == errno.EBADF
-    why = "stdout is closed" if closed else f"the result cannot be written: {lost.strerror or lost}"
-    refuse(command, why)
-    return BAD_INPUT
 
 
 def _interrupted(before: _Before) -> int:

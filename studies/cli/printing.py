@@ -10,10 +10,12 @@ import errno
 import json
 import os
 import sys
+import time
 from collections.abc import Callable
 from typing import TextIO
 
 from linkplan.models.interrupts import check
+from linkplan.studies.cli.exit_codes import BAD_INPUT, NOBODY_READS
 
 Say = Callable[[str], None]
 
@@ -39,11 +41,24 @@ def refuse(command: str, text: str) -> None:
     put(sys.stderr, f"{' '.join(['linkplan', *command.split()])}: {text}\n")
 
 
+def delivered(command: str, lost: OSError | None, code: int) -> int:
+    """Return the exit code of a command whose result could be printed, or could not."""
+    if lost is None:
+        return code
+    if isinstance(lost, BrokenPipeError):
+        return NOBODY_READS
+    closed = lost.errno == errno.EBADF
+    why = "stdout is closed" if closed else f"the result cannot be written: {lost.strerror or lost}"
+    refuse(command, why)
+    return BAD_INPUT
+
+
 def progress(arguments: argparse.Namespace) -> Say:
-    """Return the function that prints a command's progress on stderr."""
+    """Return the function that prints a command's progress on stderr, with the seconds since it was made."""
+    begin = time.monotonic()
 
     def say(text: str) -> None:
-        put(sys.stderr, f"  {arguments.command}: {text}\n")
+        put(sys.stderr, f"  {arguments.command} {time.monotonic() - begin:5.1f} s: {text}\n")
         check()
 
     return say

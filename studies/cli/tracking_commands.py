@@ -100,12 +100,15 @@ def run_view(arguments: argparse.Namespace) -> int:
         value = getattr(arguments, name)
         if value is not None and not (np.isfinite(value) and value > 0):
             raise ProblemError(f"--{name} is a positive number, got {value:g}")
+    if not has_screen():  # before a plan that may take minutes
+        raise ProblemError(
+            "view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set; track -o and compare -o"
+            " write the same run as tables and figures"
+        )
     say = progress(arguments)
     plan = plan_asked(arguments, say)
     if plan.trajectory is None:
         return no_plan(arguments, plan)
-    if not has_screen():
-        raise ProblemError("view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set")
     rollout = track(plan, arguments.tracker)
     say(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
     play(plan.problem.mechanism, rollout, arguments.slow, arguments.seconds)

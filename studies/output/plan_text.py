@@ -15,8 +15,9 @@ def plan_text(plan: Plan) -> str:
         f"{problem.name}: {plan.status}",
         plan.message if plan.message[:1].isupper() else plan.message.capitalize()[:1] + plan.message[1:],
     ]
+    chosen = [f"note: {text}" for text in problem.notes]
     if trajectory is None or certificate is None:
-        return "\n".join(lines)
+        return "\n".join([*lines, *chosen])
     lines.append(f"duration {trajectory.duration_s:.8g} s, {plan.scheme}, {plan.intervals} intervals")
     if plan.objective is not None:
         lines.append(f"objective ({problem.objective.name}): {plan.objective:.9g}{_objective_unit(problem)}")
@@ -58,7 +59,7 @@ def plan_text(plan: Plan) -> str:
         f"certificate: {'passed' if certificate.passed else 'NOT passed'}",
         table(["between the nodes", "worst", "unit"], rows),
     ]
-    lines += [f"note: {text}" for text in not_honoured(plan)]
+    lines += [*chosen, *(f"note: {text}" for text in not_honoured(plan))]
     return "\n".join(lines)
 
 

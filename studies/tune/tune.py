@@ -285,7 +285,7 @@ def _message(points, wanted: Wanted, timing: Sampling, best: Judged, law: str, f
         f"all {len(points)} angles" if len(points) > 1 else "the angle",
     )
     if line is not None:
-        everywhere = f"every angle from {line.shown(line.low):.4g} to {line.shown(line.high):.4g} {line.unit}"
+        everywhere = f"every angle from {line.said(line.low, 4)} to {line.said(line.high, 4)} {line.unit}"
     sampled = f"sampled every {timing.period_s:g} s"
     if timing.delay_steps:
         sampled += f" with {timing.delay_s:g} s of delay"

@@ -84,7 +84,7 @@ def tune_text(tuning: Tuning) -> str:
         )
     rows = [
         [
-            f"{joint.shown(p.state[0]):.5g}",
+            f"{joint.said(p.state[0], 5)}",
             m.stable,
             m.bandwidth_hz,
             m.phase_margin_deg,

@@ -44,6 +44,14 @@ def test_a_rung_is_one_function_and_one_row():
     assert [step.what for step in plan.history] == ["first solve"]  # no other rung was climbed after it
 
 
+def test_progress_after_a_plan_that_passes_ends_in_its_objective():
+    told = []
+    again = Rung(name="again", climb=from_a_smooth_path, budget=Budget())
+    plan = plan_motion(load_problem("knee-reach"), told.append, rungs=(again, again))
+    assert "best certified" not in told[0]
+    assert float(told[1].rpartition("; best certified ")[2]) == pytest.approx(plan.objective, rel=1e-5)
+
+
 def test_rungs_are_tried_in_order_and_only_where_their_conditions_hold():
     called = []
     rungs = [noting("first", called), noting("never", called, tried=lambda search: search.solved), noting("last", called)]

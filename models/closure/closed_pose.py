@@ -1,0 +1,84 @@
+"""A closed pose in words to paste: a keyframe of the model, the keys of a problem's [mechanism] table."""
+
+import json
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from linkplan.models.closure.equations import Closure
+from linkplan.models.closure.locked import locked_by
+from linkplan.models.closure.nearest_pose import nearest_closed_pose
+from linkplan.models.closure.newton import KinematicLoop
+from linkplan.models.closure.rank import numerical_rank
+from linkplan.models.errors import AssemblyError, LockedError, UnassembledError
+from linkplan.models.tree.coordinates import Coordinates
+from linkplan.models.tree.joints import Joint
+
+# A pose is written to a millionth of a degree; assembly closes what is left.
+_DECIMALS = 6
+# A keyframe closes its loops by itself to a nanometre, far below what is called open.
+_DIGITS = 10
+
+
+def keyframe_of(coordinates: Coordinates, pose: np.ndarray) -> str:
+    """Return the MJCF keyframe "home" of a pose (n_q,)."""
+    qpos = np.where(np.abs(values := coordinates.qpos_of(pose)) < 10.0**-_DIGITS, 0.0, values)
+    return f'<keyframe><key name="home" qpos="{" ".join(f"{x:.{_DIGITS}g}" for x in qpos)}"/></keyframe>'
+
+
+def home_of(joints: Sequence[Joint], pose: np.ndarray) -> dict[str, dict[str, float]]:
+    """Return the tables home_deg and home_m of a pose (n_q,), those that have joints."""
+    tables: dict[str, dict[str, float]] = {}
+    for joint, x in zip(joints, pose, strict=True):
+        decimals = _DECIMALS if joint.kind == "hinge" else _DECIMALS + 3
+        tables.setdefault(f"home_{joint.unit}", {})[joint.name] = round(joint.shown(x), decimals) + 0.0
+    return tables
+
+
+def home_text(tables: dict[str, dict[str, float]]) -> str:
+    """Return home_deg and home_m as a problem file's [mechanism] table has them."""
+    rows = []
+    for key, table in tables.items():
+        values = ", ".join(f"{_key(joint)} = {x:.10g}" for joint, x in table.items())
+        rows.append(f"{key} = {{ {values} }}")
+    return "\n".join(rows)
+
+
+def _key(name: str) -> str:
+    """Return a name as a key of TOML: quoted where it is more than letters, digits, dashes."""
+    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
+
+
+def with_closed_pose(
+    error: UnassembledError, joints: Sequence[Joint], coordinates: Coordinates, pose: np.ndarray | None
+) -> UnassembledError:
+    """Return a refusal that offers a closed pose (n_q,), or says that none was found."""
+    if pose is None:
+        said = "no closed pose was found near it: the links may be too short; else name one with mechanism.home_deg"
+        return UnassembledError(f"{error}; {said}", error.gap_m)
+    home = home_of(joints, pose)
+    said = f"nearest closed pose found: mechanism.{' and mechanism.'.join(home_text(home).splitlines())}"
+    return UnassembledError(f"{error}; {said}", error.gap_m, keyframe_of(coordinates, pose), home)
+
+
+def locked_or_singular(
+    error: LockedError,
+    joints: Sequence[Joint],
+    closures: Sequence[Closure],
+    loop: KinematicLoop,
+    coordinates: Coordinates,
+    pose: np.ndarray,
+    unit: np.ndarray,
+) -> AssemblyError:
+    """Return the refusal of a pose (n_q,) from which a joint cannot move: of a singular one, with another, or of a lock.
+
+    A parallelogram drawn flat has fewer independent rows there than elsewhere; a truss drawn flat is nowhere else closed.
+    """
+    jacobian, share = loop.residual(pose)[1] * unit, loop.rank_tolerance
+    other = nearest_closed_pose(loop, joints, pose, unit)
+    if other is not None:
+        there = numerical_rank(loop.residual(other)[1] * unit, share)
+        if numerical_rank(jacobian, share) < there < len(joints):
+            return with_closed_pose(UnassembledError(str(error)), joints, coordinates, other)
+    return locked_by(error, closures, jacobian, share)

@@ -1,0 +1,93 @@
+"""Durations that are far too short: said before any search, from the shortest motion and from the smooth path's efforts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.along import needed_effort
+from linkplan.planner.closed_chain.guess import Guess, poses_along
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.search.durations import longest
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.least_time import shortest_motion
+
+# A duration below this share of the shortest motion's is beyond doubt: least times found are local ones by some percent.
+_FAR = 0.1
+# Samples of the smooth path, and the share of a duration's efforts at which it is not counted as driven.
+_SAMPLES, _NOTHING = 121, 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class PathEffort:
+    """What the smooth path asks for most beyond a limit: the factor on it, that of inertia alone, the sentence."""
+
+    factor: float
+    inertial_factor: float
+    sentence: str
+
+
+def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
+    """Return the sentence on a reach of a small share of the least duration, with its figures; None for any other.
+
+    Of one degree of freedom the phase plane knows the shortest motion at once. Of more it is planned where the smooth path
+    asks for so large efforts that it matters.
+    """
+    problem, asked = search.problem, longest(search.problem)
+    motion = problem.motion
+    if motion.kind != "reach" or motion.stays or not np.isfinite(asked) or not np.all(np.isfinite(problem.limits.effort)):
+        return None
+    if any(waypoint.time_s is not None for waypoint in motion.waypoints):
+        return None
+    path = path_effort(problem, search.smooth)
+    if path is None or path.inertial_factor < 1 / _FAR**2:  # inertia's efforts go with the square of the pace
+        return None
+    shortest, about = _shortest(search)
+    if shortest is None or asked > _FAR * shortest:
+        return None
+    sentence = (
+        f"infeasible: {asked:.4g} s is {shortest / asked:.3g} times too short: {path.sentence};"
+        f" the shortest feasible duration is {about}{shortest:.4g} s"
+    )
+    return sentence, {"shortest_duration_s": shortest, "smooth_path_limit_factor": path.factor}
+
+
+def _shortest(search: Search) -> tuple[float | None, str]:
+    """Return the least duration [s] that is known, None where none is, and the word on how exact it is."""
+    if search.quickest is not None and search.quickest.boundaries_s is None:
+        return search.quickest.duration_s, "about "
+    found = shortest_motion(search)
+    return (None, "") if found is None else (found.trajectory.duration_s, "")
+
+
+def path_effort(problem: PlanningProblem, guess: Guess) -> PathEffort | None:
+    """Return what a path asks of the actuator, or of the undriven joint, that it asks for most; None where loops open."""
+    mechanism, limit = problem.mechanism, problem.limits.effort
+    time = np.linspace(0.0, guess.duration_s, _SAMPLES)
+    try:
+        q = poses_along(mechanism, guess, time)
+    except AssemblyError:
+        return None
+    v, a = guess.velocity(time), guess.acceleration(time)
+    (effort, missed), (held, _) = (needed_effort(mechanism, q, rate * v, rate * a) for rate in (1.0, 0.0))
+    bound = np.where(effort > 0, limit[:, 1], limit[:, 0])
+    widest = np.abs(limit).max(axis=1)  # to a side to which an actuator gives nothing, the other one's limit is the measure
+    factors = np.abs(effort) / np.where(bound == 0, widest, np.abs(bound))
+    inertial = np.abs(effort - held) / widest
+    at, column = np.unravel_index(int(np.argmax(factors)), factors.shape)
+    actuator = mechanism.actuators[column]
+    sentence = (
+        f"along the smooth path from start to goal {actuator.name} on {actuator.target} would have to give"
+        f" {effort[at, column]:.4g} {actuator.unit} at t = {time[at]:.3g} s,"
+    )
+    if bound[at, column] == 0:
+        sentence += " to which side it gives nothing"
+    else:
+        sentence += f" {factors[at, column]:.4g} times its limit of {bound[at, column]:.4g}"
+    k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
+    if abs(missed[k, row]) > _NOTHING * np.abs(effort).max():
+        joint = mechanism.independent_joints[row]
+        sentence += (
+            f", and no actuator gives the {missed[k, row]:.4g} {'N.m' if joint.kind == 'hinge' else 'N'} on {joint.name}"
+        )
+    return PathEffort(factor=float(factors.max()), inertial_factor=float(inertial.max()), sentence=sentence)

@@ -1,0 +1,50 @@
+"""The coordinates that a motion is stated in: where it names other joints than the driven ones, it is planned in those."""
+
+import json
+from collections.abc import Iterator, Mapping
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.equilibrium import sprung_freedoms
+
+# Tables of joint = value in [motion], its waypoints and [reference].
+_STATES = ("start", "goal", "start_speed", "goal_speed", "at", "speed", "amplitude", "bias")
+
+
+def other_coordinates(tables: Mapping[str, dict], mechanism: Mechanism) -> list[str] | None:
+    """Return the joints that a motion names in place of the independent ones, to be independent; None where it need not be.
+
+    It need not where the independent joints are named, where mechanism.independent is given, and where more joints are named
+    than there are degrees of freedom: the loops then fix some of them, and which is not said.
+
+    Args:
+        tables: a problem file's.
+        mechanism: with the coordinates that it has by default.
+    """
+    if "independent" in mechanism.source:
+        return None
+    named = [joint.name for joint in mechanism.joints if joint.name in set(_named(tables))]
+    resting = {int(mechanism.independent[column]) for column in sprung_freedoms(mechanism)} | set(mechanism.passive_dofs)
+    missing = [mechanism.joints[i].name for i in mechanism.independent.tolist() if i not in resting]
+    missing = [name for name in missing if name not in named]
+    others = set(named) - {joint.name for joint in mechanism.independent_joints}
+    return named if missing and others and len(named) <= mechanism.dof else None
+
+
+def coordinates_note(mechanism: Mechanism, named: list[str]) -> str:
+    """Return the sentence on coordinates that a motion's own joints are in place of `mechanism`'s."""
+    unnamed = [joint.name for joint in mechanism.independent_joints if joint.name not in named]
+    return (
+        f"the motion names {', '.join(named)} and not {', '.join(unnamed)}: it is planned in these joints"
+        f" (mechanism.independent = {json.dumps(named)})"
+    )
+
+
+def _named(tables: Mapping[str, dict]) -> Iterator[str]:
+    """Yield the joints that a motion, its waypoints and its reference name."""
+    motion = tables.get("motion", {})
+    waypoints = motion.get("waypoints", [])
+    for table in (motion, tables.get("reference", {}), *(waypoints if isinstance(waypoints, list) else [])):
+        for state in _STATES if isinstance(table, dict) else ():
+            for key in (f"{state}_deg", f"{state}_m", f"{state}_deg_s", f"{state}_m_s"):
+                values = table.get(key)
+                yield from values if isinstance(values, dict) else ()

@@ -1,0 +1,42 @@
+"""What `linkplan check` says of a model that is no mechanism as it stands: locked, or not assembled at its own pose."""
+
+from dataclasses import dataclass
+
+from linkplan.models.closure.closed_pose import home_text
+from linkplan.models.errors import LockedError, UnassembledError
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class RefusedModel:
+    """A report on a model that cannot be loaded, with what there is to write into it."""
+
+    name: str
+    error: LockedError | UnassembledError
+
+    def record(self) -> dict:
+        """Return the findings by name."""
+        said: dict = {"name": self.name, "problems": [str(self.error)]}
+        if isinstance(self.error, LockedError):
+            return said | {"locked": True, "dof": 0, "dof_gained_without": self.error.freed}
+        return said | {
+            "locked": False,
+            "dof": None,
+            "gap_m": self.error.gap_m,
+            "keyframe": self.error.keyframe or None,
+        } | self.error.home  # fmt: skip
+
+    def text(self) -> str:
+        """Return the findings for people."""
+        lines = [f"{self.name}: no mechanism as it stands", "", f"PROBLEM: {self.error}"]
+        if isinstance(self.error, LockedError):
+            lines += [f"locked by: {part} (+{more} without it)" for part, more in self.error.freed.items()]
+        elif self.error.keyframe:
+            lines += [
+                "",
+                "into the model, in place of a keyframe home:",
+                f"  {self.error.keyframe}",
+                "",
+                "or into the problem file:",
+            ]
+            lines += ["  [mechanism]", *(f"  {row}" for row in home_text(self.error.home).splitlines())]
+        return "\n".join(lines)

@@ -1,0 +1,106 @@
+"""Loops that stand open, or singular, at the model's own pose: the nearest closed pose, to be pasted."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from linkplan.models.closure.closed_pose import home_text
+from linkplan.models.errors import UnassembledError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.files.problem_file import mechanism_from_tables
+from linkplan.planner.files.tables import parse_value
+from tests.support.mechanisms import replaced
+
+# A five-bar leg drawn with all its links along x: its feet stand half a metre apart, and no Newton step closes them.
+THIGH, SHIN, HIPS = 0.2, 0.25, 0.1
+LEG = """<mujoco model="leg"><compiler angle="radian" autolimits="true"/><worldbody>
+<body name="hip1"><joint name="m1" axis="0 1 0"/><geom size=".01" pos=".1 0 0"/><body name="shin1" pos=".2 0 0">
+<joint name="k 1" axis="0 1 0"/><geom size=".01" pos=".1 0 0"/><site name="f1" pos=".25 0 0"/></body></body>
+<body name="hip2" pos="-.1 0 0"><joint name="m2" axis="0 1 0"/><geom size=".01" pos="-.1 0 0"/>
+<body name="shin2" pos="-.2 0 0">
+<joint name="k2" axis="0 1 0"/><geom size=".01" pos=".1 0 0"/><site name="f2" pos=".25 0 0"/></body></body></worldbody>
+<equality><connect name="foot" site1="f1" site2="f2"/></equality>
+<actuator><motor joint="m1" ctrlrange="-3 3"/><motor joint="m2" ctrlrange="-3 3"/></actuator></mujoco>"""
+# The nearest pose that Newton's starts lead to against that of SLSQP from many more, in rad of joint space.
+NEAREST = 0.02
+# What six decimals of a degree leave of a pose [rad].
+WRITTEN = 2e-8
+
+
+def offered(text: str) -> UnassembledError:
+    with pytest.raises(UnassembledError) as refused:
+        load_mechanism(text)
+    return refused.value
+
+
+def feet_apart(q: np.ndarray) -> np.ndarray:
+    """Return f1 - f2 in the plane, in closed form: hinges turn about +y, from +x towards -z."""
+    m1, k1, m2, k2 = q
+
+    def along(angle: float) -> np.ndarray:
+        return np.array([np.cos(angle), -np.sin(angle)])
+
+    first = THIGH * along(m1) + SHIN * along(m1 + k1)
+    second = np.array([-HIPS, 0.0]) - THIGH * along(m2) + SHIN * along(m2 + k2)
+    return first - second
+
+
+def test_the_offer_closes_the_loop_and_is_as_near_as_can_be():
+    error = offered(LEG)
+    assert error.gap_m == pytest.approx(0.5)
+    q = np.radians(list(error.home["home_deg"].values()))
+    assert np.linalg.norm(feet_apart(q)) < WRITTEN
+    rng, best = np.random.default_rng(3), np.inf
+    for _ in range(40):
+        found = minimize(
+            lambda q: q @ q, rng.uniform(-2, 2, 4), jac=lambda q: 2 * q, constraints={"type": "eq", "fun": feet_apart}
+        )
+        best = min(best, np.sqrt(found.fun)) if found.success else best
+    assert np.linalg.norm(q) < best + NEAREST
+
+
+def test_the_keyframe_pasted_into_the_model_mends_it():
+    error = offered(LEG)
+    mechanism = load_mechanism(replaced(LEG, "</mujoco>", f"{error.keyframe}</mujoco>"))
+    assert mechanism.dof == 2
+    assert mechanism.home_gap_m < 1e-9
+    assert np.degrees(mechanism.home) == pytest.approx(list(error.home["home_deg"].values()), abs=1e-6)
+
+
+def test_the_lines_pasted_into_a_problem_mend_it_and_name_joints_with_blanks():
+    error = offered(LEG)
+    (line,) = home_text(error.home).splitlines()
+    assert '"k 1" = ' in line
+    key, value = line.split(" = ", 1)
+    mechanism = mechanism_from_tables({"mechanism": {"model": LEG, key: parse_value(value, key)}})
+    assert np.degrees(mechanism.home) == pytest.approx(list(error.home["home_deg"].values()), abs=1e-6)
+    assert line in str(error)
+
+
+def test_the_offer_keeps_the_joints_ranges():
+    free = offered(LEG).home["home_deg"]
+    limited = replaced(LEG, '<joint name="m1" axis="0 1 0"/>', '<joint name="m1" axis="0 1 0" range="-3 0.2"/>')
+    assert free["m1"] > np.degrees(0.2)  # the nearest of all is beyond the stop
+    assert np.degrees(-3) <= offered(limited).home["home_deg"]["m1"] <= np.degrees(0.2) + 1e-6
+
+
+def test_links_that_are_too_short_get_no_offer():
+    short = re.sub(r'name="hip2" pos="-.1 0 0"', 'name="hip2" pos="-9 0 0"', LEG)
+    error = offered(short)
+    assert (error.keyframe, error.home) == ("", {})
+    assert "no closed pose was found" in str(error)
+
+
+def test_a_parallelogram_drawn_flat_is_offered_a_pose_off_the_singular_one():
+    flat = """<mujoco model="flat"><worldbody>
+    <body name="a"><joint name="O" axis="0 1 0"/><geom size=".01" pos=".05 0 0"/><body name="b" pos=".1 0 0">
+    <joint name="A" axis="0 1 0"/><geom size=".01" pos=".1 0 0"/></body></body>
+    <body name="c" pos=".2 0 0"><joint name="C" axis="0 1 0"/><geom size=".01" pos=".05 0 0"/></body></worldbody>
+    <equality><connect name="B" body1="b" body2="c" anchor=".2 0 0"/></equality>
+    <actuator><motor joint="O" ctrlrange="-1 1"/></actuator></mujoco>"""
+    error = offered(flat)
+    assert "singular" in str(error)
+    mechanism = load_mechanism(replaced(flat, "</mujoco>", f"{error.keyframe}</mujoco>"))
+    assert mechanism.dof == 1
