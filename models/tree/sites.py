@@ -29,5 +29,7 @@ def site_index(model: mujoco.MjModel, name: str, what: str, error: type[Exceptio
     names = site_names(model)
     if name in names:
         return int(model.site(name).id)
-    known = f"sites are {', '.join(names)}" if names else "the model names none; a point of a body is <site name=... pos=.../>"
+    known = (
+        f"sites are {', '.join(names)}" if names else "the model names none; a point of a body is <site name=... pos=.../>"
+    )
     raise error(f"unknown site '{name}' in {what}{nearest(name, names)}; {known}")

@@ -52,14 +52,14 @@ def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | 
         )
     start, start_at, _ = _end(section, "start", kind, mechanism, limits, mechanism.home)
     begin = mechanism.home if start is None or "goal_at" not in section else _closed(mechanism, start)
-    goal, goal_at, goal_is_free = _end(section, "goal", kind, mechanism, limits, begin)
+    goal, goal_at, goal_rows = _end(section, "goal", kind, mechanism, limits, begin)
     return Motion(
         kind=kind,
         start=start,
         goal=goal,
         start_at=start_at,
         goal_at=goal_at,
-        goal_is_free=goal_is_free,
+        goal_rows=goal_rows,
         start_speed=_state(section, "start_speed_s", mechanism, 0.0),
         goal_speed=_state(section, "goal_speed_s", mechanism, 0.0),
         duration_s=duration,
@@ -103,23 +103,25 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
 
 def _end(
     section: dict, name: str, kind: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
-) -> tuple[np.ndarray | None, tuple[SitePoint, ...], bool]:
-    """Return a start or goal (n_s,), by joints or by places of sites, those places, and whether they leave its pose open."""
+) -> tuple[np.ndarray | None, tuple[SitePoint, ...], tuple[int, ...]]:
+    """Return a start or goal (n_s,), by joints or by places of sites, those places, and `Motion.goal_rows`."""
     named = [key for key in (f"{name}_deg", f"{name}_m") if section.get(key)]
     points = points_of(section, f"{name}_at", mechanism)
     if not points:
-        return _state(section, name, mechanism, None), (), False
+        return _state(section, name, mechanism, None), (), ()
     if named:
         raise ProblemError(f"motion.{name}_at and motion.{named[0]} both say where the {name} is; keep one")
     if kind == "track":
-        raise ProblemError(f"motion.{name}_at belongs to motion.kind 'reach' or 'periodic'; 'track' prescribes every instant")
-    s, is_open = pose_at(points, f"{name}_at", mechanism, limits, begin)
-    if is_open and (name == "start" or kind != "reach"):
         raise ProblemError(
-            f"motion.{name}_at leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}; only the end of a 'reach'"
-            f" may: name more coordinates, or the joints in motion.{name}_deg"
+            f"motion.{name}_at belongs to motion.kind 'reach' or 'periodic'; 'track' prescribes every instant"
         )
-    return s, points, is_open
+    s, rows = pose_at(points, f"{name}_at", mechanism, limits, begin)
+    if rows and (name == "start" or kind != "reach"):
+        raise ProblemError(
+            f"motion.{name}_at leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}; only the end of a"
+            f" 'reach' may: name more coordinates, or the joints in motion.{name}_deg"
+        )
+    return s, points, rows
 
 
 def _closed(mechanism: Mechanism, s: np.ndarray) -> np.ndarray:

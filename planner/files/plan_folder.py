@@ -89,6 +89,7 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
         "dynamics_residual": certificate.dynamics_residual,
         "velocity_residual": certificate.velocity_residual,
         "boundary_error": certificate.boundary_error,
+        "site_error_m": certificate.site_error_m,
         "closure_gap_m": certificate.closure_gap_m,
         "integration_error_deg": certificate.integration_error_deg,
         "integration_error_m": certificate.integration_error_m,

@@ -1,6 +1,7 @@
 """Sites in a problem file: where they start and end (motion.start_at, motion.goal_at), and where they stay (limits.site)."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -57,8 +58,8 @@ def _check_keys(table: dict, legal: tuple[str, ...], where: str) -> None:
 
 def pose_at(
     points: tuple[SitePoint, ...], key: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
-) -> tuple[np.ndarray, bool]:
-    """Return independent positions (n_s,) with sites at their points, nearest to a closed pose, and whether they are others.
+) -> tuple[np.ndarray, tuple[int, ...]]:
+    """Return independent positions (n_s,) with sites at their points, nearest to a closed pose, and `Motion.goal_rows`.
 
     Args:
         points: where sites are to be.
@@ -82,17 +83,17 @@ def pose_at(
     if not found.arrived(mechanism):
         worst = points[int(np.argmax(found.off_m))]
         place = places_of(mechanism, worst.index, found.pose)[0]
-        others = f" with the other sites where they come nearest to theirs, {worst.site}" if len(points) > 1 else ", it"
+        together = " together with the other sites" if len(points) > 1 else ""
         raise ProblemError(
-            f"{where}.{worst.site} = {shown(worst.point)} is out of reach:{others[1:] if len(points) == 1 else others}"
-            f" comes no nearer than [{', '.join(f'{x + 0.0:.6g}' for x in place)}], {found.off_m.max():.4g} m away"
+            f"{where}.{worst.site} = {shown(worst.point)} is out of reach{together}: {worst.site} comes no nearer than"
+            f" {shown(np.round(place, 9) + 0.0)}, {found.off_m.max():.4g} m away"
         )
     rows = independent_rows_of(mechanism, targets, found.pose, limits.position)
     active = mechanism.dof - len([i for i in mechanism.passive_dofs if i in mechanism.independent])
     if not rows:
         raise ProblemError(f"{where} asks nothing of the motion: {', '.join(p.site for p in points)} does not move")
     s = found.pose[mechanism.independent]
-    return s, len(rows) < active
+    return s, rows if len(rows) < active else ()
 
 
 def shown(point: np.ndarray) -> str:
@@ -102,6 +103,12 @@ def shown(point: np.ndarray) -> str:
     return "{ " + ", ".join(f"{axis} = {x:.6g}" for axis, x in zip(AXES, point, strict=True) if not np.isnan(x)) + " }"
 
 
+_LEGAL = (
+    "it is a box { z = [low, high] }, a wall { normal = [x, y, z], at = [x, y, z] }, a tube { along = [[x, y, z], ...],"
+    " radius_m = 0.01 }, or a list of these"
+)
+
+
 def site_limits_of(section: dict, mechanism: Mechanism) -> tuple[SiteLimit, ...]:
     """Return the limits of limits.site: { foot = { z = [0.0, inf] } }, or a list of boxes, walls and tubes."""
     table = section.get("site", {})
@@ -109,52 +116,45 @@ def site_limits_of(section: dict, mechanism: Mechanism) -> tuple[SiteLimit, ...]
         raise ProblemError(f"limits.site is a table of site = limits, got {table!r}")
     found: list[SiteLimit] = []
     for site, value in table.items():
-        where = f"limits.site.{site}"
-        index = site_index(mechanism.model, site, "limits.site", ProblemError)
-        several = isinstance(value, list)
-        for k, one in enumerate(value if several else [value]):
-            place = f"{where}[{k}]" if several else where
-            found += _of_one(one, place)(site, index, f"[{k}]" if several else "")
-        if several and not value:
-            raise ProblemError(f"{where} is empty; {_LEGAL}")
+        of = _Site(name=site, index=site_index(mechanism.model, site, "limits.site", ProblemError))
+        if not isinstance(value, list):
+            found += _limits(value, f"limits.site.{site}", of)
+            continue
+        if not value:
+            raise ProblemError(f"limits.site.{site} limits nothing; {_LEGAL}, got []")
+        for k, one in enumerate(value):
+            found += _limits(one, f"limits.site.{site}[{k}]", _Site(name=site, index=of.index, number=f"[{k}]"))
     return tuple(found)
 
 
-_LEGAL = (
-    "it is a box { z = [low, high] }, a wall { normal = [x, y, z], at = [x, y, z] }, a tube { along = [[x, y, z], ...],"
-    " radius_m = 0.01 }, or a list of these"
-)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Site:
+    """A site whose limits are read, and what tells those apart where there are several."""
+
+    name: str
+    index: int
+    number: str = ""
+
+    def limited(self, what: str, low: float, high: float, **shape: Any) -> SiteLimit:
+        """Return its limit of a kind."""
+        name = f"{self.name}{self.number}.{what}"
+        return SiteLimit(site=self.name, index=self.index, what=what, name=name, low=low, high=high, **shape)
 
 
-def _of_one(one: object, where: str) -> Callable[[str, int, str], list[SiteLimit]]:
-    """Return what makes the limits of one box, wall or tube, given the site, its index, and its number among several."""
+def _limits(one: object, where: str, of: _Site) -> list[SiteLimit]:
+    """Return the limits of one box, wall or tube."""
     if not isinstance(one, dict) or not one:
         raise ProblemError(f"{where} limits nothing; {_LEGAL}, got {one!r}")
     if set(one) & set(WALL):
-        return _wall(one, where)
+        return [_wall(one, where, of)]
     if set(one) & set(TUBE):
-        return _tube(one, where)
+        return [_tube(one, where, of)]
     _check_keys(one, (*AXES, *WALL, *TUBE), where)
     bounds = {axis: interval(one[axis], f"{where}.{axis}") for axis in AXES if axis in one}
-
-    def made(site: str, index: int, number_of: str) -> list[SiteLimit]:
-        return [
-            SiteLimit(
-                site=site,
-                index=index,
-                what=axis,
-                name=f"{site}{number_of}.{axis}",
-                low=low,
-                high=high,
-                normal=np.eye(3)[AXES.index(axis)],
-            )
-            for axis, (low, high) in bounds.items()
-        ]
-
-    return made
+    return [of.limited(axis, *ends, normal=np.eye(3)[AXES.index(axis)]) for axis, ends in bounds.items()]
 
 
-def _wall(one: dict, where: str) -> Callable[[str, int, str], list[SiteLimit]]:
+def _wall(one: dict, where: str, of: _Site) -> SiteLimit:
     _check_keys(one, WALL, where)
     for key in WALL:
         if key not in one:
@@ -163,20 +163,10 @@ def _wall(one: dict, where: str) -> Callable[[str, int, str], list[SiteLimit]]:
     length = float(np.linalg.norm(normal))
     if length < _NO_LENGTH:
         raise ProblemError(f"{where}.normal points to the free side and is not zero, got {one['normal']!r}")
-
-    def made(site: str, index: int, number_of: str) -> list[SiteLimit]:
-        unit = normal / length
-        name = f"{site}{number_of}.wall"
-        return [
-            SiteLimit(
-                site=site, index=index, what="wall", name=name, low=0.0, high=np.inf, normal=unit, origin=float(unit @ at)
-            )
-        ]
-
-    return made
+    return of.limited("wall", 0.0, np.inf, normal=normal / length, origin=float(normal @ at) / length)
 
 
-def _tube(one: dict, where: str) -> Callable[[str, int, str], list[SiteLimit]]:
+def _tube(one: dict, where: str, of: _Site) -> SiteLimit:
     _check_keys(one, TUBE, where)
     for key in TUBE:
         if key not in one:
@@ -188,10 +178,4 @@ def _tube(one: dict, where: str) -> Callable[[str, int, str], list[SiteLimit]]:
     short = np.flatnonzero(np.linalg.norm(np.diff(along, axis=0), axis=1) < _NO_LENGTH)
     if len(short):
         raise ProblemError(f"{where}.along goes on from point to point, got {given[int(short[0])]!r} twice in a row")
-    radius = number(one["radius_m"], f"{where}.radius_m", positive=True)
-
-    def made(site: str, index: int, number_of: str) -> list[SiteLimit]:
-        name = f"{site}{number_of}.tube"
-        return [SiteLimit(site=site, index=index, what="tube", name=name, low=0.0, high=radius, along=along)]
-
-    return made
+    return of.limited("tube", 0.0, number(one["radius_m"], f"{where}.radius_m", positive=True), along=along)

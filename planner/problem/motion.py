@@ -36,9 +36,9 @@ class Motion:
     `duration_s` is None where it is free, then within `min_duration_s` and `max_duration_s`. `waypoints` are passed in
     order.
 
-    `start_at` and `goal_at` are places of sites that start and goal stand for: `start` and `goal` are then poses in which the
-    sites are there. Where the places leave freedoms open, the `goal_is_free`: any pose with the sites in their places will
-    do, and `goal` is the one to guess.
+    `start_at` and `goal_at` are places of sites that start and goal stand for: `start` and `goal` are then poses in which
+    the sites are there. Where the places leave freedoms open, any pose with the sites in their places ends the motion, and
+    `goal` is the one to guess; `goal_rows` are then those of the sites' coordinates (3 n_sites), in a row, that say it all.
     """
 
     kind: str
@@ -52,7 +52,7 @@ class Motion:
     waypoints: tuple[Waypoint, ...] = ()
     start_at: tuple[SitePoint, ...] = ()
     goal_at: tuple[SitePoint, ...] = ()
-    goal_is_free: bool = False
+    goal_rows: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -77,6 +77,11 @@ class Motion:
         self._check_waypoints()
 
     @property
+    def goal_is_free(self) -> bool:
+        """Whether the pose at the end is open, but for the sites' places."""
+        return bool(self.goal_rows)
+
+    @property
     def stays(self) -> bool:
         """Whether a reach ends in the state in which it begins, without having been anywhere."""
         if self.kind != "reach" or self.start is None or self.goal is None or self.waypoints:
@@ -92,8 +97,8 @@ class Motion:
                 raise ProblemError(f"motion.{name}_at belongs to motion.kind 'reach' or 'periodic', got 'track'")
         if self.goal_is_free and (self.kind != "reach" or not self.goal_at):
             raise ProblemError(
-                f"motion.goal_at of a {self.kind} motion names as many coordinates as the mechanism has freedoms; only the end"
-                " of a 'reach' may be left open"
+                f"motion.goal_at of a {self.kind} motion names as many coordinates as the mechanism has freedoms; only the"
+                " end of a 'reach' may be left open"
             )
 
     def _check_waypoints(self) -> None:

@@ -57,7 +57,9 @@ class SiteLimit:
         p = np.asarray(p, dtype=float)
         if self.along is None:
             return p @ self.normal - self.origin
-        return np.sqrt(np.min(np.stack([_squared(p, a, b) for a, b in zip(self.along, self.along[1:], strict=False)]), axis=0))
+        return np.sqrt(
+            np.min(np.stack([_squared(p, a, b) for a, b in zip(self.along, self.along[1:], strict=False)]), axis=0)
+        )
 
     @property
     def key(self) -> tuple:
@@ -76,7 +78,7 @@ def _squared(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SitePoint:
-    """Where a site is asked to be at a motion's start or end: `point` (3,) [m] in the world, NaN where a coordinate is free."""
+    """Where a site is at a motion's start or end: `point` (3,) [m] in the world, NaN where a coordinate is free."""
 
     site: str
     index: int

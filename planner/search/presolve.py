@@ -7,7 +7,9 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import Reach, close_at, reach
+from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.margins import singularity_ratios
+from linkplan.planner.certificate.site_margins import SITE_SLACK, title
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
 
@@ -90,7 +92,7 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" beyond its speed limit of {joint.shown(high if value[column] > 0 else low):.4g} {joint.unit}/s"
                 )
     for name in ("start", "goal"):
-        if getattr(motion, name) is None:
+        if getattr(motion, name) is None or (name == "goal" and motion.goal_is_free):
             continue
         pose = close_at(mechanism, getattr(motion, name))
         for joint, x, (low, high) in zip(mechanism.joints, pose, limits.position, strict=True):
@@ -100,10 +102,10 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
                     f" {joint.shown(min(max(x, low), high)):.4g}"
                 )
-    contradiction = _singular(problem)
+    contradiction = _singular(problem) or _site_beyond(problem)
     if contradiction is not None:
         return contradiction
-    if motion.kind == "reach" and motion.duration_s is not None:
+    if motion.kind == "reach" and motion.duration_s is not None and not motion.goal_is_free:
         for column, joint in enumerate(mechanism.independent_joints):
             mean = (motion.goal[column] - motion.start[column]) / motion.duration_s
             low, high = limits.speed[mechanism.independent[column]]
@@ -118,12 +120,35 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
     return None
 
 
+def _site_beyond(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a site that start or goal put where the limits do not want it, or None."""
+    mechanism, motion = problem.mechanism, problem.motion
+    for name, asked in (("start", motion.start_at), ("goal", motion.goal_at)):
+        s = getattr(motion, name)
+        if s is None or not problem.limits.site:
+            continue
+        pose = close_at(mechanism, s)
+        # Of a goal whose pose is open only the points that are asked for in full are known.
+        known = [p.index for p in asked if not np.any(np.isnan(p.point))]
+        for limit in problem.limits.site:
+            if name == "goal" and motion.goal_is_free and limit.index not in known:
+                continue
+            value = float(limit.value(places_of(mechanism, limit.index, pose))[0])
+            nearest = min(max(value, limit.low), limit.high)
+            if abs(value - nearest) > SITE_SLACK * mechanism.extent_m:
+                return (
+                    f"infeasible: {title(limit)} is {value:.6g} m at the {name}, {abs(value - nearest):.4g} m beyond its limit"
+                    f" of {nearest:.6g}"
+                )
+    return None
+
+
 def _singular(problem: PlanningProblem) -> str | None:
     """Return the sentence on a start or goal that is nearer to a singular pose than the problem admits, or None."""
     margin, motion = problem.limits.singular_margin, problem.motion
     for name in ("start", "goal"):
         s = getattr(motion, name)
-        if s is None or not margin:
+        if s is None or not margin or (name == "goal" and motion.goal_is_free):
             continue
         ratio = float(singularity_ratios(problem, close_at(problem.mechanism, s)[None])[0])
         if ratio < margin:
