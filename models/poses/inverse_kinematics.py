@@ -26,6 +26,8 @@ _STARTS, _SEED, _ITERATIONS = 12, 20, 150
 _STEP, _CONVERGED = 0.5, 1e-14
 # A dependent joint beyond its range weighs so much more than a site away from its place.
 _STOP = 1e3
+# Joints are within their ranges but for this [rad or m].
+_SLACK = 1e-9
 # Singular values below this share of the largest are none, at any of so many poses about the one that is looked at.
 _RANK, _ABOUT, _AWAY = 1e-6, 4, 0.05
 
@@ -99,8 +101,9 @@ def site_pose(
         end = _descended(mechanism, targets, pose, ranges)
         off = off_m(mechanism, targets, end)
         away = float(np.linalg.norm((end - start)[mechanism.independent] / unit))
-        there = off.max(initial=0.0) <= ARRIVED * mechanism.extent_m
-        order = (not there, 0.0 if there else float(off.max()), there and not prefer(end), away)
+        inside = np.all((end >= ranges[:, 0] - _SLACK) & (end <= ranges[:, 1] + _SLACK))
+        there = bool(inside and off.max(initial=0.0) <= ARRIVED * mechanism.extent_m)
+        order = (not inside, not there, 0.0 if there else float(off.max()), there and not prefer(end), away)
         found.append((order, len(found), SitePose(pose=end, off_m=off)))
         if there and away == 0.0:
             break  # it is there already
@@ -130,9 +133,10 @@ def independent_rows_of(mechanism: Mechanism, targets: SiteTargets, pose: np.nda
 
 def _starts(mechanism: Mechanism, start: np.ndarray, ranges: np.ndarray) -> Iterator[np.ndarray]:
     """Yield closed poses to begin from: the first, home, and such at random within the ranges, a half turn at the most."""
-    yield start
-    yield np.array(mechanism.home)
     independent = mechanism.independent
+    for pose in (start, np.array(mechanism.home)):
+        inside = _closed(mechanism, np.clip(pose[independent], *ranges[independent].T), pose)
+        yield pose if inside is None else inside
     half = np.array([np.pi if mechanism.joints[i].kind == "hinge" else mechanism.extent_m for i in independent])
     s = start[independent]
     low, high = np.maximum(ranges[independent, 0], s - half), np.minimum(ranges[independent, 1], s + half)

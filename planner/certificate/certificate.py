@@ -46,8 +46,6 @@ VELOCITY_SHARE = 0.02
 BOUNDARY_SHARE = 1e-6
 RANGE_SLACK = 1e-9
 
-# Instants between the two ends at which a motion's poses are followed.
-_ON_THE_WAY = 200
 # A plan that carries no effort at all may miss this much [N.m or N], against rounding.
 _NO_EFFORT = 1e-12
 
@@ -133,7 +131,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     speed = max(float(np.abs(v).max()), _STILL / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = _boundary_error(problem, trajectory, speed)
-    site_error, sites_off = ends_off_m(problem, _end_poses(problem, trajectory))
+    site_error, sites_off = ends_off_m(problem, trajectory, time, q)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     allowed_error = np.where(hinge, np.radians(INTEGRATION_DEG), INTEGRATION_M)
     integrated = integrate(mechanism, trajectory, speed, allowed_error, problem.solver.judged_until)
@@ -240,15 +238,6 @@ def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v,
             size = np.where(np.isfinite(bounds), np.abs(bounds), 0.0).max(axis=1)
         found.append((least.min(axis=1), np.maximum(0.0, -least) / np.where(size > 0, size, 1.0)[:, None]))
     return found
-
-
-def _end_poses(problem: PlanningProblem, trajectory: Trajectory) -> np.ndarray:
-    """Return the poses (2, n_q) that start and goal are about: of a periodic motion those at its start and in its middle."""
-    if not problem.motion.start_at and not problem.motion.goal_at:
-        return np.zeros((2, 0))
-    share = 0.5 if problem.motion.kind == "periodic" else 1.0
-    time = trajectory.breaks_s[0] + np.linspace(0.0, share, 2 + _ON_THE_WAY) * trajectory.duration_s
-    return follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose)[[0, -1]]
 
 
 def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: float) -> float:

@@ -35,7 +35,7 @@ def site_row(mechanism: Mechanism, key: tuple, q: ca.SX) -> ca.SX:
 def site_bounds(mechanism: Mechanism, limit: SiteLimit) -> tuple[float, float]:
     """Return the bounds of a limit's row."""
     if limit.is_tube:
-        return -np.inf, 1.0
+        return -np.inf, (limit.high / limit.scale) ** 2
     off = limit.origin - float(limit.normal @ _home(mechanism, limit.index))
     return (limit.low + off) / mechanism.extent_m, (limit.high + off) / mechanism.extent_m
 

@@ -91,7 +91,9 @@ def pose_at(
     rows = independent_rows_of(mechanism, targets, found.pose, limits.position)
     active = mechanism.dof - len([i for i in mechanism.passive_dofs if i in mechanism.independent])
     if not rows:
-        raise ProblemError(f"{where} asks nothing of the motion: {', '.join(p.site for p in points)} does not move")
+        raise ProblemError(
+            f"{where} asks nothing of the motion: what it names of {', '.join(p.site for p in points)} does not move"
+        )
     s = found.pose[mechanism.independent]
     return s, rows if len(rows) < active else ()
 

@@ -24,6 +24,7 @@ class SiteLimit:
         normal: n (3,) of a slab, a unit vector; None of a tube.
         low, high: bounds [m]; of a tube 0 and its radius.
         along: the polyline's corners (n, 3) [m]; None of a slab.
+        scale: of a tube, the radius [m] that its row is made with; its own by default.
         origin: (n . p) [m] where a wall's distance is counted from, 0 of a coordinate.
     """
 
@@ -35,6 +36,7 @@ class SiteLimit:
     high: float
     normal: np.ndarray | None = None
     along: np.ndarray | None = None
+    scale: float | None = None
     origin: float = 0.0
 
     def __post_init__(self) -> None:
@@ -42,6 +44,8 @@ class SiteLimit:
             raise ProblemError(f"limits.site of {self.name} has either a normal or a polyline")
         if not self.low < self.high:
             raise ProblemError(f"limits.site of {self.name} has low < high, got {self.low:g} and {self.high:g}")
+        if self.scale is None:
+            object.__setattr__(self, "scale", self.high)
         for field in ("normal", "along"):
             value = getattr(self, field)
             if value is not None:
@@ -66,7 +70,7 @@ class SiteLimit:
         """What its row in a program is made of, its bounds apart: equal keys have equal rows."""
         if self.along is None:
             return self.index, tuple(self.normal.tolist())
-        return self.index, tuple(map(tuple, self.along.tolist())), self.high
+        return self.index, tuple(map(tuple, self.along.tolist())), self.scale
 
 
 def _squared(p: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -4,13 +4,17 @@ import functools
 
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.assembly import Reach, close_at, reach
+from linkplan.models.poses.assembly import Reach, close_at, follow, reach
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.certificate.site_margins import SITE_SLACK, title
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.sites import SiteLimit
+
+# Poses looked at between start and goal of a single freedom.
+_BETWEEN = 401
 
 
 @functools.lru_cache(maxsize=16)
@@ -122,25 +126,46 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
 
 def _site_beyond(problem: PlanningProblem) -> str | None:
     """Return the sentence on a site that start or goal put where the limits do not want it, or None."""
-    mechanism, motion = problem.mechanism, problem.motion
+    mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
     for name, asked in (("start", motion.start_at), ("goal", motion.goal_at)):
         s = getattr(motion, name)
-        if s is None or not problem.limits.site:
+        if s is None or not limits.site:
             continue
         pose = close_at(mechanism, s)
         # Of a goal whose pose is open only the points that are asked for in full are known.
         known = [p.index for p in asked if not np.any(np.isnan(p.point))]
-        for limit in problem.limits.site:
+        for limit in limits.site:
             if name == "goal" and motion.goal_is_free and limit.index not in known:
                 continue
-            value = float(limit.value(places_of(mechanism, limit.index, pose))[0])
-            nearest = min(max(value, limit.low), limit.high)
-            if abs(value - nearest) > SITE_SLACK * mechanism.extent_m:
-                return (
-                    f"infeasible: {title(limit)} is {value:.6g} m at the {name}, {abs(value - nearest):.4g} m beyond its limit"
-                    f" of {nearest:.6g}"
-                )
-    return None
+            sentence = _beyond(problem, limit, pose[None], f"at the {name}")
+            if sentence is not None:
+                return sentence
+    return _on_the_only_way(problem)
+
+
+def _on_the_only_way(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a site that leaves its limits between start and goal of a single freedom, or None."""
+    mechanism, motion = problem.mechanism, problem.motion
+    if mechanism.dof != 1 or motion.start is None or motion.goal is None or not problem.limits.site:
+        return None
+    try:
+        poses = follow(mechanism, np.linspace(motion.start, motion.goal, _BETWEEN), close_at(mechanism, motion.start))
+    except AssemblyError:  # the way is not open: said elsewhere
+        return None
+    said = "between start and goal, where every motion of one degree of freedom passes"
+    return next((found for limit in problem.limits.site if (found := _beyond(problem, limit, poses, said))), None)
+
+
+def _beyond(problem: PlanningProblem, limit: SiteLimit, poses: np.ndarray, when: str) -> str | None:
+    """Return the sentence on a site's limit that the worst of poses (n, n_q) leaves, or None."""
+    values = limit.value(places_of(problem.mechanism, limit.index, poses))
+    nearest = np.clip(values, limit.low, limit.high)
+    k = int(np.argmax(np.abs(values - nearest)))
+    off = abs(float(values[k] - nearest[k]))
+    if off <= SITE_SLACK * problem.mechanism.extent_m:
+        return None
+    value = f"{float(values[k]):.6g} m {when}"
+    return f"infeasible: {title(limit)} is {value}, {off:.4g} m beyond its limit of {float(nearest[k]):.6g}"
 
 
 def _singular(problem: PlanningProblem) -> str | None:
