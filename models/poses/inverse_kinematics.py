@@ -105,7 +105,7 @@ def site_pose(
         there = bool(inside and off.max(initial=0.0) <= ARRIVED * mechanism.extent_m)
         order = (not inside, not there, 0.0 if there else float(off.max()), there and not prefer(end), away)
         found.append((order, len(found), SitePose(pose=end, off_m=off)))
-        if there and away == 0.0:
+        if order == (False, False, 0.0, False, 0.0):
             break  # it is there already
     return min(found, key=lambda item: item[:2])[2]
 
