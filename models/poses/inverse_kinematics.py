@@ -24,6 +24,8 @@ ARRIVED = 1e-9
 _STARTS, _SEED, _ITERATIONS = 12, 20, 150
 # No step is longer than this [rad, or shares of the extent]; shorter than the other it has converged.
 _STEP, _CONVERGED = 0.5, 1e-14
+# Squared distances that a step makes smaller by less than this share are the least: out of reach they stay above zero.
+_NO_GAIN = 1e-14
 # A dependent joint beyond its range weighs so much more than a site away from its place.
 _STOP = 1e3
 # Joints are within their ranges but for this [rad or m].
@@ -201,7 +203,10 @@ def _descended(mechanism: Mechanism, targets: SiteTargets, start: np.ndarray, ra
         trial = _closed(mechanism, (s + step) * unit, q)
         further = None if trial is None else residuals(trial)
         if further is not None and further[0] @ further[0] < r @ r:
+            gained = 1 - further[0] @ further[0] / (r @ r)
             q, (r, J), damping = trial, further, max(damping / 10, 1e-14)
+            if gained < _NO_GAIN:
+                break
         else:
             damping *= 10
             if damping > 1e12:

@@ -37,8 +37,8 @@ class Problem:
         start_deg, goal_deg: hinges' angles [deg] by joint name, of the independent joints; dependent ones may be named too
             and are checked against the closed loop. `start_m`, `goal_m`: slides' positions [m].
         start_at, goal_at: in place of joints, where sites of the model are, by name [m] in the world's frame:
-            {"foot": [x, y, z]}, or the coordinates that matter, {"foot": {"z": 0.2}}. The pose is found by inverse kinematics, the nearest to the
-            start; the end of a reach may leave it open.
+            {"foot": [x, y, z]}, or the coordinates that matter, {"foot": {"z": 0.2}}. The pose is found by inverse
+            kinematics, the nearest to the start; the end of a reach may leave it open.
         start_speed_deg_s, goal_speed_deg_s: independent speeds [deg/s]; `..._m_s` [m/s] on slides. At rest by default.
         duration_s: a number of seconds, or "free", then within `min_duration_s` and `max_duration_s` where they are given.
         waypoints: tables in order, with `at_deg`, `at_m`, `speed_deg_s`, `speed_m_s`, `time_s`, whichever are known.

@@ -64,7 +64,7 @@ def test_sites_of_trees_in_space_are_where_mujoco_has_them(seed):
 @pytest.mark.parametrize("bend", [-1.0, 1.0])
 def test_the_nearer_of_two_bends_is_taken(two_links, bend):
     wanted = angles_at(0.35, 0.1, bend)
-    start = wanted + [0.3, -0.4]
+    start = wanted + np.array([0.3, -0.4])
     found = site_pose(two_links, targets(two_links, foot=[0.35, 0.0, 0.1]), start, ranges(two_links))
     assert found.arrived(two_links)
     assert found.pose == pytest.approx(wanted, abs=IK_RAD)
@@ -131,6 +131,7 @@ def test_a_closed_loop_stays_closed_and_on_its_branch():
     assert close_at(mechanism, found.pose[mechanism.independent]) == pytest.approx(found.pose, abs=IK_RAD)
 
 
+@pytest.mark.slow
 def test_dependent_ranges_are_kept():
     """The pin's angle stops at 10 deg: the chain cannot be stretched out, and comes less far down."""
     mechanism = load_mechanism("five-bar")
