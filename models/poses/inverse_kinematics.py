@@ -145,10 +145,9 @@ def _starts(mechanism: Mechanism, start: np.ndarray, ranges: np.ndarray) -> Iter
     random = np.random.default_rng(_SEED)
     for _ in range(_STARTS):
         there = low + (high - low) * random.random(len(s))
-        try:
-            yield close_at(mechanism, there, start)
-        except AssemblyError:
-            continue
+        pose = _closed(mechanism, there, start)
+        if pose is not None:
+            yield pose
 
 
 def _about(mechanism: Mechanism, pose: np.ndarray, ranges: np.ndarray) -> Iterator[np.ndarray]:
@@ -158,10 +157,9 @@ def _about(mechanism: Mechanism, pose: np.ndarray, ranges: np.ndarray) -> Iterat
     unit = np.array([1.0 if mechanism.joints[i].kind == "hinge" else mechanism.extent_m for i in independent])
     for _ in range(_ABOUT):
         s = np.clip(pose[independent] + _AWAY * unit * random.uniform(-1, 1, len(unit)), *ranges[independent].T)
-        try:
-            yield close_at(mechanism, s, pose)
-        except AssemblyError:
-            continue
+        near = _closed(mechanism, s, pose)
+        if near is not None:
+            yield near
 
 
 def _rows(mechanism: Mechanism, targets: SiteTargets, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -225,6 +223,11 @@ def _step(J: np.ndarray, r: np.ndarray, damping: float, low: np.ndarray, high: n
 
 
 def _closed(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray | None:
+    """Return the pose (n_q,) at positions s (n_s,) on the branch of a closed one; None where the loops do not close."""
+    if not len(mechanism.dependent):  # nothing to follow: an open tree is closed anywhere
+        pose = np.array(near, dtype=float)
+        pose[mechanism.independent] = s
+        return None if mechanism.coordinates.left(pose) is not None else pose
     try:
         return close_at(mechanism, s, near)
     except AssemblyError:
