@@ -140,6 +140,14 @@ def _site_beyond(problem: PlanningProblem) -> str | None:
             sentence = _beyond(problem, limit, pose[None], f"at the {name}")
             if sentence is not None:
                 return sentence
+    for k, waypoint in enumerate(motion.waypoints):
+        if np.any(np.isnan(waypoint.position)) or not limits.site:
+            continue
+        pose = close_at(mechanism, waypoint.position)
+        for limit in limits.site:
+            sentence = _beyond(problem, limit, pose[None], f"at motion.waypoints[{k}]")
+            if sentence is not None:
+                return sentence
     return _on_the_only_way(problem)
 
 

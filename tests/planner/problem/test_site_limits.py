@@ -16,6 +16,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.site_rows import site_row
 from linkplan.planner.diagnosis.reasons import other_limits
+from linkplan.planner.files.plan_folder import read_plan, write_plan
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.sites_file import site_limits_of
 from linkplan.planner.plan import Plan
@@ -144,19 +145,22 @@ def test_what_every_motion_of_one_freedom_passes_is_named_without_solving():
     assert_names(plan.message, "x of site foot is 0.3 m between start and goal", "0.02 m beyond its limit of 0.28")
 
 
-@pytest.mark.slow
-def test_a_limit_that_forbids_a_motion_is_named_with_the_least_that_it_would_have_to_be():
-    """A foot that is not to rise, with one waypoint of the joints that puts it 0.05 m too high."""
+def test_a_waypoint_outside_is_named_without_solving():
     via = {"at_deg": {"J1": 90.0, "J2": 0.0}}
-    motion = {
-        "start_at": {"foot": [0.35, 0, 0.2]},
-        "goal_at": {"foot": [-0.35, 0, 0.2]},
-        "duration_s": 1.0,
-        "waypoints": [via],
-    }
-    plan = plan_motion(site_problem(arm_of(UPPER, LOWER), motion, {"foot": {"z": [-1.0, 0.5]}}))
+    plan = plan_motion(site_problem(arm_of(UPPER, LOWER), PAST | {"waypoints": [via]}, {"foot": {"z": [-1.0, 0.5]}}))
     assert plan.status == "infeasible"
-    assert_names(plan.message, "z of site foot would have to come to 0.55", "0.05 m beyond its limit of 0.5")
+    assert not plan.history
+    assert_names(plan.message, "z of site foot is 0.55 m at motion.waypoints[0]", "0.05 m beyond its limit of 0.5")
+
+
+@pytest.mark.slow
+def test_a_limit_that_forbids_a_motion_is_named():
+    """The arm is to be stretched on the way, to 0.55 m from the hip, and the box around its foot ends at 0.5 m from there."""
+    motion = {"start_at": {"foot": [0.35, 0, 0.2]}, "goal_at": {"foot": [-0.35, 0, 0.2]}, "duration_s": 1.0}
+    via = {"waypoints": [{"at_deg": {"J2": 0.0}}]}
+    plan = plan_motion(site_problem(arm_of(UPPER, LOWER), motion | via, {"foot": {"x": [-0.4, 0.4], "z": [0.0, 0.3]}}))
+    assert plan.status == "infeasible", plan.message
+    assert_names(plan.message, "site foot would have to come to", "beyond its limit")
 
 
 def test_the_phase_plane_knows_that_there_are_other_limits():
@@ -279,3 +283,12 @@ def test_limits_made_by_hand_are_checked_too():
         replace(limit, low=2.0)
     with pytest.raises(ProblemError, match="either a normal or a polyline"):
         replace(limit, normal=None)
+
+
+def test_a_saved_plan_is_read_with_its_open_ends(tmp_path):
+    plan = plan_of(arm_of(0.3), {"start_deg": {"J1": 60}, "goal_deg": {"J1": -55}, "duration_s": 0.5}, RIM)
+    write_plan(plan, tmp_path)
+    again = read_plan(tmp_path)
+    assert again.status == "optimal"
+    assert (again.problem.limits.site[0].low, again.problem.limits.site[0].high) == (-np.inf, 0.3)
+    assert len(again.certificate.margins) == 1
