@@ -155,7 +155,7 @@ def test_a_waypoint_outside_is_named_without_solving():
 
 @pytest.mark.slow
 def test_a_limit_that_forbids_a_motion_is_named():
-    """The arm is to be stretched on the way, to 0.55 m from the hip, and the box around its foot ends at 0.5 m from there."""
+    """The arm is to be stretched on the way, to 0.55 m from the hip; the box around its foot ends at 0.5 m from there."""
     motion = {"start_at": {"foot": [0.35, 0, 0.2]}, "goal_at": {"foot": [-0.35, 0, 0.2]}, "duration_s": 1.0}
     via = {"waypoints": [{"at_deg": {"J2": 0.0}}]}
     plan = plan_motion(site_problem(arm_of(UPPER, LOWER), motion | via, {"foot": {"x": [-0.4, 0.4], "z": [0.0, 0.3]}}))
