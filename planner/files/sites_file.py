@@ -153,7 +153,8 @@ def _limits(one: object, where: str, of: _Site) -> list[SiteLimit]:
         return [_tube(one, where, of)]
     _check_keys(one, (*AXES, *WALL, *TUBE), where)
     bounds = {axis: interval(one[axis], f"{where}.{axis}") for axis in AXES if axis in one}
-    return [of.limited(axis, *ends, normal=np.eye(3)[AXES.index(axis)]) for axis, ends in bounds.items()]
+    bounded = {axis: ends for axis, ends in bounds.items() if np.any(np.isfinite(ends))}
+    return [of.limited(axis, *ends, normal=np.eye(3)[AXES.index(axis)]) for axis, ends in bounded.items()]
 
 
 def _wall(one: dict, where: str, of: _Site) -> SiteLimit:

@@ -10,6 +10,7 @@ from linkplan.models.poses.assembly import Reach, close_at, follow, reach
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.certificate.site_margins import SITE_SLACK, title
+from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.sites import SiteLimit
 
@@ -125,30 +126,26 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
 
 
 def _site_beyond(problem: PlanningProblem) -> str | None:
-    """Return the sentence on a site that start or goal put where the limits do not want it, or None."""
-    mechanism, motion, limits = problem.mechanism, problem.motion, problem.limits
-    for name, asked in (("start", motion.start_at), ("goal", motion.goal_at)):
-        s = getattr(motion, name)
-        if s is None or not limits.site:
+    """Return the sentence on a site that start, goal or a waypoint puts where the limits do not want it, or None."""
+    motion, limits = problem.motion, problem.limits
+    places = [("the start", motion.start), ("the goal", motion.goal)]
+    places += [(f"motion.waypoints[{k}]", waypoint.position) for k, waypoint in enumerate(motion.waypoints)]
+    for name, s in places:
+        if s is None or np.any(np.isnan(s)) or not limits.site:
             continue
-        pose = close_at(mechanism, s)
-        # Of a goal whose pose is open only the points that are asked for in full are known.
-        known = [p.index for p in asked if not np.any(np.isnan(p.point))]
+        pose = close_at(problem.mechanism, s)[None]
+        is_open = name == "the goal" and motion.goal_is_free
         for limit in limits.site:
-            if name == "goal" and motion.goal_is_free and limit.index not in known:
-                continue
-            sentence = _beyond(problem, limit, pose[None], f"at the {name}")
-            if sentence is not None:
-                return sentence
-    for k, waypoint in enumerate(motion.waypoints):
-        if np.any(np.isnan(waypoint.position)) or not limits.site:
-            continue
-        pose = close_at(mechanism, waypoint.position)
-        for limit in limits.site:
-            sentence = _beyond(problem, limit, pose[None], f"at motion.waypoints[{k}]")
+            sentence = None if is_open and not _known(limit, motion) else _beyond(problem, limit, pose, f"at {name}")
             if sentence is not None:
                 return sentence
     return _on_the_only_way(problem)
+
+
+def _known(limit: SiteLimit, motion: Motion) -> bool:
+    """Return whether a goal whose pose is open says all that a limit on a site looks at."""
+    looked_at = np.ones(3, dtype=bool) if limit.normal is None else limit.normal != 0
+    return any(p.index == limit.index and not np.any(np.isnan(p.point[looked_at])) for p in motion.goal_at)
 
 
 def _on_the_only_way(problem: PlanningProblem) -> str | None:

@@ -163,6 +163,14 @@ def test_a_limit_that_forbids_a_motion_is_named():
     assert_names(plan.message, "site foot would have to come to", "beyond its limit")
 
 
+def test_a_coordinate_that_an_open_goal_gives_is_known_to_be_outside():
+    motion = {"start_at": {"foot": ABOVE}, "goal_at": {"foot": {"z": -0.35}}, "duration_s": 0.6}
+    plan = plan_motion(site_problem(arm_of(UPPER, LOWER), motion, {"foot": {"z": [-0.3, 1.0], "x": [-np.inf, np.inf]}}))
+    assert plan.status == "infeasible"
+    assert len(plan.problem.limits.site) == 1  # without a finite end there is no limit
+    assert_names(plan.message, "z of site foot is -0.35 m at the goal", "0.05 m beyond its limit of -0.3")
+
+
 def test_the_phase_plane_knows_that_there_are_other_limits():
     motion = {"start_deg": {"J1": 60}, "goal_deg": {"J1": -60}}
     assert other_limits(site_problem(arm_of(0.3), motion, {"foot": {"x": [0.0, 1.0]}}))
