@@ -8,6 +8,7 @@ steep penalties. Several starts, the same in every run; of the poses that they l
 import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -125,7 +126,8 @@ def independent_rows_of(mechanism: Mechanism, targets: SiteTargets, pose: np.nda
         J = J[:, ~np.isin(mechanism.independent, mechanism.passive_dofs)]
         if not J.size:
             continue
-        _, R, order = qr(J.T, mode="economic", pivoting=True)
+        factors: Any = qr(J.T, mode="economic", pivoting=True)
+        _, R, order = factors
         sizes = np.abs(np.diagonal(R))
         rank = int(np.sum(sizes > _RANK))
         if rank > len(best):
@@ -219,7 +221,7 @@ def _step(J: np.ndarray, r: np.ndarray, damping: float, low: np.ndarray, high: n
     step = np.linalg.lstsq(stacked, wanted, rcond=None)[0]
     if np.all((low <= step) & (step <= high)):
         return step
-    return lsq_linear(stacked, wanted, bounds=(low, high)).x
+    return np.asarray(lsq_linear(stacked, wanted, bounds=(low, high)).x)
 
 
 def _closed(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray | None:
