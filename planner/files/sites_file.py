@@ -86,7 +86,7 @@ def pose_at(
         together = " together with the other sites" if len(points) > 1 else ""
         raise ProblemError(
             f"{where}.{worst.site} = {shown(worst.point)} is out of reach{together}: {worst.site} comes no nearer than"
-            f" {shown(np.round(place, 6) + 0.0)}, {found.off_m.max():.4g} m away"
+            f" {shown(np.round(place, 7) + 0.0)}, {found.off_m.max():.4g} m away"
         )
     rows = independent_rows_of(mechanism, targets, found.pose, limits.position)
     active = mechanism.dof - len([i for i in mechanism.passive_dofs if i in mechanism.independent])
