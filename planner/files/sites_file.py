@@ -20,6 +20,8 @@ WALL, TUBE = ("normal", "at"), ("along", "radius_m")
 _MOST_CORNERS = 200
 # A normal, or a segment of a polyline, shorter than this [1 or m] has no direction.
 _NO_LENGTH = 1e-9
+# A coordinate of a nearest place below this [m] is shown as none: it is found to the root of rounding.
+_NOTHING_M = 1e-6
 
 
 def points_of(section: dict, key: str, mechanism: Mechanism) -> tuple[SitePoint, ...]:
@@ -86,7 +88,7 @@ def pose_at(
         together = " together with the other sites" if len(points) > 1 else ""
         raise ProblemError(
             f"{where}.{worst.site} = {shown(worst.point)} is out of reach{together}: {worst.site} comes no nearer than"
-            f" {shown(np.round(place, 7) + 0.0)}, {found.off_m.max():.4g} m away"
+            f" {shown(np.where(np.abs(place) < _NOTHING_M, 0.0, place))}, {found.off_m.max():.4g} m away"
         )
     rows = independent_rows_of(mechanism, targets, found.pose, limits.position)
     active = mechanism.dof - len([i for i in mechanism.passive_dofs if i in mechanism.independent])
