@@ -138,6 +138,8 @@ def structure(problem: PlanningProblem) -> tuple:
     finite = (*(np.isfinite(limit).tobytes() for limit in limited), limits.singular_margin > 0)
     given = tuple(x is None for x in (motion.start, motion.goal, motion.duration_s, motion.max_duration_s))
     via = tuple((np.isnan(w.position).tobytes(), np.isnan(w.speed).tobytes(), w.time_s is None) for w in motion.waypoints)
+    sites = tuple((limit.key, np.isfinite([limit.low, limit.high]).tobytes()) for limit in limits.site)
+    ends = (tuple(point.index for point in motion.goal_at), motion.goal_rows)
     lines = tuple(motor is not None and motor.has_line for motor in problem.motors)
     mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
     terms = tuple(problem.objective.weights)
@@ -150,4 +152,4 @@ def structure(problem: PlanningProblem) -> tuple:
         problem.reference is None,
         problem.solver.name,
     )
-    return (*of, finite, given, motion.min_duration_s is None, via, lines, mesh)
+    return (*of, finite, sites, ends, given, motion.min_duration_s is None, via, lines, mesh)

@@ -18,6 +18,7 @@ from linkplan.models.closure.equations import Closure
 from linkplan.models.closure.redundancy import ProjectedLoops, combination
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.dynamics import Tree
+from linkplan.models.tree.sites import site_places
 
 # Below the determinant that rounding leaves of one that vanishes: its root's slope stays finite.
 _TINY = 1e-40
@@ -55,6 +56,7 @@ class ReducedDynamics:
     linearisation: ca.Function  # q, v, u -> da/ds, da/dv, da/du along the closed chain
     closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N], the least that does it; zero on closures left out
     energy: ca.Function  # q, v -> kinetic, potential [J]
+    site_places: ca.Function  # q -> p_world (3, n_sites) [m] of every site of the model, whatever the payload
 
 
 def reduce_tree(
@@ -159,6 +161,7 @@ def reduce_tree(
         ),
         closure_force=function("closure_force", [q, v, a, u], force),
         energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),
+        site_places=ca.Function("site_places", [q], [ca.densify(site_places(tree))]),
     )
 
 

@@ -26,6 +26,7 @@ from linkplan.planner.certificate.margins import (
     sample_points,
     singularity_ratios,
 )
+from linkplan.planner.certificate.site_margins import ends_off_m, site_margins
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import INTEGRATION_DEG
@@ -62,6 +63,7 @@ class Certificate:
     dynamics_residual: float
     velocity_residual: float  # largest |s' - v|, of the motion's largest speed
     boundary_error: float  # of the states asked at the ends, of the motion's span and largest speed
+    site_error_m: float  # of sites from where start and goal ask them
     closure_gap_m: float
     integration_error_deg: float
     integration_error_m: float
@@ -124,11 +126,12 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         mechanism, limits, trajectory, points, q, v, time, worst
     )
     ratio = float(singularity_ratios(problem, q).min())
-    others = margins(problem, trajectory, points, time, q, v, a, u)
+    others = margins(problem, trajectory, points, time, q, v, a, u) + site_margins(problem, trajectory, points, time, q)
     forces = closure_forces(problem, q, v, a, u)
     speed = max(float(np.abs(v).max()), _STILL / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = _boundary_error(problem, trajectory, speed)
+    site_error, sites_off = ends_off_m(problem, trajectory, time, q)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     allowed_error = np.where(hinge, np.radians(INTEGRATION_DEG), INTEGRATION_M)
     integrated = integrate(mechanism, trajectory, speed, allowed_error, problem.solver.judged_until)
@@ -154,6 +157,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         )
     if boundary_error > BOUNDARY_SHARE:
         failures.append(f"the motion misses its boundary conditions by {boundary_error:.3g} of its range or largest speed")
+    failures += sites_off
     if closure_gap > max(CLOSURE_M, mechanism.closed_m):
         failures.append(f"a kinematic loop opens by {closure_gap:.3g} m at t = {worst['closure_gap_m']:.4g} s")
     if not in_deg <= INTEGRATION_DEG or not in_m <= INTEGRATION_M:
@@ -185,6 +189,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         dynamics_residual=dynamics_residual,
         velocity_residual=velocity_residual,
         boundary_error=boundary_error,
+        site_error_m=site_error,
         closure_gap_m=closure_gap,
         integration_error_deg=in_deg,
         integration_error_m=in_m,
@@ -249,6 +254,7 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
         free[1] = np.isin(
             problem.mechanism.independent, problem.mechanism.passive_dofs
         )  # a passive degree of freedom may end anywhere
+        free[1] |= motion.goal_is_free  # its end is where the sites are asked to be
     elif trajectory.periodic:
         asked, wanted, free = ends[::-1], speeds[::-1], np.zeros_like(ends, dtype=bool)
     else:

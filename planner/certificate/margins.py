@@ -20,8 +20,8 @@ class Margin:
     """The worst instant of one limit: `value` against `limit` in `unit`; `left` is negative where it is overrun.
 
     `what` is the limit's key in a problem file ("effort_rate", "power", "closure_force", "singular_margin", "motor"),
-    or "control" for a servo's ctrlrange,
-    `item` the actuator or closure of that name.
+    or "control" for a servo's ctrlrange, "site" and "tube" for limits.site;
+    `item` the actuator, closure or site limit of that name.
     """
 
     what: str
@@ -34,6 +34,11 @@ class Margin:
     time_s: float
     overrun: np.ndarray  # (n_intervals,) by how much of itself the limit is overrun in each, 0 where it is kept
     upper: bool  # whether the limit is an upper one
+
+    @property
+    def key(self) -> str:
+        """The limit's key in a problem file: a tube is one of a site's."""
+        return "site" if self.what == "tube" else self.what
 
     @property
     def kept(self) -> bool:
@@ -50,14 +55,17 @@ class Margin:
             "motor": f"the torque-speed line of {self.name}",
             "closure_force": f"the closure force of {self.name}",
             "singular_margin": "the distance from a singular pose",
+            "site": self.name,
+            "tube": self.name,
         }[self.what]
 
     def sentence(self, verb: str = "comes to") -> str:
         """Return what the limit comes to, in words."""
         beyond = "short of" if self.what == "singular_margin" else "beyond"
-        amount = f"{abs(self.value):.4g} {self.unit}".rstrip()
+        value, limit = (self.value, self.limit) if self.what == "site" else (abs(self.value), abs(self.limit))
+        amount = f"{value:.4g} {self.unit}".rstrip()
         off = f"{abs(self.left):.3g} {self.unit}".rstrip()
-        return f"{self.title} {verb} {amount} at t = {self.time_s:.4g} s, {off} {beyond} its limit of {abs(self.limit):.4g}"
+        return f"{self.title} {verb} {amount} at t = {self.time_s:.4g} s, {off} {beyond} its limit of {limit:.4g}"
 
 
 def sample_points(n_nodes: int) -> np.ndarray:
@@ -102,6 +110,34 @@ def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
     return np.array(sizes).T.reshape(len(q), -1)
 
 
+def margin_of(
+    what: str, item: int, name: str, values: np.ndarray, bounds, unit: str, points: np.ndarray, time: np.ndarray, size=None
+) -> Margin:
+    """Return what is left of one limit [low, high] of values (n,) at times (n,), sampled at `points` of each interval.
+
+    `size` is what overruns are shares of, the limit's own by default.
+    """
+    low, high = bounds
+    inside = np.minimum(values - low, high - values)
+    at = int(np.argmin(inside))
+    limit = high if high - values[at] <= values[at] - low else low
+    least = least_between(inside, points)
+    left = float(least.min())
+    value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
+    return Margin(
+        what=what,
+        item=item,
+        name=name,
+        value=float(value),
+        limit=float(limit),
+        left=left,
+        unit=unit,
+        time_s=float(time[at]),
+        overrun=np.maximum(0.0, -least) / (size or abs(limit) or 1.0),
+        upper=bool(limit == high),
+    )
+
+
 def margins(
     problem: PlanningProblem, trajectory: Trajectory, points: np.ndarray, time: np.ndarray, q, v, a, u
 ) -> tuple[Margin, ...]:
@@ -110,27 +146,7 @@ def margins(
     names = [actuator.name for actuator in mechanism.actuators]
 
     def add(what: str, item: int, name: str, values: np.ndarray, bounds, unit: str) -> None:
-        low, high = bounds
-        inside = np.minimum(values - low, high - values)
-        at = int(np.argmin(inside))
-        limit = high if high - values[at] <= values[at] - low else low
-        least = least_between(inside, points)
-        left = float(least.min())
-        value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
-        found.append(
-            Margin(
-                what=what,
-                item=item,
-                name=name,
-                value=float(value),
-                limit=float(limit),
-                left=left,
-                unit=unit,
-                time_s=float(time[at]),
-                overrun=np.maximum(0.0, -least) / (abs(limit) or 1.0),
-                upper=bool(limit == high),
-            )
-        )
+        found.append(margin_of(what, item, name, values, bounds, unit, points, time))
 
     if np.any(np.isfinite(limits.effort_rate)):
         rate, jumps = _effort_rates(trajectory, time)

@@ -12,6 +12,7 @@ from linkplan.planner.closed_chain.mechanics import (
     mechanism_system,
     node_numbers,
 )
+from linkplan.planner.closed_chain.site_rows import site_bounds, site_endpoint
 from linkplan.planner.problem.objective import QUADRATIC, Objective
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.tightening import Tightening, tightening_over
@@ -59,6 +60,7 @@ def formulate(
         closures=limits.limited_closures,
         singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
         controls=tuple(j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control),
+        sites=tuple(limit.key for limit in limits.site),
     )
     rows = IntervalRows(
         costs=costs,
@@ -95,7 +97,9 @@ def formulate(
     limited = [("speed", joint) for joint in speed_joints] + [("motor", j) for j in motors]
     limited += [("power", j) for j in asked.powers] + [("closure_force", c) for c in asked.closures]
     limited += [("singular_margin", block) for block in range(asked.singular)]
-    limited += [("control", j) for j in asked.controls] + [("work", j) for j in range(n_u if works else 0)]
+    limited += [("control", j) for j in asked.controls]
+    of_sites = [("tube" if limit.is_tube else "site", item) for item, limit in enumerate(limits.site)]
+    limited += of_sites + [("work", j) for j in range(n_u if works else 0)]
     path = [
         limits.speed[list(speed_joints)] * scales.time_s,
         np.tile([-1.0, 1.0], (len(motors), 1)),
@@ -103,10 +107,12 @@ def formulate(
         np.tile([-np.inf, 1.0], (len(asked.closures), 1)),
         np.tile([limits.singular_margin, np.inf], (asked.singular, 1)),
         np.array([_control_range(problem, j) for j in asked.controls]),
+        np.array([site_bounds(mechanism, limit) for limit in limits.site]),
         np.tile([0.0, np.inf], (n_u if works else 0, 1)),
     ]
     path = np.vstack([part.reshape(-1, 2) for part in path])
     state = np.vstack([limits.position[independent] / scales.position[:, None], limits.speed[independent] / rate[:, None]])
+    endpoint, places = site_endpoint(problem, scales.position)
     return Formulation(
         build_system=lambda: mechanism_system(mechanism, asked),
         n_s=n_s,
@@ -138,6 +144,10 @@ def formulate(
         ),
         theta=theta,
         tightening=tightening_over(tightenings, limited, path),
+        position_path=tuple(limited.index(row) for row in of_sites),
+        endpoint=endpoint,
+        endpoint_bounds=np.zeros((len(places), 2)),
+        endpoint_parameters=places,
     )
 
 
@@ -262,7 +272,9 @@ def phase_boundaries_of(problem: PlanningProblem, scales: Scales) -> tuple[Phase
     if motion.kind == "reach":
         rest = np.zeros(n_s)
         start = boundary(motion.start, rest if motion.start_speed is None else motion.start_speed, (0.0, 0.0))
-        goal = boundary(motion.goal, rest if motion.goal_speed is None else motion.goal_speed, last)
+        goal = boundary(
+            None if motion.goal_is_free else motion.goal, rest if motion.goal_speed is None else motion.goal_speed, last
+        )
         return (start, *via, goal)
     start, goal = boundary(motion.start, None, (0.0, 0.0)), boundary(None, None, last)
     if motion.start is not None and not via:

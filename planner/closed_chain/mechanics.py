@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.closed_chain.site_rows import TUBE, site_row
 from linkplan.planner.transcription.system import NodeSymbols, System, node_symbols
 
 # Terms of an objective that are integrals of a quantity at nodes.
@@ -57,7 +58,7 @@ class NodeTerms:
     """What is looked at in a node, the structure of its functions: running costs out of `RUNNING`, and path quantities.
 
     `speed_joints` are dependent joints, `motors` and `powers` actuators, `closures` those whose force is limited; `singular`
-    is the number of blocks of J_z whose determinants are; `controls` are servos whose ctrl is.
+    is the number of blocks of J_z whose determinants are; `controls` are servos whose ctrl is; `sites` are `SiteLimit.key`s.
     """
 
     running: tuple[str, ...] = ()
@@ -67,13 +68,15 @@ class NodeTerms:
     closures: tuple[int, ...] = ()
     singular: int = 0
     controls: tuple[int, ...] = ()
+    sites: tuple[tuple, ...] = ()
 
     @property
     def kinds(self) -> tuple[str, ...]:
         """What each path quantity is, but for those of the objective."""
         listed = {"speed": self.speed_joints, "motor": self.motors, "power": self.powers, "closure_force": self.closures}
         named = tuple(kind for kind, items in listed.items() for _ in items)
-        return (*named, *("singular",) * self.singular, *("control",) * len(self.controls))
+        of_sites = tuple("tube" if len(key) == TUBE else "site" for key in self.sites)
+        return (*named, *("singular",) * self.singular, *("control",) * len(self.controls), *of_sites)
 
 
 @functools.lru_cache(maxsize=16)
@@ -153,7 +156,7 @@ def _path(
             b = mechanism.actuators[j].biases
             ctrl = (u[j] - b[0] - b[1] * length[j] - b[2] * w[j]) / mechanism.actuators[j].gain
             path.append(ctrl / control_unit(mechanism, j))
-    return path
+    return path + [site_row(mechanism, key, q) for key in asked.sites]
 
 
 def control_unit(mechanism: Mechanism, actuator: int) -> float:

@@ -14,13 +14,14 @@ from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, 
 from linkplan.planner.diagnosis.infeasibility import overrun_sentence
 from linkplan.planner.problem.limits import free
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.refinement.history import Step, step_of
 from linkplan.planner.solvers.solve import build_solver, run_solver, solve
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
 # What may be taken away to see whether it is what forbids a motion, in this order, before the efforts' limits are looked at.
-RELAXABLE = ("speed", "power", "closure_force", "motor", "control", "effort_rate", "singular_margin")
+RELAXABLE = ("speed", "power", "closure_force", "motor", "control", "effort_rate", "singular_margin", "site")
 # Efforts that may jump have no rate to speak of: their rates are limited to so many times the limit in place of not at all.
 # So are servos' ctrl ranges.
 _ALL_BUT_FREE = 1e3
@@ -33,6 +34,9 @@ _ROOM = 1.001
 def scaled(problem: PlanningProblem, what: str, factor: float) -> PlanningProblem:
     """Return a problem with one of its `RELAXABLE` limits multiplied by a factor."""
     limits = problem.limits
+    if what == "site":
+        room = (factor - 1) * problem.mechanism.extent_m
+        return replace(problem, limits=replace(limits, site=tuple(_wider(limit, room) for limit in limits.site)))
     if what == "motor":
         lined = [m for m in problem.motors if m is not None and m.has_line]
         wider = {
@@ -54,6 +58,11 @@ def _with_controls(problem: PlanningProblem, factor: float) -> PlanningProblem:
     return replace(problem, mechanism=replace(mechanism, actuators=wider))
 
 
+def _wider(limit: SiteLimit, room_m: float) -> SiteLimit:
+    """Return a limit on a site that gives it so much more room on every side."""
+    return replace(limit, low=limit.low if limit.is_tube else limit.low - room_m, high=limit.high + room_m)
+
+
 def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
     """Return a problem with one of its `RELAXABLE` limits, or "position", taken away; None where it has no such limit."""
     limits = problem.limits
@@ -68,6 +77,8 @@ def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
     value = getattr(limits, what)
     if what == "singular_margin":
         return replace(problem, limits=replace(limits, singular_margin=0.0)) if value else None
+    if what == "site":
+        return replace(problem, limits=replace(limits, site=())) if value else None
     if not np.any(np.isfinite(value)):
         return None
     if what == "effort_rate":
@@ -126,9 +137,10 @@ def _overrun(problem: PlanningProblem, motion: Trajectory, what: str) -> float |
             ratios = np.maximum(rates / bounds[:, 1], rates / bounds[:, 0])
         largest = float(np.nan_to_num(ratios, posinf=0.0, neginf=0.0).max())
         return _ROOM * largest if largest > 1 else None
-    over = [
-        m for m in certify(problem, motion).margins if m.what == what and not m.kept and np.isfinite(m.value) and m.limit
-    ]
+    over = [m for m in certify(problem, motion).margins if m.key == what and not m.kept and np.isfinite(m.value)]
+    if what == "site":
+        return 1 + _ROOM * max(-m.left for m in over) / problem.mechanism.extent_m if over else None
+    over = [m for m in over if m.limit]
     if not over:
         return None
     ratios = [m.value / m.limit for m in over]
@@ -148,5 +160,5 @@ def violated_sentence(problem: PlanningProblem, trajectory: Trajectory, what: st
         found = certify(problem, trajectory).margins
     except AssemblyError:
         return None
-    over = [margin for margin in found if margin.what == what and not margin.kept]
+    over = [margin for margin in found if margin.key == what and not margin.kept]
     return over[0].sentence("would have to come to") if over else None

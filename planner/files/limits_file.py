@@ -6,6 +6,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose, nearest
 from linkplan.planner.files.joint_values import joint_values
+from linkplan.planner.files.sites_file import site_limits_of
 from linkplan.planner.files.values import interval
 from linkplan.planner.problem.limits import Limits, Motor, free
 from linkplan.planner.problem.values import number
@@ -20,6 +21,7 @@ KEYS = (
     "power_w",
     "closure_force",
     "singular_margin",
+    "site",
 )
 MOTOR_KEYS = ("torque_constant", "resistance_ohm", "stall_effort", "no_load_speed_deg_s", "no_load_speed_m_s")
 
@@ -64,6 +66,7 @@ def limits_of(section: dict, mechanism: Mechanism) -> Limits:
         power=_actuator_rows(section, "power_w", mechanism),
         closure_force=_closure_forces(section, mechanism),
         singular_margin=number(section.get("singular_margin", 0.0), "limits.singular_margin", least=0.0),
+        site=site_limits_of(section, mechanism),
     )
 
 

@@ -4,22 +4,28 @@ import json
 
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import nearest
+from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import resting, sprung_freedoms
 from linkplan.planner.closed_chain.prescribed import is_whole
 from linkplan.planner.files.joint_values import joint_values
+from linkplan.planner.files.sites_file import points_of, pose_at
+from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.reference import Sine
+from linkplan.planner.problem.sites import SitePoint
 from linkplan.planner.problem.values import number
 
 KEYS = (
     "kind",
     "start_deg",
     "start_m",
+    "start_at",
     "goal_deg",
     "goal_m",
+    "goal_at",
     "start_speed_deg_s",
     "start_speed_m_s",
     "goal_speed_deg_s",
@@ -32,8 +38,8 @@ KEYS = (
 WAYPOINT_KEYS = ("at_deg", "at_m", "speed_deg_s", "speed_m_s", "time_s")
 
 
-def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | None) -> Motion:
-    """Return the motion of a [motion] table."""
+def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | None, limits: Limits) -> Motion:
+    """Return the motion of a [motion] table; poses that stand for places of sites keep the limits where they can."""
     duration = section.get("duration_s", "free" if reference is None else reference.period_s)
     if isinstance(duration, str) and duration != "free":
         raise ProblemError(f'motion.duration_s is a positive number or "free", got {duration!r}')
@@ -44,10 +50,16 @@ def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | 
             f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
             f" {reference.period_s:g} s, got {duration:g}"
         )
+    start, start_at, _ = _end(section, "start", kind, mechanism, limits, mechanism.home)
+    begin = mechanism.home if start is None or "goal_at" not in section else _closed(mechanism, start)
+    goal, goal_at, goal_rows = _end(section, "goal", kind, mechanism, limits, begin)
     return Motion(
         kind=kind,
-        start=_state(section, "start", mechanism, None),
-        goal=_state(section, "goal", mechanism, None),
+        start=start,
+        goal=goal,
+        start_at=start_at,
+        goal_at=goal_at,
+        goal_rows=goal_rows,
         start_speed=_state(section, "start_speed_s", mechanism, 0.0),
         goal_speed=_state(section, "goal_speed_s", mechanism, 0.0),
         duration_s=duration,
@@ -81,7 +93,8 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
         # a passive degree of freedom stays where it is, unless it is named
         if value is None and int(index) in mechanism.passive_dofs:
             value = joint.shown(mechanism.home[index])
-        result.append(joint.read(number(value, f"{where}.{key} of joint {joint.name}")))
+        free = value is default and default is not None and np.isnan(default)  # of a waypoint, where nothing is said
+        result.append(np.nan if free else joint.read(number(value, f"{where}.{key} of joint {joint.name}")))
     if key.endswith("_s"):
         for index in values:
             if index not in mechanism.independent:
@@ -90,6 +103,37 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
                     f" {', '.join(j.name for j in mechanism.independent_joints)}; name those"
                 )
     return np.array(result)
+
+
+def _end(
+    section: dict, name: str, kind: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
+) -> tuple[np.ndarray | None, tuple[SitePoint, ...], tuple[int, ...]]:
+    """Return a start or goal (n_s,), by joints or by places of sites, those places, and `Motion.goal_rows`."""
+    named = [key for key in (f"{name}_deg", f"{name}_m") if section.get(key)]
+    points = points_of(section, f"{name}_at", mechanism)
+    if not points:
+        return _state(section, name, mechanism, None), (), ()
+    if named:
+        raise ProblemError(f"motion.{name}_at and motion.{named[0]} both say where the {name} is; keep one")
+    if kind == "track":
+        raise ProblemError(
+            f"motion.{name}_at belongs to motion.kind 'reach' or 'periodic'; 'track' prescribes every instant"
+        )
+    s, rows = pose_at(points, f"{name}_at", mechanism, limits, begin)
+    if rows and (name == "start" or kind != "reach"):
+        raise ProblemError(
+            f"motion.{name}_at leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}; only the end of a"
+            f" 'reach' may: name more coordinates, or the joints in motion.{name}_deg"
+        )
+    return s, points, rows
+
+
+def _closed(mechanism: Mechanism, s: np.ndarray) -> np.ndarray:
+    """Return the closed pose (n_q,) at a start, home where there is none: what is wrong with it is said elsewhere."""
+    try:
+        return close_at(mechanism, s)
+    except AssemblyError:
+        return mechanism.home
 
 
 def _with_rests(values: dict[int, object], where: str, mechanism: Mechanism) -> dict[int, object]:

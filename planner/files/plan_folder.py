@@ -90,6 +90,7 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
         "dynamics_residual": certificate.dynamics_residual,
         "velocity_residual": certificate.velocity_residual,
         "boundary_error": certificate.boundary_error,
+        "site_error_m": certificate.site_error_m,
         "closure_gap_m": certificate.closure_gap_m,
         "integration_error_deg": certificate.integration_error_deg,
         "integration_error_m": certificate.integration_error_m,
@@ -225,6 +226,8 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
 
 def _problem_again(said: dict, folder: Path) -> PlanningProblem:
     """Return a saved plan's problem, its model from beside the plan or from where it was; refused where that has changed."""
+    if isinstance(said["problem"].get("limits"), dict):
+        said["problem"]["limits"] = _unbounded(said["problem"]["limits"])
     section = said["problem"].get("mechanism")
     models = [section.get("model")] if isinstance(section, dict) else [None]
     beside = said.get("model_from_here")
@@ -250,6 +253,15 @@ def _problem_again(said: dict, folder: Path) -> PlanningProblem:
         raise PlanFileError(f"{changed}; plan it again")
     why = refusal or "mechanism.model is no name"
     raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built again: {why}") from refusal
+
+
+def _unbounded(value: object) -> object:
+    """Return a table of limits with the infinite ends that JSON has no number for: null in [low, high]."""
+    if isinstance(value, dict):
+        return {key: _unbounded(item) for key, item in value.items()}
+    if isinstance(value, list) and len(value) == 2 and None in value:
+        return [end if item is None else item for item, end in zip(value, (-np.inf, np.inf), strict=True)]
+    return [_unbounded(item) for item in value] if isinstance(value, list) else value
 
 
 def _changed(said: dict, problem: PlanningProblem) -> list[str]:

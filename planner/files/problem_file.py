@@ -108,12 +108,13 @@ def problem_from_tables(
     default = "tracking" if kind == "track" or (kind == "periodic" and section["reference"]) else "effort"
     objective = _objective(section["objective"], default)
     reference = _reference(section["reference"], mechanism) if section["reference"] else None
+    limits = limits_of(section["limits"], mechanism)
     problem = PlanningProblem(
         name=name,
         mechanism=mechanism,
-        motion=motion_of(section["motion"], kind, mechanism, reference),
+        motion=motion_of(section["motion"], kind, mechanism, reference, limits),
         objective=objective,
-        limits=limits_of(section["limits"], mechanism),
+        limits=limits,
         motors=motors_of(section["motors"], mechanism),
         reference=reference,
         guess=_guess(section["guess"], mechanism, folder),

@@ -11,8 +11,8 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.planner.problem.limits import free
-from linkplan.planner.problem.motion import frozen
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
+from linkplan.planner.problem.values import frozen
 
 # (x, u, p, t) -> a column; x (n_x,), u (n_u,), p (n_p,) and t are CasADi SX.
 AtInstant = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], object]

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import BPoly
 
-from linkplan.planner.problem.motion import frozen
+from linkplan.planner.problem.values import frozen
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

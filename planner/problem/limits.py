@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import ProblemError
+from linkplan.planner.problem.sites import SiteLimit
 
 
 def free(n: int) -> np.ndarray:
@@ -51,7 +52,8 @@ class Limits:
 
     `effort` (n_u, 2) [N.m or N]; `position` and `speed` (n_q, 2) [rad or m, and per second], dependent joints too;
     `effort_rate` (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each actuator; `closure_force` (n_closures,)
-    [N], the largest size of each; `singular_margin`, the least |det J_z| as a share of that at home.
+    [N], the largest size of each; `singular_margin`, the least |det J_z| as a share of that at home; `site`, where sites
+    stay [m].
     """
 
     effort: np.ndarray
@@ -61,9 +63,11 @@ class Limits:
     power: np.ndarray | None = None
     closure_force: np.ndarray | None = None
     singular_margin: float = 0.0
+    site: tuple[SiteLimit, ...] = ()
 
     def __post_init__(self) -> None:
         n_u = len(self.effort)
+        object.__setattr__(self, "site", tuple(self.site))
         for name in ("effort_rate", "power"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, free(n_u))

@@ -5,15 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import ProblemError
+from linkplan.planner.problem.sites import SitePoint
+from linkplan.planner.problem.values import frozen
 
 KINDS = ("reach", "periodic", "track")
-
-
-def frozen(value: object) -> np.ndarray:
-    """Return an array of floats that cannot be written to."""
-    array = np.array(value, dtype=float)
-    array.flags.writeable = False
-    return array
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -40,6 +35,10 @@ class Motion:
     kind "reach" goes from start to goal; "periodic" returns to its own first state; "track" is the reference itself.
     `duration_s` is None where it is free, then within `min_duration_s` and `max_duration_s`. `waypoints` are passed in
     order.
+
+    `start_at` and `goal_at` are places of sites that start and goal stand for: `start` and `goal` are then poses in which
+    the sites are there. Where the places leave freedoms open, any pose with the sites in their places ends the motion, and
+    `goal` is the one to guess; `goal_rows` are then those of the sites' coordinates (3 n_sites), in a row, that say it all.
     """
 
     kind: str
@@ -51,6 +50,9 @@ class Motion:
     min_duration_s: float | None = None
     max_duration_s: float | None = None
     waypoints: tuple[Waypoint, ...] = ()
+    start_at: tuple[SitePoint, ...] = ()
+    goal_at: tuple[SitePoint, ...] = ()
+    goal_rows: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -59,7 +61,9 @@ class Motion:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen(value))
-        object.__setattr__(self, "waypoints", tuple(self.waypoints))
+        for name in ("waypoints", "start_at", "goal_at"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        self._check_sites()
         if self.duration_s is not None and not (np.isfinite(self.duration_s) and self.duration_s > 0):
             raise ProblemError(f'motion.duration_s is a positive number or "free", got {self.duration_s!r}')
         low, high = self.min_duration_s, self.max_duration_s
@@ -73,12 +77,29 @@ class Motion:
         self._check_waypoints()
 
     @property
+    def goal_is_free(self) -> bool:
+        """Whether the pose at the end is open, but for the sites' places."""
+        return bool(self.goal_rows)
+
+    @property
     def stays(self) -> bool:
         """Whether a reach ends in the state in which it begins, without having been anywhere."""
         if self.kind != "reach" or self.start is None or self.goal is None or self.waypoints:
             return False
         speeds = [np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed)]
         return np.array_equal(self.start, self.goal) and np.array_equal(*speeds)
+
+    def _check_sites(self) -> None:
+        for name in ("start", "goal"):
+            if getattr(self, f"{name}_at") and getattr(self, name) is None:
+                raise ProblemError(f"motion.{name}_at needs motion.{name}, a pose in which the sites are there")
+            if getattr(self, f"{name}_at") and self.kind == "track":
+                raise ProblemError(f"motion.{name}_at belongs to motion.kind 'reach' or 'periodic', got 'track'")
+        if self.goal_is_free and (self.kind != "reach" or not self.goal_at):
+            raise ProblemError(
+                f"motion.goal_at of a {self.kind} motion names as many coordinates as the mechanism has freedoms; only the"
+                " end of a 'reach' may be left open"
+            )
 
     def _check_waypoints(self) -> None:
         if self.waypoints and self.kind == "track":

@@ -9,10 +9,11 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.planner.problem.limits import Limits, Motor
-from linkplan.planner.problem.motion import KINDS, Motion, Waypoint, frozen
+from linkplan.planner.problem.motion import KINDS, Motion, Waypoint
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import Sine
 from linkplan.planner.problem.settings import MAX_INTERVALS, MeshSettings, SolverSettings, Tracking
+from linkplan.planner.problem.values import frozen
 from linkplan.planner.trajectory import Trajectory
 
 __all__ = ["CONTACTS", "KINDS", "GuessedPath", "Limits", "Motion", "Motor", "PlanningProblem", "Waypoint"]
@@ -74,7 +75,9 @@ class PlanningProblem:
             raise ProblemError(f"mechanism '{self.mechanism.name}' has no usable actuator; a plan needs one")
         self._check_objective()
         if motion.kind == "reach" and (motion.start is None or motion.goal is None):
-            raise ProblemError("motion.kind 'reach' needs motion.start_deg and motion.goal_deg")
+            raise ProblemError(
+                "motion.kind 'reach' needs motion.start_deg and motion.goal_deg, or motion.start_at and motion.goal_at"
+            )
         if motion.kind == "track" and self.reference is None:
             raise ProblemError("motion.kind 'track' needs a [reference]")
         if motion.kind == "track" and list(objective.weights) != ["tracking"]:
@@ -97,6 +100,11 @@ class PlanningProblem:
             )
         self._check_shapes()
         self._check_periods()
+        if motion.goal_is_free and len(self.mechanism.dependent) and self.mesh.scheme.startswith("gauss"):
+            raise ProblemError(
+                "motion.goal_at that leaves a loop's pose open needs a mesh.scheme with a node at the end (radau, trapezoid,"
+                f" hermite-simpson), got {self.mesh.scheme}"
+            )
 
     def _check_periods(self) -> None:
         """Refuse a motion over more of its reference's periods than a mesh has intervals for."""

@@ -10,8 +10,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.problem.motion import frozen
-from linkplan.planner.problem.values import number, one_of, whole
+from linkplan.planner.problem.values import frozen, number, one_of, whole
 from linkplan.planner.transcription.schemes import scheme
 
 REFINE = ("both", "intervals", "degree")

@@ -26,6 +26,13 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 }
 
 
+def frozen(value: object) -> np.ndarray:
+    """Return an array of floats that cannot be written to."""
+    array = np.array(value, dtype=float)
+    array.flags.writeable = False
+    return array
+
+
 def number(value: object, key: str, *, positive: bool = False, infinite: bool = False, least: float | None = None) -> float:
     """Return a finite number.
 

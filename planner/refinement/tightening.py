@@ -13,7 +13,9 @@ _FLOOR = 1e-7
 # Bounds are never tightened beyond this share of what lies between them.
 _MOST = 0.45
 # The limits that are rows of nodes, and so can be overrun between them.
-AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin", "control")
+AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin", "control", "site", "tube")
+# Of those, the ones whose rows are the square of what is limited, and those that are tightened in units of their rows.
+SQUARED, IN_UNITS = ("closure_force", "tube"), ("site",)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -65,11 +67,13 @@ def tightening_over(
 ) -> Callable[[np.ndarray], np.ndarray] | None:
     """Return a function from breaks (n + 1,) [s] to how much (n, n_path) the bounds `path` (n_path, 2) are tightened.
 
-    `rows` say for each path quantity which limit it is; the row of a closure's force is the force squared.
+    `rows` say for each path quantity which limit it is; the row of a closure's force is the force squared, that of a tube
+    the distance. A site's place has no size of its own: its share is one of the row's unit.
     """
     if not tightenings:
         return None
     size = np.where(np.isfinite(path), np.where(path == 0, 1.0, np.abs(path)), 0.0)
+    size[[what in IN_UNITS for what, _ in rows]] = 1.0
     most = np.where(np.all(np.isfinite(path), axis=1), _MOST * (path[:, 1] - path[:, 0]), np.inf)
 
     def tightening(breaks_s: np.ndarray) -> np.ndarray:
@@ -79,7 +83,7 @@ def tightening_over(
             if (one.what, one.item) in rows:
                 column = rows.index((one.what, one.item))
                 share = one.share[np.clip(np.searchsorted(one.breaks, middle, side="right") - 1, 0, len(one.share) - 1)]
-                amount[:, column] += size[column, int(one.upper)] * (2 * share if one.what == "closure_force" else share)
+                amount[:, column] += size[column, int(one.upper)] * (2 * share if one.what in SQUARED else share)
         return np.minimum(amount, most)
 
     return tightening

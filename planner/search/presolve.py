@@ -4,12 +4,19 @@ import functools
 
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.assembly import Reach, close_at, reach
+from linkplan.models.poses.assembly import Reach, close_at, follow, reach
 from linkplan.models.poses.controls import needed_controls
+from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.margins import singularity_ratios
+from linkplan.planner.certificate.site_margins import SITE_SLACK, title
+from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.sites import SiteLimit
+
+# Poses looked at between start and goal of a single freedom.
+_BETWEEN = 401
 
 
 @functools.lru_cache(maxsize=16)
@@ -93,7 +100,7 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" beyond its speed limit of {joint.said(high if value[column] > 0 else low, 4)} {joint.unit}/s"
                 )
     for name in ("start", "goal"):
-        if getattr(motion, name) is None:
+        if getattr(motion, name) is None or (name == "goal" and motion.goal_is_free):
             continue
         pose = close_at(mechanism, getattr(motion, name))
         for joint, x, (low, high) in zip(mechanism.joints, pose, limits.position, strict=True):
@@ -103,10 +110,10 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
                     f" {joint.said(min(max(x, low), high), 4)}"
                 )
-    contradiction = _singular(problem) or _beyond_ctrl(problem)
+    contradiction = _singular(problem) or _beyond_ctrl(problem) or _site_beyond(problem)
     if contradiction is not None:
         return contradiction
-    if motion.kind == "reach" and motion.duration_s is not None:
+    if motion.kind == "reach" and motion.duration_s is not None and not motion.goal_is_free:
         for column, joint in enumerate(mechanism.independent_joints):
             mean = (motion.goal[column] - motion.start[column]) / motion.duration_s
             low, high = limits.speed[mechanism.independent[column]]
@@ -121,6 +128,54 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
     return None
 
 
+def _site_beyond(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a site that start, goal or a waypoint puts where the limits do not want it, or None."""
+    motion, limits = problem.motion, problem.limits
+    places = [("the start", motion.start), ("the goal", motion.goal)]
+    places += [(f"motion.waypoints[{k}]", waypoint.position) for k, waypoint in enumerate(motion.waypoints)]
+    for name, s in places:
+        if s is None or np.any(np.isnan(s)) or not limits.site:
+            continue
+        pose = close_at(problem.mechanism, s)[None]
+        is_open = name == "the goal" and motion.goal_is_free
+        for limit in limits.site:
+            sentence = None if is_open and not _known(limit, motion) else _beyond(problem, limit, pose, f"at {name}")
+            if sentence is not None:
+                return sentence
+    return _on_the_only_way(problem)
+
+
+def _known(limit: SiteLimit, motion: Motion) -> bool:
+    """Return whether a goal whose pose is open says all that a limit on a site looks at."""
+    looked_at = np.ones(3, dtype=bool) if limit.normal is None else limit.normal != 0
+    return any(p.index == limit.index and not np.any(np.isnan(p.point[looked_at])) for p in motion.goal_at)
+
+
+def _on_the_only_way(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a site that leaves its limits between start and goal of a single freedom, or None."""
+    mechanism, motion = problem.mechanism, problem.motion
+    if mechanism.dof != 1 or motion.start is None or motion.goal is None or not problem.limits.site:
+        return None
+    try:
+        poses = follow(mechanism, np.linspace(motion.start, motion.goal, _BETWEEN), close_at(mechanism, motion.start))
+    except AssemblyError:  # the way is not open: said elsewhere
+        return None
+    said = "between start and goal, where every motion of one degree of freedom passes"
+    return next((found for limit in problem.limits.site if (found := _beyond(problem, limit, poses, said))), None)
+
+
+def _beyond(problem: PlanningProblem, limit: SiteLimit, poses: np.ndarray, when: str) -> str | None:
+    """Return the sentence on a site's limit that the worst of poses (n, n_q) leaves, or None."""
+    values = limit.value(places_of(problem.mechanism, limit.index, poses))
+    nearest = np.clip(values, limit.low, limit.high)
+    k = int(np.argmax(np.abs(values - nearest)))
+    off = abs(float(values[k] - nearest[k]))
+    if off <= SITE_SLACK * problem.mechanism.extent_m:
+        return None
+    value = f"{float(values[k]):.6g} m {when}"
+    return f"infeasible: {title(limit)} is {value}, {off:.4g} m beyond its limit of {float(nearest[k]):.6g}"
+
+
 def _beyond_ctrl(problem: PlanningProblem) -> str | None:
     """Return the sentence on a start or goal where no ctrl of a servo gives an effort within its limits, or None."""
     mechanism, motion = problem.mechanism, problem.motion
@@ -128,7 +183,7 @@ def _beyond_ctrl(problem: PlanningProblem) -> str | None:
         return None
     for name in ("start", "goal"):
         s, speed = getattr(motion, name), getattr(motion, f"{name}_speed")
-        if s is None:
+        if s is None or (name == "goal" and motion.goal_is_free):
             continue
         q, v = close_at(mechanism, s)[None], np.zeros((1, mechanism.dof)) if speed is None else speed[None]
         ends = [needed_controls(mechanism, q, v, end[None])[0] for end in problem.limits.effort.T]
@@ -148,7 +203,7 @@ def _singular(problem: PlanningProblem) -> str | None:
     margin, motion = problem.limits.singular_margin, problem.motion
     for name in ("start", "goal"):
         s = getattr(motion, name)
-        if s is None or not margin:
+        if s is None or not margin or (name == "goal" and motion.goal_is_free):
             continue
         ratio = float(singularity_ratios(problem, close_at(problem.mechanism, s)[None])[0])
         if ratio < margin:

@@ -99,6 +99,8 @@ def _rested(motion: Guess, wait: float, effort: np.ndarray, *, first: bool) -> G
 def _held(problem: PlanningProblem, end: str) -> np.ndarray | None:
     """Return the effort (n_u,) that holds start or goal, at rest there; None where none within the limits does."""
     motion, mechanism, limit = problem.motion, problem.mechanism, problem.limits.effort
+    if end == "goal" and motion.goal_is_free:
+        return None  # where it ends is not known
     speed = getattr(motion, f"{end}_speed")
     if speed is not None and np.any(speed != 0):
         return None

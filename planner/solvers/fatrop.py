@@ -274,8 +274,8 @@ def _ends(endpoint: Endpoint, layout: Layout, stages: Stages, last: np.ndarray) 
         places = [stages.at(unknown, n) - int(last[0]) for unknown in unknowns]
         return ca.vertcat(*[y[place] if place >= 0 else ca.SX(0) for place in places])
 
-    value = endpoint.function(read(layout.state(0)), read(layout.state(n)), ca.sum1(read(layout.durations())), q)
-    value = ca.densify(value)
+    unknowns = endpoint.unknowns(layout.state(0), layout.state(n), layout.dependent()[-1, -1])
+    value = endpoint.at(read(np.array(unknowns)), ca.sum1(read(layout.durations())), q, layout.n_state)
     rows, cost = ca.reshape(value[: endpoint.n_rows], endpoint.n_rows, 1), value[endpoint.n_rows]
     lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", endpoint.n_rows)
     hessian = ca.triu(ca.hessian(lam_f * cost + ca.dot(lam, rows), y)[0])

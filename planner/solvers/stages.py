@@ -62,6 +62,8 @@ def stages_of(program: Program, endpoint: Endpoint | None) -> Stages:
         for argument, unknowns in ((0, layout.state(0)), (2, layout.durations())):
             if endpoint.function.jac_sparsity(0, argument).nnz():
                 last[unknowns] = n
+        if endpoint.algebraic:
+            last[layout.dependent()[-1, -1]] = n
     carried: list[list[int]] = [[] for _ in range(n + 1)]
     for unknown in np.flatnonzero(last > begins):
         for k in range(begins[unknown] + 1, last[unknown] + 1):

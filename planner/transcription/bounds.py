@@ -13,6 +13,8 @@ from linkplan.planner.transcription.mesh import Mesh
 # Free segments may shrink to this share of their guessed duration, or grow by that factor of the whole, and no further.
 _SHORTEST_SEGMENT = 0.02
 _LONGEST = 100.0
+# Scaled quantities are of order one: bounds so much wider bound nothing.
+_OUT_OF_THE_WAY = 10.0
 # A segment between switch times may shrink or stretch by this factor, and by half a mean interval beyond it.
 _SWITCH_MARGIN = 1.1
 
@@ -147,6 +149,22 @@ def bounds(
     return lower, upper
 
 
+def given_nodes(formulation: Formulation, mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
+    """Return which nodes (n, n_nodes) stand at a phase boundary that gives all positions.
+
+    Args:
+        formulation: whose phase boundaries.
+        mesh: its intervals.
+        nodes: (n_nodes,) shares of an interval.
+    """
+    found = np.zeros((mesh.n_intervals, len(nodes)), dtype=bool)
+    for k, boundary in zip(mesh.boundaries(), formulation.boundaries, strict=True):
+        if np.all(boundary.state[: formulation.n_s, 0] == boundary.state[: formulation.n_s, 1]):
+            found[k : k + 1] |= nodes == 0.0
+            found[max(k - 1, 0) : k] |= nodes == 1.0
+    return found
+
+
 def row_bounds(
     formulation: Formulation,
     interval: IntervalFunctions,
@@ -154,6 +172,7 @@ def row_bounds(
     constrained_paths: np.ndarray | None = None,
     *,
     node_at_end: bool = False,
+    given: np.ndarray | None = None,
 ):
     """Return the bounds of the intervals' rows in turn: an interval's own, each node's, those of open ends.
 
@@ -163,6 +182,7 @@ def row_bounds(
         breaks_s: (n + 1,) of the mesh [s].
         constrained_paths: which path quantities (n, n_path) nodes hold at their upper limit (1) or lower one (-1).
         node_at_end: whether a node stands at an interval's end.
+        given: (n, n_nodes) nodes whose positions are given: there `position_path` is what it is, and out of the way.
     """
     n, m = len(breaks_s) - 1, interval.n_nodes
     own = np.zeros((interval.n_own, 2))
@@ -181,6 +201,9 @@ def row_bounds(
             at_open_ends[k, i] = -np.inf, np.inf  # the nodes say all there is to say
             if k and constrained_paths[k - 1, i] == 0 and node_at_end and i not in formulation.rows.open_end_path:
                 at_nodes[k - 1, -1, i] = limit  # what does not jump is at its limit when the arc begins
+    if given is not None and formulation.position_path:
+        out_of_the_way = np.array([-_OUT_OF_THE_WAY, _OUT_OF_THE_WAY])
+        at_nodes[:, :, list(formulation.position_path)] += given[:, :, None, None] * out_of_the_way
     equations = np.zeros((n, m, interval.n_equations, 2))
     at_nodes = np.concatenate([equations, at_nodes], axis=2).reshape(n, -1, 2)
     at_open_ends = np.concatenate([equations[:, 0], at_open_ends], axis=1)[:, list(interval.open_end_rows)]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from linkplan.planner.transcription.bounds import bang_coefficients, bounds, linear_rows, row_bounds
+from linkplan.planner.transcription.bounds import bang_coefficients, bounds, given_nodes, linear_rows, row_bounds
 from linkplan.planner.transcription.compiled import cached, compiled, key_of
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, fitted
 from linkplan.planner.transcription.interval import IntervalFunctions, build_interval
@@ -193,7 +193,8 @@ def _row_bounds(
     formulation: Formulation, chosen: Scheme, interval: IntervalFunctions, mesh: Mesh, breaks, constrained_paths
 ):
     of_intervals = None if constrained_paths is None else constrained_paths[mesh.segment]
-    return row_bounds(formulation, interval, breaks, of_intervals, node_at_end=1 not in chosen.open_ends)
+    given = given_nodes(formulation, mesh, np.asarray(chosen.nodes, dtype=float))
+    return row_bounds(formulation, interval, breaks, of_intervals, node_at_end=1 not in chosen.open_ends, given=given)
 
 
 def _parameters(formulation: Formulation, chosen: Scheme, n_open_ends: int, mesh: Mesh, breaks: np.ndarray) -> np.ndarray:

@@ -48,7 +48,8 @@ class Formulation:
     (n_z, 2), `effort` (n_u, 2) in its own units, `path` (n_path, 2), `own` by kind of an interval's own rows. `returns` are
     states that end as they began; `smooth` says whether efforts may not jump. `eta` are an interval's own parameters,
     `theta` maps times (n, m) [s] to those of nodes (n, m, n_theta). `tightening` maps breaks (n + 1,) [s] to how far (n,
-    n_path) path bounds are tightened on each interval.
+    n_path) path bounds are tightened on each interval. `position_path` are path quantities that follow from the positions of
+    the second-order coordinates alone: where a phase boundary gives those, nothing is left to bound.
     """
 
     build_system: Callable[[], System]
@@ -69,6 +70,7 @@ class Formulation:
     eta: np.ndarray
     theta: Callable[[np.ndarray], np.ndarray]
     tightening: Callable[[np.ndarray], np.ndarray] | None = None
+    position_path: tuple[int, ...] = ()
     endpoint: Endpoint | None = None
     endpoint_bounds: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     endpoint_parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))

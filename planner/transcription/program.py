@@ -166,16 +166,17 @@ class _OpenEnds:
 class _Ends:
     """The endpoint's rows and cost with their derivatives, and where those stand in the whole program's.
 
-    Its local unknowns are e = [first state; last state; duration]; the duration is the sum of the segments'.
+    Its local unknowns are e = [first state; last state; algebraic unknowns of the last node, where it asks for them;
+    duration]; the duration is the sum of the segments'.
     """
 
     def __init__(self, endpoint: Endpoint, layout: Layout, x: ca.MX, parameters: ca.MX) -> None:
-        n = layout.n_state
-        e, q = ca.SX.sym("e", 2 * n + 1), ca.SX.sym("q", endpoint.n_parameters)
-        F = ca.densify(endpoint.function(e[:n], e[n : 2 * n], e[2 * n], q))
+        places = endpoint.unknowns(layout.state(0), layout.state(layout.n_intervals), layout.dependent()[-1, -1])
+        size = len(places) + 1
+        e, q = ca.SX.sym("e", size), ca.SX.sym("q", endpoint.n_parameters)
+        F = endpoint.at(e[: size - 1], e[size - 1], q, layout.n_state)
         # CasADi makes a row of an empty slice of a column.
         rows, cost = ca.reshape(F[: endpoint.n_rows], endpoint.n_rows, 1), F[endpoint.n_rows]
-        places = [*layout.state(0), *layout.state(layout.n_intervals)]
         at = ca.vertcat(x[[int(i) for i in places]], ca.sum1(x[layout.durations().tolist()]))
         # Each local unknown stands at one place, the duration at as many as there are segments.
         self._where = [np.array([i]) for i in places] + [layout.durations()]
@@ -185,7 +186,7 @@ class _Ends:
         row, column, order = self._spread(*J.sparsity().get_triplet(), second_is_place=True)
         self.jacobian_places = row, column
         self.jacobian = ca.Function("ends_jacobian", [e, q], [_column(J.nz[:])])(at, parameters)[order]
-        everything = list(range(2 * n + 1))
+        everything = list(range(size))
         _, self.gradient_places, order = self._spread([0] * len(everything), everything, second_is_place=True)
         self.gradient = ca.Function("ends_gradient", [e, q], [dense])(at, parameters)[order]
         lam = ca.SX.sym("lam", 1 + endpoint.n_rows)

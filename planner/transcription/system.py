@@ -7,6 +7,7 @@ equation another, and the transcription serves both.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 
@@ -76,13 +77,24 @@ def node_symbols(n_s: int, n_x: int, n_z: int, n_u: int) -> NodeSymbols:
 class Endpoint:
     """What is asked of a motion's two ends together: rows, and a cost.
 
-    `function` maps (first state, last state, duration, parameters), all scaled, to a column [rows (n_rows,); cost].
+    `function` maps (first state, last state, duration, parameters), all scaled, to a column [rows (n_rows,); cost]. Where it
+    is `algebraic`, its fifth input are the algebraic unknowns (n_z,) of the last node, which then stands at the end.
     """
 
     function: ca.Function
     n_rows: int
+    algebraic: bool = False
 
     @property
     def n_parameters(self) -> int:
         """The number of parameters."""
         return int(self.function.size1_in(3))
+
+    def unknowns(self, first: Any, last: Any, z: Any) -> list:
+        """Return places of its unknowns, duration apart, in one list: of the first and last state, of z where it asks."""
+        return [*first, *last, *(z if self.algebraic else ())]
+
+    def at(self, e: ca.SX, duration: ca.SX, parameters: ca.SX, n_state: int) -> ca.SX:
+        """Return its column at the unknowns e, in the order of `unknowns`."""
+        further = [e[2 * n_state :]] if self.algebraic else []
+        return ca.densify(self.function(e[:n_state], e[n_state : 2 * n_state], duration, parameters, *further))

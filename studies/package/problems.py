@@ -36,13 +36,17 @@ class Problem:
         mechanism: from `load_mechanism`, or what that takes: a built-in name, a path, MJCF text.
         start_deg, goal_deg: hinges' angles [deg] by joint name, of the independent joints; dependent ones may be named too
             and are checked against the closed loop. `start_m`, `goal_m`: slides' positions [m].
+        start_at, goal_at: in place of joints, where sites of the model are, by name [m] in the world's frame:
+            {"foot": [x, y, z]}, or the coordinates that matter, {"foot": {"z": 0.2}}. The pose is found by inverse
+            kinematics, the nearest to the start; the end of a reach may leave it open.
         start_speed_deg_s, goal_speed_deg_s: independent speeds [deg/s]; `..._m_s` [m/s] on slides. At rest by default.
         duration_s: a number of seconds, or "free", then within `min_duration_s` and `max_duration_s` where they are given.
         waypoints: tables in order, with `at_deg`, `at_m`, `speed_deg_s`, `speed_m_s`, `time_s`, whichever are known.
         minimize: effort, time, tracking, work, copper_loss, effort_rate or closure_force, or a table of weights.
         reference: a sinusoid: `amplitude_deg`, `bias_deg`, `phase_deg` by joint, and `frequency_hz`.
         limits: `effort`, `range_deg`, `speed_deg_s`, `effort_rate`, `power_w`, `closure_force`, each by name, and
-            `singular_margin`, `contacts`. By default the model's own.
+            `singular_margin`, `contacts`; `site`, boxes {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes
+            {"along": points, "radius_m": r}, one or a list by site. By default the model's own.
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
         mesh: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`.
@@ -76,6 +80,8 @@ class Problem:
         waypoints: Sequence[Mapping] | None = None,
         start_m: ByName | None = None,
         goal_m: ByName | None = None,
+        start_at: Mapping[str, Sequence[float] | ByName] | None = None,
+        goal_at: Mapping[str, Sequence[float] | ByName] | None = None,
         start_speed_deg_s: ByName | None = None,
         goal_speed_deg_s: ByName | None = None,
         start_speed_m_s: ByName | None = None,
@@ -110,6 +116,8 @@ class Problem:
         waypoints: Sequence[Mapping] | None = None,
         start_m: ByName | None = None,
         goal_m: ByName | None = None,
+        start_at: Mapping[str, Sequence[float] | ByName] | None = None,
+        goal_at: Mapping[str, Sequence[float] | ByName] | None = None,
         min_duration_s: float | None = None,
         max_duration_s: float | None = None,
         motors: Mapping[str, Mapping] | None = None,

@@ -218,3 +218,12 @@ LQR_M = 1e-4
 LQR_IN_A_FAST_TURN_DEG = 0.1
 # The peer's closed form, typed by hand, against the reduced model, relative: rounding through a closed loop.
 TYPED_BY_HAND = 1e-11
+# Places of sites against MuJoCo's and against kinematics by hand [m], of arms and linkages of half a metre: rounding.
+SITE_M = 1e-12
+# Angles by inverse kinematics against the cosine rule [rad]: places within 1e-9 of the extent, away from singular poses.
+IK_RAD = 1e-8
+# How far out of reach a place is against the closed form [m]: a least distance is flat where it is least.
+OUT_OF_REACH_M = 1e-7
+# How near to an active limit on a site a motion comes [m]: rows stand off it by IPOPT's relaxation and by what a certificate
+# takes off, measured 6e-8, and by an interval's bend where it only touches it, measured 2e-5.
+SITE_BINDS_M = 5e-5
