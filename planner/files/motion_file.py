@@ -93,8 +93,7 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
         # a passive degree of freedom stays where it is, unless it is named
         if value is None and int(index) in mechanism.passive_dofs:
             value = joint.shown(mechanism.home[index])
-        free = value is default and default is not None and np.isnan(default)  # of a waypoint, where nothing is said
-        result.append(np.nan if free else joint.read(number(value, f"{where}.{key} of joint {joint.name}")))
+        result.append(joint.read(number(value, f"{where}.{key} of joint {joint.name}")))
     if key.endswith("_s"):
         for index in values:
             if index not in mechanism.independent:

@@ -108,7 +108,7 @@ def refine(
     at = _judged(case, found, history)
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
     best, moved = None, 0.0  # the best of all that passed, and by what share the last two differ
-    settled, again, polished = True, 0, 0
+    settled, again, polished, read = True, 0, 0, 0  # and the round in which switches were last read
     for turn in range(_ROUNDS):
         check()
         if at.findings is not None and not at.passed and not at.findings.mendable:
@@ -142,6 +142,7 @@ def refine(
             again += 1
             better = settle_switch_times(kept, at.found, history, say, position_rows=position_rows)
             if better.solution is not solution:
+                read = turn
                 at = _judged(case, better, history)
                 continue
         if not settled and not (marked | over).any():
@@ -163,7 +164,7 @@ def refine(
             kept, what = kept.tightened(at.certificate, motion), "constraints tightened between the nodes"
         elif not marked.any():
             marked[:] = True
-        elif turn >= (_MERGED_ALL if over.any() else _MERGED) and at.overruns:
+        elif turn - read >= (_MERGED_ALL if over.any() else _MERGED) and at.overruns:
             kept, what = kept.tightened(at.certificate, motion), "finer mesh, constraints tightened between the nodes"
         n_finer = _grown(at.found.mesh, marked)
         if n_finer > finest or (passed is not None and not aims.tolerance_given and n_finer > _COMFORTABLE):

@@ -13,11 +13,12 @@ from linkplan.planner.refinement.constrained_arcs import (
     own_arcs,
     path_arcs,
 )
+from linkplan.planner.refinement.held_arcs import held_throughout
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
-from linkplan.planner.transcription.mesh import Mesh, segmented
+from linkplan.planner.transcription.mesh import Mesh, graded, segmented
 
 # A solve with switch times replaces the one before when it is no worse than by the error of a mesh without them.
 NO_WORSE = 1e-4
@@ -36,6 +37,7 @@ class _Reading:
     what: str
     switch_times_s: np.ndarray
     fixed: FixedArcs | None
+    graded: bool = False  # whether intervals beside short arcs are short too: along a power the effort falls off from there
     last_resort: bool = False  # whether it is meant only where no other leads to a solution
 
 
@@ -67,11 +69,15 @@ def settle_switch_times(
             if solved and reading.last_resort:
                 continue
             finer, durations = mesh_with_switches(boundaries, reading.switch_times_s, case.problem.mesh.intervals)
+            finer = graded(finer, durations) if reading.graded else finer
             tried = attempt(
                 case, start, finer, durations, reading.what, history, say,
                 warm=True, position_rows=position_rows, fixed=reading.fixed,
             )  # fmt: skip
-            if tried is not None and tried.solution.objective <= before + no_worse * abs(before):
+            # Where all is held there is nothing to be gained between the nodes: what is left of the difference is a mesh's.
+            whole = reading.fixed is not None and reading.fixed.everything and bool(reading.fixed.paths.any())
+            allowed = NO_WORSE if whole else no_worse
+            if tried is not None and tried.solution.objective <= before + allowed * abs(before):
                 better = tried
                 break
             solved = solved or tried is not None
@@ -96,6 +102,10 @@ def _readings(case: Case[MotionT, CertificateT], found: Found[MotionT], boundari
     # Bang arcs end where arcs along a speed limit begin; other efforts bend there, and along a motor's line all do.
     arcs = own_arcs(transcribed, x, ("motor",) if aims.bang_bang else ("motor", "speed"))
     arcs = np.hstack([on_path, arcs])
+    kinds = transcribed.program.interval.node_kinds[transcribed.program.interval.n_equations :]
+    powers = np.where(
+        np.array([kind == "power" for kind in kinds])[:, None], transcribed.formulation.path.reshape(-1, 2), np.nan
+    )
     alone, readings = is_bang_bang(case, transcribed), []
     for short in (True,) if alone else (False, True) if aims.bang_bang else (False,):
         switch_times = find_switch_times(
@@ -117,6 +127,10 @@ def _readings(case: Case[MotionT, CertificateT], found: Found[MotionT], boundari
         what = "switch times as unknowns, short arcs too" if again else "switch times as unknowns"
         readings.append(_Reading(what=what, switch_times_s=switch_times, fixed=fixed, last_resort=again))
         if fixed.paths.any():
+            whole = held_throughout(motion, aims.effort_limit, ends, fixed, powers) if aims.bang_bang else None
+            if whole is not None:
+                what = "switch times as unknowns, arcs without a limit held as bangs"
+                readings.insert(0, _Reading(what=what, switch_times_s=whole[0], fixed=whole[1], graded=True))
             inner, loose = free_ends(ends, fixed)
             what = "switch times as unknowns, ends of arcs free"
             readings.append(_Reading(what=what, switch_times_s=np.sort(np.append(switch_times, inner)), fixed=loose))

@@ -1,5 +1,6 @@
 """Bounds and linear rows of a program: what a formulation's limits and phase boundaries are on a mesh."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -7,6 +8,7 @@ import scipy.sparse as sp
 
 from linkplan.planner.transcription.formulation import Formulation
 from linkplan.planner.transcription.interval import IntervalFunctions
+from linkplan.planner.transcription.junctions import ROOM, places
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
 
@@ -17,6 +19,8 @@ _LONGEST = 100.0
 _OUT_OF_THE_WAY = 10.0
 # A segment between switch times may shrink or stretch by this factor, and by half a mean interval beyond it.
 _SWITCH_MARGIN = 1.1
+# Where an arc along a path meets a bang its ends are read less well, and equations hold them.
+_JUNCTION_MARGIN = 1.3
 
 
 def bang_coefficients(bang_efforts: np.ndarray | None, mesh: Mesh, layout: Layout) -> np.ndarray | None:
@@ -108,10 +112,11 @@ def bounds(
     durations: np.ndarray,
     bang_efforts: np.ndarray | None,
     open_end_z: tuple[int, ...] = (),
+    junctions: np.ndarray | None = None,
 ):
     """Return the unknowns' bounds: limits, phase boundaries, durations guessed at (n_segments,) [s], efforts that are held.
 
-    `open_end_z` are the algebraic unknowns of open ends.
+    `open_end_z` are the algebraic unknowns of open ends; `junctions` as of `find_junctions`.
     """
     lower, upper = np.full(layout.size, -np.inf), np.full(layout.size, np.inf)
     states = layout.states()
@@ -127,6 +132,7 @@ def bounds(
     if bang is not None:
         place = layout.effort()[~np.isnan(bang)]
         lower[place] = upper[place] = (bang / unit)[~np.isnan(bang)]
+        _with_junctions(lower, upper, formulation, layout, mesh, bang_efforts, junctions)
     for k, boundary in zip(mesh.boundaries(), formulation.boundaries, strict=True):
         lower[states[k]] = np.maximum(lower[states[k]], boundary.state[:, 0])
         upper[states[k]] = np.minimum(upper[states[k]], boundary.state[:, 1])
@@ -137,7 +143,8 @@ def bounds(
     lower[place], upper[place] = _SHORTEST_SEGMENT * scaled, _LONGEST * scaled.sum()
     between_switches = np.bincount(mesh.phase)[mesh.phase] > 1
     # Switch times begin near their solution: bounded, they converge to it.
-    room = _SWITCH_MARGIN + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
+    margin = _SWITCH_MARGIN if junctions is None else _JUNCTION_MARGIN
+    room = margin + 0.5 * scaled.sum() / (layout.n_intervals * scaled)
     lower[place[between_switches]], upper[place[between_switches]] = (
         (scaled / room)[between_switches],
         (room * scaled)[between_switches],
@@ -165,12 +172,26 @@ def given_nodes(formulation: Formulation, mesh: Mesh, nodes: np.ndarray) -> np.n
     return found
 
 
+def _with_junctions(lower, upper, formulation: Formulation, layout: Layout, mesh: Mesh, bang_efforts, junctions) -> None:
+    """Bound efforts where arcs meet: with a little room along a path's limit, at their own where that arc ends."""
+    room, unit = ROOM * np.diff(formulation.effort, axis=1).ravel(), formulation.units.effort
+    for last, segment, _, way in places(junctions, mesh):
+        arc, bang = (segment + 1, segment) if way > 0 else (segment, segment + 1)
+        beside = last + 1 if way > 0 else last
+        for j in np.flatnonzero(np.isnan(bang_efforts[arc]) & ~np.isnan(bang_efforts[bang])):
+            place = layout.effort()[beside, :, j]
+            lower[place], upper[place] = lower[place] - room[j] / unit[j], upper[place] + room[j] / unit[j]
+            if way < 0:
+                lower[place[-1]] = upper[place[-1]] = bang_efforts[bang, j] / unit[j]
+
+
 def row_bounds(
     formulation: Formulation,
     interval: IntervalFunctions,
     breaks_s: np.ndarray,
     constrained_paths: np.ndarray | None = None,
     *,
+    meetings: Sequence[tuple[int, int, int, int]] = (),
     node_at_end: bool = False,
     given: np.ndarray | None = None,
 ):
@@ -181,6 +202,7 @@ def row_bounds(
         interval: the rows.
         breaks_s: (n + 1,) of the mesh [s].
         constrained_paths: which path quantities (n, n_path) nodes hold at their upper limit (1) or lower one (-1).
+        meetings: places of junctions, as of `junctions.places`.
         node_at_end: whether a node stands at an interval's end.
         given: (n, n_nodes) nodes whose positions are given: there `position_path` is what it is, and out of the way.
     """
@@ -204,6 +226,12 @@ def row_bounds(
     if given is not None and formulation.position_path:
         out_of_the_way = np.array([-_OUT_OF_THE_WAY, _OUT_OF_THE_WAY])
         at_nodes[:, :, list(formulation.position_path)] += given[:, :, None, None] * out_of_the_way
+
+        for last, _, i, way in meetings:
+            if way > 0:
+                at_nodes[last, -1, i] = at_nodes[last + 1, -1, i]  # what the next arc is held at
+            else:
+                at_open_ends[last + 1, i] = -np.inf, np.inf
     equations = np.zeros((n, m, interval.n_equations, 2))
     at_nodes = np.concatenate([equations, at_nodes], axis=2).reshape(n, -1, 2)
     at_open_ends = np.concatenate([equations[:, 0], at_open_ends], axis=1)[:, list(interval.open_end_rows)]

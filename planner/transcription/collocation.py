@@ -10,6 +10,7 @@ from linkplan.planner.transcription.bounds import bang_coefficients, bounds, giv
 from linkplan.planner.transcription.compiled import cached, compiled, key_of
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, fitted
 from linkplan.planner.transcription.interval import IntervalFunctions, build_interval
+from linkplan.planner.transcription.junctions import find_junctions, places
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.program import Program, build_program
@@ -27,10 +28,10 @@ _GUESS_MARGIN = 0.95
 class Transcribed:
     """A program with the numbers that one problem puts into it.
 
-    `bang_efforts` (n_segments, n_u) are efforts constrained_paths over whole segments, `constrained_paths` (n_segments,
-    n_path) path quantities held at their upper limit (1) or lower one (-1); `least_limit` says that the smallest common
-    factor on the effort limits is sought in place of the objective. `origin` is what a client
-    wants to find again beside its program.
+    `bang_efforts` (n_segments, n_u) are efforts held over whole segments, `constrained_paths` (n_segments, n_path) path
+    quantities held at their upper limit (1) or lower one (-1), `junctions` (n_segments - 1, n_path) where one goes over
+    into the other; `least_limit` says that the smallest common factor on the effort limits is sought in place of the
+    objective. `origin` is what a client wants to find again beside its program.
     """
 
     program: Program
@@ -44,6 +45,7 @@ class Transcribed:
     start: np.ndarray
     bang_efforts: np.ndarray | None
     constrained_paths: np.ndarray | None
+    junctions: np.ndarray | None
     least_limit: bool
     build_s: float  # time that building took [s]
     origin: Any = None
@@ -121,9 +123,14 @@ def collocate(
     )
     cost = np.zeros(layout.size)
     cost[layout.extra()] = 1.0
-    lower, upper = bounds(formulation, layout, mesh, durations, None if least_limit else bang_efforts, interval.open_end_z)
+    junctions = None
+    if 1 not in chosen.open_ends and not least_limit:  # one equation at a node where arcs meet
+        junctions = find_junctions(formulation, mesh, durations, start, bang_efforts, constrained_paths)
+    lower, upper = bounds(
+        formulation, layout, mesh, durations, None if least_limit else bang_efforts, interval.open_end_z, junctions
+    )
     breaks = mesh.breaks(durations)
-    row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, constrained_paths)
+    row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, constrained_paths, junctions)
     return Transcribed(
         program=build_program(layout, mesh, interval, linear, cost, formulation.endpoint),
         scheme=chosen,
@@ -136,6 +143,7 @@ def collocate(
         start=_start(formulation, start, chosen, interval, layout, breaks, durations),
         bang_efforts=bang_efforts,
         constrained_paths=constrained_paths,
+        junctions=junctions,
         least_limit=least_limit,
         build_s=time.perf_counter() - begin,
     )
@@ -155,11 +163,13 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
     durations = fitted(x[layout.durations()] * unit, formulation.boundaries, mesh.phase, unit)
     start = np.array(x)
     start[layout.durations()] = durations / unit
-    lower, upper = bounds(formulation, layout, mesh, durations, transcribed.bang_efforts, program.interval.open_end_z)
+    lower, upper = bounds(
+        formulation, layout, mesh, durations, transcribed.bang_efforts, program.interval.open_end_z, transcribed.junctions
+    )
     _, linear_lower, linear_upper = linear_rows(formulation, layout, mesh, None)
     breaks = mesh.breaks(durations)
     row_lower, row_upper = _row_bounds(
-        formulation, transcribed.scheme, program.interval, mesh, breaks, transcribed.constrained_paths
+        formulation, transcribed.scheme, program.interval, mesh, breaks, transcribed.constrained_paths, transcribed.junctions
     )
     return replace(
         transcribed,
@@ -190,11 +200,12 @@ def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: 
 
 
 def _row_bounds(
-    formulation: Formulation, chosen: Scheme, interval: IntervalFunctions, mesh: Mesh, breaks, constrained_paths
+    formulation: Formulation, chosen: Scheme, interval: IntervalFunctions, mesh: Mesh, breaks, constrained_paths, junctions
 ):
     of_intervals = None if constrained_paths is None else constrained_paths[mesh.segment]
     given = given_nodes(formulation, mesh, np.asarray(chosen.nodes, dtype=float))
-    return row_bounds(formulation, interval, breaks, of_intervals, node_at_end=1 not in chosen.open_ends, given=given)
+    meetings, node_at_end = tuple(places(junctions, mesh)), 1 not in chosen.open_ends
+    return row_bounds(formulation, interval, breaks, of_intervals, meetings=meetings, node_at_end=node_at_end, given=given)
 
 
 def _parameters(formulation: Formulation, chosen: Scheme, n_open_ends: int, mesh: Mesh, breaks: np.ndarray) -> np.ndarray:

@@ -4,6 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+# An interval beside a segment is at most so many times as long as that, in a graded mesh.
+_BESIDE = 2.0
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Mesh:
@@ -81,3 +84,22 @@ def halved(mesh: Mesh, which: np.ndarray) -> Mesh:
     pieces = np.where(which, 2, 1)
     fraction = np.repeat(mesh.fraction / pieces, pieces)
     return Mesh(fraction=fraction, segment=np.repeat(mesh.segment, pieces), phase=mesh.phase)
+
+
+def graded(mesh: Mesh, durations: np.ndarray) -> Mesh:
+    """Return the mesh with the intervals beside a segment much shorter than they halved towards it until they are not.
+
+    Args:
+        mesh: intervals.
+        durations: (n_segments,) [s] of its segments.
+    """
+    durations = np.asarray(durations, dtype=float)
+    while True:
+        widths = mesh.fraction * durations[mesh.segment]
+        ends = np.flatnonzero(np.diff(mesh.segment))
+        wide = np.zeros(mesh.n_intervals, dtype=bool)
+        wide[ends] = widths[ends] > _BESIDE * durations[mesh.segment[ends + 1]]
+        wide[ends + 1] |= widths[ends + 1] > _BESIDE * durations[mesh.segment[ends]]
+        if not wide.any():
+            return mesh
+        mesh = halved(mesh, wide)

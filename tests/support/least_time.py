@@ -1,0 +1,75 @@
+"""Least times of one degree of freedom under limits on effort and power, by integrating both legs of the phase plane."""
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.search.presolve import start_pose_of
+
+_POSES, _LONGEST_S, _STEP_S = 4001, 100.0, 0.01
+# Next to the ends, this share of the way, the legs are not yet apart.
+_BESIDE = 1e-7
+
+
+def least_time(problem: PlanningProblem) -> float:
+    """Return the least time [s] of a reach from rest to rest of one coordinate and one actuator that never turns back.
+
+    From the start with all that effort and power allow, and back from the goal: the legs cross where the motion switches.
+    """
+    start, goal = float(problem.motion.start[0]), float(problem.motion.goal[0])
+    acceleration = _acceleration(problem, start, goal)
+    ahead, back = (_leg(acceleration, *ends) for ends in ((start, goal, True), (goal, start, False)))
+    near = np.array([start, goal]) + _BESIDE * (goal - start) * np.array([1.0, -1.0])
+    switch = brentq(lambda s: _at(ahead, s)[1] - _at(back, s)[1], *near, xtol=1e-14)
+    return _at(ahead, switch)[0] - _at(back, switch)[0]
+
+
+def _acceleration(problem: PlanningProblem, start: float, goal: float) -> Callable[[float, float, bool], float]:
+    """Return the largest acceleration towards the goal, or from it, at a place and speed: M a = h + d v^2 + c v + B u."""
+    dynamics, way = problem.mechanism.dynamics, np.sign(goal - start)
+    place = np.linspace(start, goal, _POSES)
+    q = follow(problem.mechanism, place[:, None], start_pose_of(problem))
+    inertia = sampled(dynamics.reduced_inertia, q)[:, 0, 0]
+    none = np.zeros((_POSES, 1))
+    still, fast, back = (
+        inertia * sampled(dynamics.acceleration, q, np.full((_POSES, 1), v), none)[:, 0, 0] for v in (0.0, 1.0, -1.0)
+    )
+    curves = [inertia, sampled(dynamics.effort_map, q)[:, 0, 0], still, 0.5 * (fast + back) - still, 0.5 * (fast - back)]
+    M, B, h, d, c = (CubicSpline(place[:: int(way)], curve[:: int(way)]) for curve in curves)
+    limit, power = problem.limits.effort[0], problem.limits.power[0]
+
+    def acceleration(s: float, v: float, towards: bool) -> float:
+        low, high = limit
+        speed = float(B(s)) * v
+        if speed:
+            ends = sorted(power / speed)
+            low, high = max(low, ends[0]), min(high, ends[1])
+        effort = high if (B(s) * way > 0) == towards else low
+        return float((h(s) + d(s) * v**2 + c(s) * v + B(s) * effort) / M(s))
+
+    return acceleration
+
+
+def _leg(acceleration: Callable[[float, float, bool], float], begin: float, end: float, towards: bool):
+    def rates(_t: float, y: np.ndarray) -> list[float]:
+        return [y[1], acceleration(y[0], y[1], towards)]
+
+    def there(_t: float, y: np.ndarray) -> float:
+        return y[0] - end
+
+    there.terminal = True
+    until = _LONGEST_S if towards else -_LONGEST_S
+    kept = {"rtol": 1e-11, "atol": 1e-13, "max_step": _STEP_S, "dense_output": True}
+    return solve_ivp(rates, (0.0, until), [begin, 0.0], events=there, **kept)
+
+
+def _at(leg, place: float) -> tuple[float, float]:
+    """Return when a leg passes a place [s], and how fast."""
+    time = brentq(lambda t: leg.sol(t)[0] - place, *sorted([0.0, leg.t[-1]]), xtol=1e-15)
+    return time, leg.sol(time)[1]
