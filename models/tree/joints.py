@@ -64,8 +64,8 @@ def read_joints(name: str, model: mujoco.MjModel) -> tuple[Joint, ...]:
                 for axis in "xyz"
             ]
             continue
-        lower, upper = model.jnt_range[index] if model.jnt_limited[index] and not limits_off else (-np.inf, np.inf)
-        joints.append(Joint(name=label, kind="hinge" if kind == HINGE else "slide", lower=float(lower), upper=float(upper)))
+        lower, upper = _free_range(name, label, model, index) if not limits_off else (-np.inf, np.inf)
+        joints.append(Joint(name=label, kind="hinge" if kind == HINGE else "slide", lower=lower, upper=upper))
     names = [joint.name for joint in joints]
     for joint in joints:
         if names.count(joint.name) > 1:
@@ -73,6 +73,20 @@ def read_joints(name: str, model: mujoco.MjModel) -> tuple[Joint, ...]:
                 f"model '{name}' has two coordinates '{joint.name}': one of joint '{joint.chart}' and a joint of that name"
             )
     return tuple(joints)
+
+
+def _free_range(name: str, label: str, model: mujoco.MjModel, index: int) -> tuple[float, float]:
+    """Return where a joint moves freely [rad or m]: its range but for its margin, within which MuJoCo pushes it back."""
+    if not model.jnt_limited[index]:
+        return -np.inf, np.inf
+    margin = float(model.jnt_margin[index])
+    lower, upper = (float(end) for end in model.jnt_range[index])
+    if lower + margin > upper - margin:
+        raise ModelError(
+            f"model '{name}' leaves joint {label} no position: its margin of {margin:g} from either end of its range of"
+            f" {lower:g} to {upper:g} (rad or m) is all of it"
+        )
+    return lower + margin, upper - margin
 
 
 def index_of(
