@@ -14,7 +14,8 @@ _PARTS: dict[str, tuple[str, ...]] = {
         "body_parentid", "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "body_gravcomp",
     ),
     "joints": (
-        "jnt_type", "jnt_bodyid", "jnt_pos", "jnt_axis", "jnt_limited", "jnt_range", "jnt_margin", "jnt_stiffness", "jnt_stiffnesspoly",
+        "jnt_type", "jnt_bodyid", "jnt_pos", "jnt_axis", "jnt_limited", "jnt_range", "jnt_margin", "jnt_stiffness",
+        "jnt_stiffnesspoly",
         "dof_armature", "dof_damping", "dof_dampingpoly", "dof_frictionloss", "qpos0", "qpos_spring",
     ),
     "actuators": (

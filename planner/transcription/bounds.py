@@ -223,15 +223,14 @@ def row_bounds(
             at_open_ends[k, i] = -np.inf, np.inf  # the nodes say all there is to say
             if k and constrained_paths[k - 1, i] == 0 and node_at_end and i not in formulation.rows.open_end_path:
                 at_nodes[k - 1, -1, i] = limit  # what does not jump is at its limit when the arc begins
-    if given is not None and formulation.position_path:
-        out_of_the_way = np.array([-_OUT_OF_THE_WAY, _OUT_OF_THE_WAY])
-        at_nodes[:, :, list(formulation.position_path)] += given[:, :, None, None] * out_of_the_way
-
         for last, _, i, way in meetings:
             if way > 0:
                 at_nodes[last, -1, i] = at_nodes[last + 1, -1, i]  # what the next arc is held at
             else:
                 at_open_ends[last + 1, i] = -np.inf, np.inf
+    if given is not None and formulation.position_path:
+        out_of_the_way = np.array([-_OUT_OF_THE_WAY, _OUT_OF_THE_WAY])
+        at_nodes[:, :, list(formulation.position_path)] += given[:, :, None, None] * out_of_the_way
     equations = np.zeros((n, m, interval.n_equations, 2))
     at_nodes = np.concatenate([equations, at_nodes], axis=2).reshape(n, -1, 2)
     at_open_ends = np.concatenate([equations[:, 0], at_open_ends], axis=1)[:, list(interval.open_end_rows)]

@@ -1,6 +1,8 @@
 """Least times of one degree of freedom under limits on effort and power, by integrating both legs of the phase plane."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -17,21 +19,47 @@ _POSES, _LONGEST_S, _STEP_S = 4001, 100.0, 0.01
 _BESIDE = 1e-7
 
 
-def least_time(problem: PlanningProblem) -> float:
-    """Return the least time [s] of a reach from rest to rest of one coordinate and one actuator that never turns back.
+@dataclass(frozen=True, eq=False, kw_only=True, slots=True)
+class Curves:
+    """M a = still + square v^2 + linear v + effort u, each a curve over the coordinate."""
 
-    From the start with all that effort and power allow, and back from the goal: the legs cross where the motion switches.
-    """
+    inertia: Any
+    effort: Any
+    still: Any
+    square: Any
+    linear: Any
+
+
+def least_time(problem: PlanningProblem) -> float:
+    """Return the least time [s] of a reach from rest to rest of one coordinate and one actuator that never turns back."""
     start, goal = float(problem.motion.start[0]), float(problem.motion.goal[0])
-    acceleration = _acceleration(problem, start, goal)
+    return least_time_of(_curves(problem, start, goal), start, goal, problem.limits.effort[0], problem.limits.power[0])
+
+
+def least_time_of(curves: Curves, start: float, goal: float, limit: Sequence[float], power: Sequence[float]) -> float:
+    """Return the least time [s] from rest to rest: all that effort and power allow from the start, and back from the goal.
+
+    The legs cross where the motion switches.
+    """
+
+    def acceleration(s: float, v: float, towards: bool) -> float:
+        low, high = limit
+        push = float(curves.effort(s))
+        if push * v:
+            ends = sorted(np.asarray(power) / (push * v))
+            low, high = max(low, ends[0]), min(high, ends[1])
+        effort = high if (push * (goal - start) > 0) == towards else low
+        free = curves.still(s) + curves.square(s) * v**2 + curves.linear(s) * v
+        return float((free + push * effort) / curves.inertia(s))
+
     ahead, back = (_leg(acceleration, *ends) for ends in ((start, goal, True), (goal, start, False)))
     near = np.array([start, goal]) + _BESIDE * (goal - start) * np.array([1.0, -1.0])
-    switch = brentq(lambda s: _at(ahead, s)[1] - _at(back, s)[1], *near, xtol=1e-14)
+    way = np.sign(goal - start)
+    switch = brentq(lambda s: way * (_at(ahead, s)[1] - _at(back, s)[1]), *sorted(near), xtol=1e-14)
     return _at(ahead, switch)[0] - _at(back, switch)[0]
 
 
-def _acceleration(problem: PlanningProblem, start: float, goal: float) -> Callable[[float, float, bool], float]:
-    """Return the largest acceleration towards the goal, or from it, at a place and speed: M a = h + d v^2 + c v + B u."""
+def _curves(problem: PlanningProblem, start: float, goal: float) -> Curves:
     dynamics, way = problem.mechanism.dynamics, np.sign(goal - start)
     place = np.linspace(start, goal, _POSES)
     q = follow(problem.mechanism, place[:, None], start_pose_of(problem))
@@ -40,20 +68,9 @@ def _acceleration(problem: PlanningProblem, start: float, goal: float) -> Callab
     still, fast, back = (
         inertia * sampled(dynamics.acceleration, q, np.full((_POSES, 1), v), none)[:, 0, 0] for v in (0.0, 1.0, -1.0)
     )
-    curves = [inertia, sampled(dynamics.effort_map, q)[:, 0, 0], still, 0.5 * (fast + back) - still, 0.5 * (fast - back)]
-    M, B, h, d, c = (CubicSpline(place[:: int(way)], curve[:: int(way)]) for curve in curves)
-    limit, power = problem.limits.effort[0], problem.limits.power[0]
-
-    def acceleration(s: float, v: float, towards: bool) -> float:
-        low, high = limit
-        speed = float(B(s)) * v
-        if speed:
-            ends = sorted(power / speed)
-            low, high = max(low, ends[0]), min(high, ends[1])
-        effort = high if (B(s) * way > 0) == towards else low
-        return float((h(s) + d(s) * v**2 + c(s) * v + B(s) * effort) / M(s))
-
-    return acceleration
+    values = [inertia, sampled(dynamics.effort_map, q)[:, 0, 0], still, 0.5 * (fast + back) - still, 0.5 * (fast - back)]
+    M, B, h, d, c = (CubicSpline(place[:: int(way)], value[:: int(way)]) for value in values)
+    return Curves(inertia=M, effort=B, still=h, square=d, linear=c)
 
 
 def _leg(acceleration: Callable[[float, float, bool], float], begin: float, end: float, towards: bool):
