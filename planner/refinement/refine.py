@@ -48,8 +48,8 @@ _TOUCHED = 1e-7
 # Answers on two meshes that are no further apart are the same motion, relative.
 _SAME = 1e-6
 # Of motions that pass, a coarser mesh's is kept where it is better than the last one by more than this share: what that mesh
-# errs by is less, so that a finer one has lost it.
-_LOST = 1e-4
+# errs by is less, so that a finer one has lost it. The other one where the coarser is not exact and the finer is.
+_LOST, _LOST_EXACT = 1e-5, 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -142,7 +142,8 @@ def refine(
             again += 1
             better = settle_switch_times(kept, at.found, history, say, position_rows=position_rows)
             if better.solution is not solution:
-                read = turn
+                # Held throughout, a motion has next to nothing to gain between the nodes: a finer mesh is worth its rounds.
+                read = turn if better.fixed is not None and better.fixed.everything else read
                 at = _judged(case, better, history)
                 continue
         if not settled and not (marked | over).any():
@@ -190,7 +191,8 @@ def better_of(before: JudgedT | None, now: JudgedT, aims: Aims) -> JudgedT:
     if before is None or (aims.tolerance_given and now.findings.exact and not before.findings.exact):
         return now
     then, objective = before.found.solution.objective, now.found.solution.objective
-    return before if then < objective - _LOST * abs(objective) else now
+    share = _LOST_EXACT if now.findings.exact and not before.findings.exact else _LOST
+    return before if then < objective - share * abs(objective) else now
 
 
 def _finer(

@@ -15,6 +15,7 @@ from linkplan.planner.refinement.constrained_arcs import (
 )
 from linkplan.planner.refinement.held_arcs import held_throughout
 from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
@@ -77,6 +78,8 @@ def settle_switch_times(
             # Where all is held there is nothing to be gained between the nodes: what is left of the difference is a mesh's.
             whole = reading.fixed is not None and reading.fixed.everything and bool(reading.fixed.paths.any())
             allowed = NO_WORSE if whole else no_worse
+            if tried is not None and whole and len(arcs_against_their_limits(tried.solution)):
+                continue  # read wrongly
             if tried is not None and tried.solution.objective <= before + allowed * abs(before):
                 better = tried
                 break

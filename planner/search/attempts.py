@@ -12,6 +12,7 @@ from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search.durations import with_longer_durations
 from linkplan.planner.search.first_mesh import PER_SWING, first_mesh, graded_mesh
@@ -100,6 +101,11 @@ def certified(
     plan = finished(problem, better.motion, better.certificate, objective, history, None)
     moved = change if better.solution is not solved_for else better.moved
     said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > MOVES else ""
+    against = arcs_against_their_limits(solution)
+    if len(against):
+        said += (
+            f"; the arc at t = {against[0]:.4g} s would rather leave its limit (Pontryagin's principle): not a local optimum"
+        )
     if plan.status == "optimal":
         plan = replace(plan, message=plan.message + said)
     return replace(plan, solved=replace(solution.transcribed, start=solution.x))

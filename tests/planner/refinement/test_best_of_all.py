@@ -7,7 +7,7 @@ import pytest
 from linkplan.planner.refinement.refine import better_of
 
 # What two meshes may differ by though neither is wrong: a tenth of what counts as lost.
-MESH = 1e-5
+MESH = 1e-6
 
 
 def passing(objective: float, *, exact: bool = True):
@@ -29,6 +29,14 @@ def test_a_finer_mesh_that_lost_the_better_motion_does_not_replace_it(coarse):
 def test_a_finer_mesh_that_is_as_good_or_better_is_the_answer(finer):
     before, now = passing(1.0), passing(finer)
     assert better_of(before, now, aims()) is now
+
+
+@pytest.mark.parametrize(("gained", "kept"), [(3e-5, False), (3e-4, True)])
+def test_of_an_inexact_motion_more_is_asked(gained, kept):
+    before, now = passing(1.0 - gained, exact=False), passing(1.0)
+    assert better_of(before, now, aims()) is (before if kept else now)
+    same = passing(1.0 - gained)
+    assert better_of(same, now, aims()) is same
 
 
 def test_a_better_motion_that_misses_the_tolerance_asked_for_is_no_answer():

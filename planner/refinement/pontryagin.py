@@ -1,0 +1,53 @@
+"""Pontryagin's principle on arcs that are held at a limit: which of them the optimum would rather leave.
+
+A solver that is told to hold an effort or a path quantity finds the best motion that does, and its multipliers say whether
+that limit is in the way or the holding itself is: the reduced gradient of an effort is the switching function's integral
+(Betts 2010, section 4.4), and has the sign of its limit on every interval of a right arc.
+"""
+
+import numpy as np
+
+from linkplan.planner.solvers.solve import Solution
+
+# A multiplier of the wrong sign that is larger than this share of the largest is no rounding.
+_WRONG = 1e-2
+
+
+def arcs_against_their_limits(solution: Solution) -> np.ndarray:
+    """Return the instants (n,) [s], middles of intervals, at which what is held would better not be."""
+    transcribed, multipliers = solution.transcribed, solution.multipliers
+    if multipliers is None or (transcribed.bang_efforts is None and transcribed.constrained_paths is None):
+        return np.empty(0)
+    program, mesh = transcribed.program, transcribed.program.mesh
+    wrong = np.zeros(mesh.n_intervals, dtype=bool)
+    if transcribed.bang_efforts is not None:
+        _, gradient = program.functions["grad_f"](solution.x, transcribed.parameters)
+        _, jacobian = program.functions["jac_g"](solution.x, transcribed.parameters)
+        reduced = np.array(gradient).ravel() + np.array(jacobian.T @ multipliers).ravel()
+        wrong |= _wrong(_of_efforts(transcribed, reduced))
+    if transcribed.constrained_paths is not None:
+        wrong |= _wrong(_of_paths(transcribed, multipliers))
+    breaks = mesh.breaks(solution.x[program.layout.durations()] * transcribed.units.time_s)
+    return 0.5 * (breaks[1:] + breaks[:-1])[wrong]
+
+
+def _wrong(pushes: np.ndarray) -> np.ndarray:
+    """Return which intervals (n,) have a push (n, k) off their limit, against the largest one onto it."""
+    return np.any(pushes < -_WRONG * np.abs(pushes).max(initial=np.finfo(float).tiny), axis=1)
+
+
+def _of_efforts(transcribed, reduced: np.ndarray) -> np.ndarray:
+    """Return how efforts are pushed onto their limits (n_intervals, n_u): negative where off them, 0 where none is held."""
+    segment, held = transcribed.program.mesh.segment, transcribed.bang_efforts
+    limit = transcribed.formulation.effort
+    side = np.where(held == limit[:, 1], -1.0, np.where(held == limit[:, 0], 1.0, 0.0))[segment]
+    return side * reduced[transcribed.program.layout.effort()].sum(axis=1)
+
+
+def _of_paths(transcribed, multipliers: np.ndarray) -> np.ndarray:
+    """Return how path quantities are pushed onto their limits (n_intervals, n_path), likewise."""
+    mesh, interval = transcribed.program.mesh, transcribed.program.interval
+    rows = multipliers[: mesh.n_intervals * interval.n_rows].reshape(mesh.n_intervals, -1)
+    of_nodes = rows[:, interval.n_own :][:, : interval.n_nodes * (interval.n_equations + interval.n_path)]
+    of_paths = of_nodes.reshape(mesh.n_intervals, interval.n_nodes, -1)[:, :, interval.n_equations :]
+    return transcribed.constrained_paths[mesh.segment] * of_paths.sum(axis=1)
