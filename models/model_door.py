@@ -19,6 +19,8 @@ from linkplan.models.reading import read_file, shown
 MOST_BYTES, _MOST_ASSET_BYTES, _MOST_INCLUDES = 32_000_000, 500_000_000, 1000
 # No quantity of a mechanism is larger, in SI units; MuJoCo's own bound on states is 1e10, and solver parameters are below.
 _LARGEST = 1e12
+# Longer names are no names: pages and tables show them.
+_LONGEST_NAME = 500
 # Attributes of MJCF that ask for room: at most so much of each (arena memory [bytes] apart).
 _COUNTS = {
     "count": 10_000, "nrow": 4096, "ncol": 4096, "width": 16_384, "height": 16_384,
@@ -217,6 +219,11 @@ def _refuse_names(name: str, model: mujoco.MjModel) -> None:
             text = word.decode("utf-8")
         except UnicodeDecodeError as error:
             raise ModelError(f"model '{name}' has a name that is not UTF-8 text: {word[:40]!r}") from error
+        if len(text) > _LONGEST_NAME:
+            raise ModelError(
+                f"model '{name}' has a name of {len(text)} characters, '{one_line(shown(text, 40))}'; names have at most"
+                f" {_LONGEST_NAME}"
+            )
         if text and not text.isprintable():
             raise ModelError(
                 f"model '{name}' has a name with characters that cannot be shown: '{one_line(shown(text, 60))}'"

@@ -84,7 +84,7 @@ def _follow_at_once(mechanism: Mechanism, path: np.ndarray, q: np.ndarray) -> np
     step_size = _step_sizes(mechanism)
     travelled = np.max(np.abs(np.diff(path, axis=0)) / step_size[independent], axis=1, initial=0.0)
     at = np.concatenate([[0.0], np.cumsum(travelled)])
-    if not np.isfinite(at[-1]):
+    if not at[-1] < _MOST_STEPS:
         return None
     knots = np.unique(np.concatenate([np.searchsorted(at, np.arange(0.0, at[-1], 0.5)), [len(path) - 1]]))
     if len(knots) > len(path) // 2:

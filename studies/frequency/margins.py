@@ -20,6 +20,8 @@ _PER_DECADE = 200
 _LOWEST_HZ = 0.01
 # Crossings are refined to this share of their frequency.
 _CROSSING = 1e-10
+# An imaginary part below this share of a gain is rounding.
+_ROUNDING = 1e-10
 # Crossings in the lowest part of the grid are the double integrator's own -180 deg, reached as the frequency vanishes.
 _DC_HZ = 0.02
 # A delay border is found to this share of itself, by simulator steps that fine; up to this many periods of delay, beyond
@@ -126,7 +128,9 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
     crossover = _roots(np.log(np.abs(gain)), frequency, lambda f: np.log(abs(at(f))))
     there = np.array([at(f) for f in crossover])
     pm = np.angle(-there)
-    turned = _roots(np.where(gain.real < 0, gain.imag, np.nan), frequency, lambda f: at(f).imag)
+    # A loop without damping or delay is real but for rounding, and turns nowhere.
+    rounding = _ROUNDING * np.abs(gain)
+    turned = _roots(np.where(gain.real < 0, gain.imag, np.nan), frequency, lambda f: at(f).imag, rounding)
     gm = np.array([-1.0 / at(f).real for f in turned if f > max(_DC_HZ, 2 * frequency[0])])
     # At the Nyquist frequency a sampled gain is real: a crossing that lies on the grid's last point and not inside it.
     if radius is not None and gain[-1].real < 0:
@@ -156,10 +160,16 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
     )
 
 
-def _roots(values: np.ndarray, frequency: np.ndarray, function: Callable[[float], float]) -> np.ndarray:
-    """Return the frequencies (n,) [Hz] at which a function crosses zero, bracketed by its values on a grid."""
+def _roots(
+    values: np.ndarray, frequency: np.ndarray, function: Callable[[float], float], rounding: np.ndarray | float = 0.0
+) -> np.ndarray:
+    """Return the frequencies (n,) [Hz] at which a function crosses zero, bracketed by its values on a grid.
+
+    Values within `rounding` of zero on either side are no crossing.
+    """
     with np.errstate(invalid="ignore"):
-        k = np.flatnonzero(values[:-1] * values[1:] < 0)
+        clear = np.abs(values) > rounding
+        k = np.flatnonzero((values[:-1] * values[1:] < 0) & (clear[:-1] | clear[1:]))
     ends = [(frequency[i], frequency[i + 1]) for i in k]
     return np.array([scipy.optimize.brentq(function, low, high, rtol=_CROSSING) for low, high in ends])
 

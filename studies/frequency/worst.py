@@ -7,6 +7,8 @@ import scipy.optimize
 
 # A minimum's place is found to this share of the two gaps of the scan that it lies in.
 _PLACE = 1e-4
+# A dip of the scan below both its neighbours of no more than this, of their size or of one, is rounding.
+_ROUNDING = 1e-9
 
 
 def local_minima(function: Callable[[float], float], at: np.ndarray, values: np.ndarray | None = None) -> list[float]:
@@ -17,8 +19,10 @@ def local_minima(function: Callable[[float], float], at: np.ndarray, values: np.
     """
     scanned = np.array([function(x) for x in at] if values is None else values, dtype=float)
     walled = np.concatenate([[np.inf], np.where(np.isnan(scanned), np.inf, scanned), [np.inf]])
+    here, before, after = walled[1:-1], walled[:-2], walled[2:]
+    deep = np.maximum(before, after) > here + _ROUNDING * (1.0 + np.abs(np.where(np.isfinite(here), here, 0.0)))
     found = []
-    for i in np.flatnonzero((walled[1:-1] < walled[:-2]) & (walled[1:-1] <= walled[2:])):
+    for i in np.flatnonzero((here < before) & (here <= after) & deep):
         low, high = float(at[max(0, i - 1)]), float(at[min(len(at) - 1, i + 1)])
         if not low < high:
             continue

@@ -279,3 +279,11 @@ def test_a_parallelogram_is_not_led_through_its_flat_pose_where_two_branches_cro
         close_at(load(bar), np.array([2.0]))
     (at,) = re.findall(r"opens at O = (\S+) deg", str(refused.value))
     assert abs(float(at) - 90) < APART_DEG
+
+
+def test_a_path_with_a_leap_beyond_any_motion_is_refused_before_memory_is_asked_for():
+    mechanism = load_mechanism("optimus-knee")
+    path = np.full((200, 1), mechanism.home[mechanism.independent[0]])
+    path[100:] += 1e12
+    with pytest.raises(AssemblyError, match="further away than any motion goes"):
+        follow(mechanism, path, mechanism.home)

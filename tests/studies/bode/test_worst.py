@@ -11,6 +11,7 @@ from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_report import bode_text
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
+from linkplan.studies.frequency.margins import _roots as crossings
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.stability_map import critical_kd
 from linkplan.studies.frequency.worst import local_minima
@@ -54,6 +55,22 @@ def test_local_minima_are_found_between_the_places_of_a_scan():
     found = local_minima(lambda x: float(np.cos(2.0 * x) + 0.01 * x), at)
     exact = [brentq(lambda x: -2 * np.sin(2 * x) + 0.01, a, a + 1.0) for a in (1.1, 4.2, 7.3)]
     assert sorted(found)[:3] == pytest.approx(exact, abs=1e-3)
+
+
+def test_dips_that_are_rounding_are_no_minima():
+    at, rounding = np.linspace(0.0, 1.0, 101), 1e-13 * np.cos(np.arange(101) * np.pi)
+
+    def looked_at(x: float) -> float:
+        raise AssertionError(x)
+
+    assert local_minima(looked_at, at, rounding) == []
+
+
+def test_a_gain_that_is_real_but_for_rounding_turns_nowhere():
+    frequency = np.linspace(1.0, 2.0, 50)
+    noise = 1e-15 * np.cos(np.arange(50) * np.pi)
+    assert len(crossings(noise, frequency, lambda _: 0.0, 1e-10 * np.ones(50))) == 0
+    np.testing.assert_allclose(crossings(frequency - 1.5, frequency, lambda f: f - 1.5, 1e-10 * np.ones(50)), [1.5])
 
 
 def test_a_narrow_peak_of_sensitivity_is_met_between_frequencies():

@@ -44,6 +44,7 @@ NONSENSE = {
     "infinite mass": (bar().replace('mass="1"', 'mass="inf"'), ""),
     "infinite gravity": (bar(more='<option gravity="0 0 inf"/>'), "not finite"),
     "escape in a name": (bar().replace('"bar"', '"&#27;[31m"'), ""),
+    "an endless name": (bar().replace('"bar"', '"' + 600 * "a" + '"'), "600 characters"),
     "a million copies": (bar(more='<worldbody><replicate count="1000000"><site/></replicate></worldbody>'), "count"),
     "a huge field": (bar(more='<asset><hfield name="f" nrow="100000" ncol="9" size="1 1 1 1"/></asset>'), "nrow"),
     "huge memory": (bar(more='<size memory="900G"/>'), "memory"),
