@@ -76,7 +76,7 @@ def efforts_without_proof(search: Search) -> Plan | None:
     """Return the plan that names the least efforts found, where energy may be built up in ways that no start has tried."""
     if not _over(search) or not may_swing(search.problem):
         return None
-    sentence, _ = effort_sentence(search.problem, search.least_limit)
+    sentence, _ = effort_sentence(search.problem, search.named_limit)
     return _failed(search, f"no motion was found; on the one of least effort that was, {sentence}, which is no proof")
 
 
@@ -84,7 +84,7 @@ def efforts(search: Search) -> Plan | None:
     """Return the plan that says what efforts a motion would need."""
     if not _over(search):
         return None
-    sentence, details = effort_sentence(search.problem, search.least_limit)
+    sentence, details = effort_sentence(search.problem, search.named_limit)
     return _infeasible(search, f"infeasible: {sentence}", details)
 
 
@@ -118,7 +118,7 @@ def nothing_found(search: Search) -> Plan:
 
 
 def _over(search: Search) -> bool:
-    return search.least_limit is not None and search.least_limit.factor > 1.0
+    return search.named_limit is not None and search.named_limit.factor > 1.0
 
 
 def _without(search: Search, what: str) -> Plan | None:

@@ -16,7 +16,7 @@ from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Say, Step, silent
-from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
+from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, settled_limit
 from linkplan.planner.search.phase_plane import least_time_guess
 from linkplan.planner.search.solving import Found
 from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME
@@ -70,6 +70,14 @@ class Search:
     def least_limit(self) -> LeastLimit | None:
         """The least factor on the effort limits with which a motion was found; None where none was."""
         return least_limit_of_starts(self.within(Budget(iterations=HURRIED.iterations)), self.smooth, self.history)
+
+    @cached_property
+    def named_limit(self) -> LeastLimit | None:
+        """The least factor on the effort limits, on meshes fine enough to be named; None where none was found."""
+        found = self.least_limit
+        if found is None or found.factor <= 1.0:
+            return found
+        return settled_limit(self.within(Budget(iterations=HURRIED.iterations)), found, self.history)
 
     def first_starts(self) -> Iterator[tuple[str, Guess]]:
         """Yield the user's own guess where it closes the loops, then the smooth path, with a word on each."""
