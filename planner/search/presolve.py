@@ -14,6 +14,7 @@ from linkplan.planner.certificate.site_margins import SITE_SLACK, title
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.sites import SiteLimit
+from linkplan.planner.search.turning import check_turns
 
 # Poses looked at between start and goal of a single freedom.
 _BETWEEN = 401
@@ -29,7 +30,8 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
     """Return the closed pose at the start.
 
     Raises:
-        ProblemError: when start, goal or reference lie outside what the mechanism reaches, with the interval.
+        ProblemError: when start, goal or reference lie outside what the mechanism reaches, with the interval; as of
+            `check_turns`.
     """
     mechanism, motion = problem.mechanism, problem.motion
     can = _reach(mechanism) if mechanism.dof == 1 else None
@@ -40,10 +42,11 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
     for k, waypoint in enumerate(motion.waypoints):
         if not np.all(np.isnan(waypoint.position)):
             _check_reach(problem, f"motion.waypoints[{k}].at_deg", waypoint.position, can)
-    if motion.start is not None:
-        return close_at(mechanism, motion.start)
-    if problem.reference is None:
-        return np.array(mechanism.home)
+    if motion.start is not None or problem.reference is None:
+        pose = np.array(mechanism.home) if motion.start is None else close_at(mechanism, motion.start)
+        if motion.turns is not None:
+            check_turns(problem, pose, can)
+        return pose
     first = problem.reference.derivative(np.zeros(1))[0]
     period = np.linspace(0.0, problem.reference.period_s, 181)
     values = problem.reference.derivative(period)
