@@ -160,7 +160,7 @@ def refuse_singular_assembly(
     rank = numerical_rank(loop.residual(pose)[1] * unit, loop.rank_tolerance)
     held = [int(i) for i in independent]
     rest = [i for i in range(len(joints)) if i not in held]
-    # Where several loops lie flat at once, motions are free to first order that no pose nearby has: what cannot be moved alone
+    # Where several loops lie flat at once, motions are free to first order that no pose nearby has: what cannot move alone
     # there says less than the rank.
     away = [q for q in about if np.abs((q - pose) / unit).max() > 0.5 * _NEARBY_STEP]
     _refuse_lower_rank(name, loop, rank, away, unit)

@@ -85,6 +85,8 @@ def _way_through(can: Reach | None, reason: str, asked: float) -> str:
     if can is None or reason != "singular pose":
         return ""
     end = can.lower.position if asked < can.lower.position else can.upper.position
+    if end in can.single:
+        return "; the loops lose rank there, and no other coordinate passes it"
     if end in dict(can.branching):
         return "; the mechanism may branch there"
     return "; another joint as mechanism.independent may pass it"
