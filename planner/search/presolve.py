@@ -115,7 +115,7 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
                     f" {joint.said(min(max(x, low), high), 4)}"
                 )
-    contradiction = _singular(problem) or _beyond_ctrl(problem) or _site_beyond(problem)
+    contradiction = _branches_on_the_way(problem) or _singular(problem) or _beyond_ctrl(problem) or _site_beyond(problem)
     if contradiction is not None:
         return contradiction
     if motion.kind == "reach" and motion.duration_s is not None and not motion.goal_is_free:
@@ -130,6 +130,23 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.said(bound, 4)} {joint.unit}/s;"
                     f" that limit alone asks for {shortest:.4g} s"
                 )
+    return None
+
+
+def _branches_on_the_way(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a pose at which the loops lose rank between start and goal of a single freedom, or None."""
+    mechanism, motion = problem.mechanism, problem.motion
+    if mechanism.dof != 1 or motion.start is None or motion.goal is None:
+        return None
+    low, high = sorted((float(motion.start[0]), float(motion.goal[0])))
+    (joint,) = mechanism.independent_joints
+    for position, rank in _reach(mechanism).branching:
+        if low < position < high:
+            return (
+                f"infeasible: between start and goal, at {joint.name} = {joint.said(position, 5)} {joint.unit}, the"
+                f" closure's rank falls from {len(mechanism.dependent)} to {rank}: the loops do not say how the mechanism"
+                " goes on there, and no effort of its actuators does"
+            )
     return None
 
 
