@@ -11,7 +11,7 @@ import linkplan
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
-from tests.support.overconstrained import bennett, bricard, coupled_cranks
+from tests.support.overconstrained import bennett, bricard, coupled_cranks, sarrus
 from tests.support.tolerances import RANDOM_LIMIT, relative_error
 
 NOISE = 1e-7
@@ -98,3 +98,12 @@ def least_norm(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray
         mujoco.mj_forward(model, data)
         found.append(np.array(data.efc_force[: data.ne]))
     return (10 * found[1] - found[0]) / 9
+
+
+def test_a_way_through_the_flat_pose_of_sarrus_linkage_is_named_before_any_solving():
+    ways = {goal: {"start_deg": {"A1": 0.0}, "goal_deg": {"A1": goal}, "duration_s": 1.0} for goal in (-55.0, -20.0)}
+    plan = linkplan.plan(linkplan.Problem.reach(sarrus(0.5), **ways[-55.0]))
+    assert plan.status == "infeasible"
+    assert "at A1 = -28.648 deg, the closure's rank falls from 4 to 2" in plan.message
+    assert plan.history == ()
+    assert linkplan.plan(linkplan.Problem.reach(sarrus(0.5), **ways[-20.0])).status == "optimal"
