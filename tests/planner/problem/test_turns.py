@@ -219,3 +219,24 @@ def test_turns_belong_to_periodic_motions_without_a_reference():
         linkplan.Problem.reach("slider-crank", start_deg={"O": 0.0}, goal_deg={"O": 90.0}, duration_s=1.0).with_settings(
             {"motion.turns": {"O": 1}}
         )
+
+
+def test_a_turn_passes_its_waypoints_and_ends_a_turn_after_its_start():
+    plan = linkplan.plan(
+        linkplan.Problem.periodic(
+            damped(),
+            turns={"O": 1},
+            start_deg={"O": 180.0},
+            waypoints=[{"at_deg": {"O": 300.0}, "time_s": 0.1}],
+            duration_s=PERIOD_S,
+        )
+    ).require()
+    assert plan.sample(np.array([0.0, 0.1, PERIOD_S])).position["O"] == pytest.approx([180.0, 300.0, 540.0], abs=1e-6)
+    assert plan.objective > turning().objective
+
+
+def test_both_solvers_plan_the_same_turn():
+    plan = linkplan.plan(
+        linkplan.Problem.periodic(damped(), turns={"O": 1}, duration_s=PERIOD_S, solver={"name": "fatrop"})
+    ).require()
+    assert plan.objective == pytest.approx(turning().objective, rel=OBJECTIVE)
