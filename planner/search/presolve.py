@@ -140,8 +140,9 @@ def _branches_on_the_way(problem: PlanningProblem) -> str | None:
         return None
     low, high = sorted((float(motion.start[0]), float(motion.goal[0])))
     (joint,) = mechanism.independent_joints
-    for position, rank in _reach(mechanism).branching:
-        if low < position < high:
+    can = _reach(mechanism)
+    for position, rank in can.branching:
+        if low < position < high and position not in can.single:
             return (
                 f"infeasible: between start and goal, at {joint.name} = {joint.said(position, 5)} {joint.unit}, the"
                 f" closure's rank falls from {len(mechanism.dependent)} to {rank}: the loops do not say how the mechanism"
