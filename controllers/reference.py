@@ -7,7 +7,11 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.trajectory import Trajectory
+
+# Steps of an interval at which a loop is followed over a period.
+_PER_INTERVAL = 10
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -55,12 +59,23 @@ def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, durati
     pose_middle = follow(mechanism, trajectory.position_at(middle), trajectory.start_pose)
     effort, _ = needed_effort(mechanism, pose_middle, trajectory.velocity_at(middle), trajectory.acceleration_at(middle))
     again = np.arange(n) % len(once)
+    passed = (np.arange(n) // len(once))[:, None] if cycle is not None else np.zeros((n, 1))
+    gone = pose_advance(mechanism, trajectory) if np.any(passed) else np.zeros(mechanism.n_q)
     return SampledReference(
         period_s=period_s,
         time_s=period_s * np.arange(n),
-        pose=pose[again],
-        position=position[again],
+        pose=pose[again] + passed * gone,
+        position=position[again] + passed * trajectory.advance,
         velocity=trajectory.velocity_at(time)[again],
         effort=effort[again],
         cycle=cycle,
     )
+
+
+def pose_advance(mechanism: Mechanism, trajectory: Trajectory) -> np.ndarray:
+    """Return what all joints (n_q,) [rad] of a periodic motion go on by in a period: whole turns, 0 where they return."""
+    if not np.any(trajectory.advance):
+        return np.zeros(mechanism.n_q)
+    time = trajectory.dense_times(_PER_INTERVAL)
+    poses = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
+    return whole_turns(mechanism, poses[-1] - poses[0])

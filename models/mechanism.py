@@ -261,7 +261,9 @@ def load_mechanism(
         raise with_closed_pose(error, joints, tree.coordinates, nearest_closed_pose(loop, joints, pose, unit)) from None
     B = effort_matrix(model, tree, actuators)
     sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
-    projected = projected_loops(sparse, rows.tolist(), dependent.tolist(), pose, mobility.noise * _NOISE_ROOM)
+    projected = projected_loops(
+        sparse, rows.tolist(), dependent.tolist(), pose, mobility.noise * _NOISE_ROOM, gapes=bool(mobility.freed_m)
+    )
     long = lengths(model, tree, actuators)
     dynamics = reduce_tree(tree, closures, B, rows, free, dependent, projected=projected, lengths=long)
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]

@@ -137,6 +137,7 @@ def structure(problem: PlanningProblem) -> tuple:
     limited = (limits.effort, limits.position, limits.speed, limits.effort_rate, limits.power, limits.closure_force)
     finite = (*(np.isfinite(limit).tobytes() for limit in limited), limits.singular_margin > 0)
     given = tuple(x is None for x in (motion.start, motion.goal, motion.duration_s, motion.max_duration_s))
+    given += (None if motion.turns is None else tuple(motion.turns.tolist()),)
     via = tuple((np.isnan(w.position).tobytes(), np.isnan(w.speed).tobytes(), w.time_s is None) for w in motion.waypoints)
     sites = tuple((limit.key, np.isfinite([limit.low, limit.high]).tobytes()) for limit in limits.site)
     ends = (tuple(point.index for point in motion.goal_at), motion.goal_rows)

@@ -13,7 +13,8 @@ class Trajectory:
     `breaks_s` (n + 1,) are the intervals' ends. Coefficients are Bernstein's on each interval: `position`
     (degree + 1, n, n_s) [rad or m], `velocity` (degree + 1, n, n_s), `effort` (degree + 1, n, n_u) [N.m or N]. Efforts may
     jump at a break, where the later interval's value holds. `start_pose` (n_q,) is the closed pose at the start: with s(t)
-    it fixes the dependent joints. A `periodic` motion goes on beyond its ends; any other rests at its end states.
+    it fixes the dependent joints. A `periodic` motion goes on beyond its ends, by `advance` a period where it turns for
+    ever; any other rests at its end states.
     """
 
     breaks_s: np.ndarray
@@ -55,6 +56,16 @@ class Trajectory:
         """The number of actuators."""
         return self.effort.shape[2]
 
+    @property
+    def advance(self) -> np.ndarray:
+        """What positions (n_s,) [rad] of a periodic motion go on by in a period: whole turns, 0 where they return."""
+        travelled = self.position[-1, -1] - self.position[0, 0]
+        return self.periodic * 2 * np.pi * np.round(travelled / (2 * np.pi))
+
+    def periods_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return how many periods (n,) of a periodic motion have passed at times (n,); 0 of any other."""
+        return self.periodic * np.floor_divide(np.asarray(time_s, dtype=float) - self.breaks_s[0], self.duration_s)
+
     def _times(self, time_s: np.ndarray) -> np.ndarray:
         time = np.asarray(time_s, dtype=float)
         if self.periodic:
@@ -63,7 +74,8 @@ class Trajectory:
 
     def position_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return s (n, n_s) [rad or m] at times (n,)."""
-        return BPoly(self.position, self.breaks_s)(self._times(time_s))
+        within = BPoly(self.position, self.breaks_s)(self._times(time_s))
+        return within + self.periods_at(time_s)[:, None] * self.advance
 
     def velocity_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return v (n, n_s) [rad/s or m/s] at times (n,); zero outside a motion that is not periodic."""

@@ -160,6 +160,10 @@ def refuse_singular_assembly(
     rank = numerical_rank(loop.residual(pose)[1] * unit, loop.rank_tolerance)
     held = [int(i) for i in independent]
     rest = [i for i in range(len(joints)) if i not in held]
+    # Where several loops lie flat at once, motions are free to first order that no pose nearby has: what cannot move alone
+    # there says less than the rank.
+    away = [q for q in about if np.abs((q - pose) / unit).max() > 0.5 * _NEARBY_STEP]
+    _refuse_lower_rank(name, loop, rank, away, unit)
     neighbours = list(about)
     for index in held:
         moved = False
@@ -179,6 +183,10 @@ def refuse_singular_assembly(
                 " locked there; name another pose with mechanism.home_deg",
                 {},
             )
+    _refuse_lower_rank(name, loop, rank, neighbours, unit)
+
+
+def _refuse_lower_rank(name: str, loop: KinematicLoop, rank: int, neighbours: list[np.ndarray], unit: np.ndarray) -> None:
     there = max(
         (numerical_rank(loop.residual(neighbour)[1] * unit, loop.rank_tolerance) for neighbour in neighbours), default=rank
     )

@@ -11,6 +11,10 @@ mechanism is regular. Such rows are all kept, and the closure is solved in their
 whose matrix E J_z = D J_z^T J_z is regular wherever J_z has full column rank (Golub & Van Loan, Matrix Computations, 5.3).
 On closed poses velocities, accelerations and forces are exact: E (J q' = 0) has the same solution, and E^T (E J_z)^-T gives
 the least forces on all rows.
+
+Where a file's rounding alone forbids the motion, phi does not vanish: the loops gape, and E phi = 0 at poses whose own rates
+follow from d(E phi)/dq = E J + (dE/dq) phi and not from E J. What is left out would be a planned velocity that is not quite
+the planned position's slope.
 """
 
 from collections.abc import Sequence
@@ -28,16 +32,23 @@ class ProjectedLoops:
     """Loops that hang together and are closed in the normal equations of all their rows.
 
     `rows` of phi and `columns`, places among the dependent coordinates; `lengths` (n_columns,) are what makes the columns of
-    J_z of order one.
+    J_z of order one. `gapes` says that phi does not vanish, and the derivative of E counts.
     """
 
     rows: tuple[int, ...]
     columns: tuple[int, ...]
     lengths: tuple[float, ...]
+    gapes: bool = False
 
 
 def projected_loops(
-    jacobian: ca.Function, rows: Sequence[int], dependent: Sequence[int], home: np.ndarray, noise: float = 0.0
+    jacobian: ca.Function,
+    rows: Sequence[int],
+    dependent: Sequence[int],
+    home: np.ndarray,
+    noise: float = 0.0,
+    *,
+    gapes: bool = False,
 ) -> tuple[ProjectedLoops, ...]:
     """Return the loops whose dependent rows are no constant combination of the chosen ones.
 
@@ -47,6 +58,7 @@ def projected_loops(
         dependent: the coordinates that are solved for.
         home: a closed, regular pose (n_q,).
         noise: what share of the largest entry a file's rounding puts into J.
+        gapes: whether rounding alone forbids the motion.
     """
     found = []
     rng = np.random.default_rng(0)
@@ -65,7 +77,7 @@ def projected_loops(
             continue
         J_z = at_home[np.ix_(of, [dependent[k] for k in columns])]
         lengths = tuple(float(x) for x in np.linalg.norm(J_z, axis=0))
-        found.append(ProjectedLoops(rows=tuple(of), columns=tuple(columns), lengths=lengths))
+        found.append(ProjectedLoops(rows=tuple(of), columns=tuple(columns), lengths=lengths, gapes=gapes))
     return tuple(found)
 
 

@@ -16,7 +16,7 @@ from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
-from linkplan.models.poses.singular_poses import closure_rank, dips, is_branching, least_values, vanishes
+from linkplan.models.poses.singular_poses import closure_rank, dips, has_one_way_on, is_branching, least_values, vanishes
 from linkplan.models.tree.joints import Joint, where
 
 _STEP = 0.035  # two degrees [rad]; on a slide, this share of the model's extent
@@ -210,6 +210,7 @@ class Reach:
     dependent joint turns back: the dead centres of that joint. `singular` are positions where J_z loses rank, by crossing
     zero at an end or by touching it on the way; `branching` are (position, rank of the closure there) of those among them
     where J loses rank as well: there the mechanism may branch, at the others the coordinate alone is at a dead centre.
+    `single` are positions of those where to second order one motion alone leads through.
     """
 
     coordinate: int
@@ -218,6 +219,7 @@ class Reach:
     poses: np.ndarray
     singular: tuple[float, ...]
     branching: tuple[tuple[float, int], ...]
+    single: tuple[float, ...]
     toggles: tuple[tuple[int, float], ...]
 
     @property
@@ -233,15 +235,15 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
     poses = np.array([*down[::-1], mechanism.home, *up])
     index = int(mechanism.independent[coordinate])
     singular = sorted([*singular_down, *singular_up, *_touched(mechanism, coordinate, poses)], key=lambda pose: pose[index])
+    lost = [pose for pose in singular if is_branching(mechanism, pose)]
     return Reach(
         coordinate=coordinate,
         lower=lower,
         upper=upper,
         poses=poses,
         singular=tuple(float(pose[index]) for pose in singular),
-        branching=tuple(
-            (float(pose[index]), closure_rank(mechanism, pose)) for pose in singular if is_branching(mechanism, pose)
-        ),
+        branching=tuple((float(pose[index]), closure_rank(mechanism, pose)) for pose in lost),
+        single=tuple(float(pose[index]) for pose in lost if has_one_way_on(mechanism, pose)),
         toggles=_toggles(mechanism, coordinate, poses),
     )
 

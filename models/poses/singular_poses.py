@@ -14,6 +14,9 @@ from linkplan.models.mechanism import Mechanism
 _RANK_LOST = 1e-4
 # Samples between which a least singular value dips below this share of home's are looked at closely.
 _DIP = 0.3
+# Directions of a plane that are looked at, half a degree apart; how far [rad] J is followed along one; and the share of the
+# largest bend below which a direction goes straight on: at a simple zero a degree away from it, a double one's wider.
+_DIRECTIONS, _BEND, _STRAIGHT = 360, 1e-5, 0.02
 
 
 def least_values(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
@@ -54,3 +57,32 @@ def dips(mechanism: Mechanism, poses: np.ndarray) -> list[int]:
 def vanishes(mechanism: Mechanism, q: np.ndarray) -> bool:
     """Return whether J_z has lost rank at a pose (n_q,)."""
     return bool(least_values(mechanism, q)[1] < _RANK_LOST * least_values(mechanism, mechanism.home)[1])
+
+
+def has_one_way_on(mechanism: Mechanism, q: np.ndarray) -> bool:
+    """Return whether only one motion leads through a pose (n_q,) at which the closure has lost one rank: no branch there.
+
+    Rates x in the kernel of J go on where J x' + (dJ x) x = 0 has a solution x': where u^T (dJ x) x vanishes for all u with
+    u^T J = 0 (second-order analysis; Wohlhart, Degrees of shakiness, 1999). In a kernel of two dimensions that is looked at
+    in every direction; larger ones are left undecided, and so is what vanishes altogether.
+    """
+    unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.joints])
+    rank = closure_rank(mechanism, q)
+    if mechanism.n_q - rank != 2:
+        return False
+
+    def scaled(pose: np.ndarray) -> np.ndarray:
+        return np.array(mechanism.dynamics.closure_jacobian(pose)) * unit
+
+    left, _, right = np.linalg.svd(scaled(q))
+    apart, kernel = left[:, rank:].T, right[rank:]
+    angles = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
+    bent = []
+    for x in np.column_stack([np.cos(angles), np.sin(angles)]) @ kernel:
+        ahead, behind = (scaled(q + sign * _BEND * unit * x) for sign in (1, -1))
+        bent.append(np.abs(apart @ (ahead - behind) @ x).max(initial=0.0) / (2 * _BEND))
+    size = np.array(bent)
+    small = size < _STRAIGHT * size.max()
+    # Directions go round: the first follows the last.
+    starts = small & ~np.roll(small, 1)
+    return size.max() > _RANK_LOST and int(starts.sum()) == 1

@@ -84,6 +84,9 @@ def reduce_tree(
     chosen = [int(row) for row in rows]
     E = combination(jacobian[:, [int(i) for i in dependent]], chosen, projected) if projected else None
     J, independent_phi = (jacobian[chosen, :], phi[chosen]) if E is None else (E @ jacobian, E @ phi)
+    gapes = any(loop.gapes for loop in projected)
+    if gapes:
+        J = ca.jacobian(independent_phi, q)
     J_s, J_z = J[:, [int(i) for i in independent]], J[:, [int(i) for i in dependent]]
 
     gamma_map = ca.SX.zeros(q.numel(), n_s)
@@ -99,7 +102,7 @@ def reduce_tree(
         det = ca.SX(1)
         for one in ca.vertsplit(dets):
             det *= one
-    turning = ca.jtimes(J @ qd, q, qd) if E is None else E @ ca.jtimes(jacobian @ qd, q, qd)
+    turning = ca.jtimes(J @ qd, q, qd) if E is None or gapes else E @ ca.jtimes(jacobian @ qd, q, qd)
     convective = ca.Function("convective", [q, qd], [turning])
     rates = gamma_map @ v
     gamma = ca.SX.zeros(q.numel())

@@ -133,6 +133,7 @@ def formulate(
         own=own,
         boundaries=phase_boundaries_of(problem, scales),
         returns=tuple(range(2 * n_s)) if problem.motion.kind == "periodic" else (),
+        advance=_advance(problem, scales),
         smooth=smoothed or objective.has("effort_rate") or bool(rated),
         eta=_eta(
             problem,
@@ -149,6 +150,13 @@ def formulate(
         endpoint_bounds=np.zeros((len(places), 2)),
         endpoint_parameters=places,
     )
+
+
+def _advance(problem: PlanningProblem, scales: Scales) -> np.ndarray | float:
+    """Return by how much the states (2 n_s,) of a periodic motion have gone on at its end, scaled; 0 where they return."""
+    if problem.motion.turns is None:
+        return 0.0
+    return np.concatenate([problem.motion.advance / scales.position, np.zeros(problem.mechanism.dof)])
 
 
 def is_smoothed(objective: Objective) -> bool:
@@ -276,7 +284,21 @@ def phase_boundaries_of(problem: PlanningProblem, scales: Scales) -> tuple[Phase
             None if motion.goal_is_free else motion.goal, rest if motion.goal_speed is None else motion.goal_speed, last
         )
         return (start, *via, goal)
-    start, goal = boundary(motion.start, None, (0.0, 0.0)), boundary(None, None, last)
-    if motion.start is not None and not via:
+    start, goal = boundary(_first_position(problem), None, (0.0, 0.0)), boundary(None, None, last)
+    if motion.goal is not None and not via:
         via = [boundary(motion.goal, None, (0.0, np.inf), share=0.5)]
     return (start, *via, goal)
+
+
+def _first_position(problem: PlanningProblem) -> np.ndarray | None:
+    """Return the positions (n_s,) in which a periodic motion begins, NaN where they are free; None where all are.
+
+    A motion that turns for ever passes every angle, and begun at any of them it is as good: it begins at home's.
+    """
+    motion = problem.motion
+    if motion.turns is None or motion.start is not None or motion.waypoints:
+        return motion.start
+    first = np.full(problem.mechanism.dof, np.nan)
+    column = int(np.flatnonzero(motion.turns)[0])
+    first[column] = problem.mechanism.home[problem.mechanism.independent[column]]
+    return first

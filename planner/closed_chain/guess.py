@@ -130,7 +130,7 @@ def _boundary_positions(problem: PlanningProblem) -> np.ndarray:
     first = motion.start
     if first is None:
         first = motion.waypoints[0].position if problem.reference is None else problem.reference.derivative(np.zeros(1))[0]
-    last = motion.goal if motion.kind == "reach" else first
+    last = motion.goal if motion.kind == "reach" else first + motion.advance
     states = np.vstack([first, *(w.position for w in motion.waypoints), last])
     for column in states.T:
         known = ~np.isnan(column)
@@ -217,9 +217,14 @@ def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False)
         for k, waypoint in enumerate(motion.waypoints if not rests else ()):
             v[k + 1] = np.where(np.isnan(waypoint.speed), v[k + 1], waypoint.speed)
     else:
-        times = np.array([0.0, duration / 2, duration] if motion.kind == "periodic" else [0.0, duration])
-        s = np.vstack([motion.start, motion.goal, motion.start][: len(times)])
+        first = problem.mechanism.home[problem.mechanism.independent] if motion.start is None else motion.start
+        there_and_back = motion.kind == "periodic" and motion.goal is not None
+        times = np.array([0.0, duration / 2, duration] if there_and_back else [0.0, duration])
+        last = motion.goal if motion.kind == "reach" else first + motion.advance
+        s = np.vstack([first, motion.goal, last] if there_and_back else [first, last])
         v = np.zeros_like(s)
+    if motion.turns is not None and not rests:  # steadily
+        v[:, motion.turns != 0] = (motion.advance / duration)[motion.turns != 0]
     if motion.kind == "reach":
         v[0] = motion.start_speed if motion.start_speed is not None else 0.0
         v[-1] = motion.goal_speed if motion.goal_speed is not None else 0.0

@@ -34,7 +34,10 @@ KEYS = (
     "min_duration_s",
     "max_duration_s",
     "waypoints",
+    "turns",
 )
+# More turns than this in one period are a typing error: of a period that repeats, one is enough.
+MOST_TURNS = 100
 WAYPOINT_KEYS = ("at_deg", "at_m", "speed_deg_s", "speed_m_s", "time_s")
 
 
@@ -66,6 +69,7 @@ def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | 
         min_duration_s=_optional(section, "min_duration_s"),
         max_duration_s=_optional(section, "max_duration_s"),
         waypoints=_waypoints(section, mechanism),
+        turns=_turns(section, mechanism),
     )
 
 
@@ -125,6 +129,32 @@ def _end(
             f" 'reach' may: name more coordinates, or the joints in motion.{name}_deg"
         )
     return s, points, rows
+
+
+def _turns(section: dict, mechanism: Mechanism) -> np.ndarray | None:
+    """Return the whole turns (n_s,) that a periodic motion goes on by, None where it returns in full."""
+    asked = section.get("turns")
+    if asked is None:
+        return None
+    if not isinstance(asked, dict):
+        raise ProblemError(f"motion.turns is a table of joint = whole turns, got {asked!r}")
+    turns = np.zeros(mechanism.dof)
+    places = {int(index): column for column, index in enumerate(mechanism.independent)}
+    for name, n in asked.items():
+        index = mechanism.joint_index(name, ProblemError)
+        joint = mechanism.joints[index]
+        if joint.kind != "hinge" or joint.chart is not None:
+            what = "slide" if joint.kind == "slide" else "part of a ball joint"
+            raise ProblemError(f"motion.turns of joint {name}: it is a {what}; hinges turn for ever")
+        if index not in places:
+            names = ", ".join(j.name for j in mechanism.independent_joints)
+            raise ProblemError(f"motion.turns of joint {name}: its turns follow from {names}; name those")
+        if isinstance(n, bool) or not isinstance(n, int) or abs(n) > MOST_TURNS:
+            raise ProblemError(
+                f"motion.turns.{name} is a whole number of turns from -{MOST_TURNS} to {MOST_TURNS}, got {n!r}"
+            )
+        turns[places[index]] = n
+    return turns
 
 
 def _closed(mechanism: Mechanism, s: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.plan import Plan
 
 # Steps of an interval at which a motion is written down, and between which a loop is followed.
@@ -61,7 +62,8 @@ def motion_table(plan: Plan, time_s: np.ndarray | None = None, *, jumps: bool = 
     Of those, times increase strictly and a break between intervals has the later one's values; with `jumps` it appears
     twice, a hair before and at it, for an effort that jumps there.
 
-    A periodic motion goes on beyond its ends; any other rests there, under the effort of the nearer end.
+    A periodic motion goes on beyond its ends, by its turns where it has any; any other rests there, under the effort of the
+    nearer end.
 
     Raises:
         AssemblyError: when the loops do not close along the motion.
@@ -73,7 +75,9 @@ def motion_table(plan: Plan, time_s: np.ndarray | None = None, *, jumps: bool = 
     within = begin + np.mod(time - begin, end - begin) if trajectory.periodic else np.clip(time, begin, end)
     # Loops are followed along the motion, whatever the order and distance of the times that are asked for.
     along, back = np.unique(np.concatenate([dense, within]), return_inverse=True)
-    q = follow(mechanism, trajectory.position_at(along), trajectory.start_pose)[back[len(dense) :]]
+    poses = follow(mechanism, trajectory.position_at(along), trajectory.start_pose)
+    gone = whole_turns(mechanism, poses[-1] - poses[0]) if np.any(trajectory.advance) else np.zeros(mechanism.n_q)
+    q = poses[back[len(dense) :]] + trajectory.periods_at(time)[:, None] * gone
     rates = joint_rates(mechanism, q, trajectory.velocity_at(time))
     accelerations, efforts = trajectory.acceleration_at(time), trajectory.effort_at(time)
 

@@ -33,6 +33,8 @@ class Motion:
     """Boundary conditions over the independent joints, (n_s,) each, [rad or m] and per second.
 
     kind "reach" goes from start to goal; "periodic" returns to its own first state; "track" is the reference itself.
+    `turns` (n_s,) are whole turns by which a periodic motion's hinges have gone on at its end, s(T) = s(0) + 2 pi turns;
+    None where it returns in full.
     `duration_s` is None where it is free, then within `min_duration_s` and `max_duration_s`. `waypoints` are passed in
     order.
 
@@ -53,17 +55,19 @@ class Motion:
     start_at: tuple[SitePoint, ...] = ()
     goal_at: tuple[SitePoint, ...] = ()
     goal_rows: tuple[int, ...] = ()
+    turns: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ProblemError(f"motion.kind is one of {', '.join(KINDS)}, got '{self.kind}'")
-        for name in ("start", "goal", "start_speed", "goal_speed"):
+        for name in ("start", "goal", "start_speed", "goal_speed", "turns"):
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, frozen(value))
         for name in ("waypoints", "start_at", "goal_at"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         self._check_sites()
+        self._check_turns()
         if self.duration_s is not None and not (np.isfinite(self.duration_s) and self.duration_s > 0):
             raise ProblemError(f'motion.duration_s is a positive number or "free", got {self.duration_s!r}')
         low, high = self.min_duration_s, self.max_duration_s
@@ -82,12 +86,25 @@ class Motion:
         return bool(self.goal_rows)
 
     @property
+    def advance(self) -> np.ndarray | float:
+        """What a periodic motion's positions (n_s,) [rad or m] have gone on by at its end."""
+        return 0.0 if self.turns is None else 2 * np.pi * self.turns
+
+    @property
     def stays(self) -> bool:
         """Whether a reach ends in the state in which it begins, without having been anywhere."""
         if self.kind != "reach" or self.start is None or self.goal is None or self.waypoints:
             return False
         speeds = [np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed)]
         return np.array_equal(self.start, self.goal) and np.array_equal(*speeds)
+
+    def _check_turns(self) -> None:
+        if self.turns is None:
+            return
+        if self.kind != "periodic":
+            raise ProblemError(f"motion.turns belongs to motion.kind 'periodic', got '{self.kind}'")
+        if not np.any(self.turns) or not np.all(self.turns == np.round(self.turns)):
+            raise ProblemError(f"motion.turns are whole turns, at least one of them not 0, got {self.turns}")
 
     def _check_sites(self) -> None:
         for name in ("start", "goal"):

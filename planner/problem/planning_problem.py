@@ -86,12 +86,17 @@ class PlanningProblem:
             raise ProblemError(
                 "motion.kind 'periodic' with motion.waypoints ends where it starts: it takes no motion.goal_deg"
             )
-        if motion.kind == "periodic" and not motion.waypoints and (motion.start is None) != (motion.goal is None):
+        turns = motion.turns is not None
+        if turns and self.reference is not None:
+            raise ProblemError("motion.turns goes on turn after turn, and a [reference] returns: keep one of them")
+        one_end = (motion.start is None) != (motion.goal is None) and not (turns and motion.goal is None)
+        if motion.kind == "periodic" and not motion.waypoints and one_end:
             raise ProblemError("motion.kind 'periodic' takes motion.start_deg and motion.goal_deg together, or neither")
-        moves = motion.goal is not None or bool(motion.waypoints)
+        moves = motion.goal is not None or bool(motion.waypoints) or turns
         if motion.kind == "periodic" and self.reference is None and not moves:
             raise ProblemError(
                 "motion.kind 'periodic' needs a [reference], or motion.start_deg and motion.goal_deg, or motion.waypoints"
+                " or motion.turns"
             )
         if motion.kind == "periodic" and not objective.has("tracking") and not moves:
             raise ProblemError(
@@ -159,10 +164,17 @@ class PlanningProblem:
     def _check_shapes(self) -> None:
         motion, mechanism = self.motion, self.mechanism
         n_s = mechanism.dof
-        for name in ("start", "goal", "start_speed", "goal_speed"):
+        for name in ("start", "goal", "start_speed", "goal_speed", "turns"):
             value = getattr(motion, name)
             if value is not None and (value.shape != (n_s,) or not np.all(np.isfinite(value))):
                 raise ProblemError(f"motion.{name} has one finite value for each of {n_s} independent joints, got {value}")
+        turns = np.zeros(n_s) if motion.turns is None else motion.turns
+        for joint, index, n in zip(mechanism.independent_joints, mechanism.independent, turns, strict=True):
+            if n and np.any(np.isfinite(self.limits.position[index])):
+                low, high = (joint.said(x, 6) for x in self.limits.position[index])
+                raise ProblemError(
+                    f"motion.turns of joint {joint.name}: what turns for ever has no range; its range is {low} to {high} deg"
+                )
         for k, waypoint in enumerate(motion.waypoints):
             if waypoint.position.shape != (n_s,) or waypoint.speed.shape != (n_s,):
                 raise ProblemError(f"motion.waypoints[{k}] has one value for each of {n_s} independent joints")

@@ -14,6 +14,7 @@ from linkplan.planner.certificate.site_margins import SITE_SLACK, title
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.sites import SiteLimit
+from linkplan.planner.search.turning import check_turns
 
 # Poses looked at between start and goal of a single freedom.
 _BETWEEN = 401
@@ -29,7 +30,8 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
     """Return the closed pose at the start.
 
     Raises:
-        ProblemError: when start, goal or reference lie outside what the mechanism reaches, with the interval.
+        ProblemError: when start, goal or reference lie outside what the mechanism reaches, with the interval; as of
+            `check_turns`.
     """
     mechanism, motion = problem.mechanism, problem.motion
     can = _reach(mechanism) if mechanism.dof == 1 else None
@@ -40,10 +42,11 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
     for k, waypoint in enumerate(motion.waypoints):
         if not np.all(np.isnan(waypoint.position)):
             _check_reach(problem, f"motion.waypoints[{k}].at_deg", waypoint.position, can)
-    if motion.start is not None:
-        return close_at(mechanism, motion.start)
-    if problem.reference is None:
-        return np.array(mechanism.home)
+    if motion.start is not None or problem.reference is None:
+        pose = np.array(mechanism.home) if motion.start is None else close_at(mechanism, motion.start)
+        if motion.turns is not None:
+            check_turns(problem, pose, can)
+        return pose
     first = problem.reference.derivative(np.zeros(1))[0]
     period = np.linspace(0.0, problem.reference.period_s, 181)
     values = problem.reference.derivative(period)
@@ -82,6 +85,8 @@ def _way_through(can: Reach | None, reason: str, asked: float) -> str:
     if can is None or reason != "singular pose":
         return ""
     end = can.lower.position if asked < can.lower.position else can.upper.position
+    if end in can.single:
+        return "; the loops lose rank there, and no other coordinate passes it"
     if end in dict(can.branching):
         return "; the mechanism may branch there"
     return "; another joint as mechanism.independent may pass it"
@@ -110,7 +115,7 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
                     f" {joint.said(min(max(x, low), high), 4)}"
                 )
-    contradiction = _singular(problem) or _beyond_ctrl(problem) or _site_beyond(problem)
+    contradiction = _branches_on_the_way(problem) or _singular(problem) or _beyond_ctrl(problem) or _site_beyond(problem)
     if contradiction is not None:
         return contradiction
     if motion.kind == "reach" and motion.duration_s is not None and not motion.goal_is_free:
@@ -125,6 +130,24 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.said(bound, 4)} {joint.unit}/s;"
                     f" that limit alone asks for {shortest:.4g} s"
                 )
+    return None
+
+
+def _branches_on_the_way(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a pose at which the loops lose rank between start and goal of a single freedom, or None."""
+    mechanism, motion = problem.mechanism, problem.motion
+    if mechanism.dof != 1 or motion.start is None or motion.goal is None:
+        return None
+    low, high = sorted((float(motion.start[0]), float(motion.goal[0])))
+    (joint,) = mechanism.independent_joints
+    can = _reach(mechanism)
+    for position, rank in can.branching:
+        if low < position < high and position not in can.single:
+            return (
+                f"infeasible: between start and goal, at {joint.name} = {joint.said(position, 5)} {joint.unit}, the"
+                f" closure's rank falls from {len(mechanism.dependent)} to {rank}: the loops do not say how the mechanism"
+                " goes on there, and no effort of its actuators does"
+            )
     return None
 
 

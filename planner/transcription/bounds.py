@@ -39,7 +39,7 @@ class _Rows:
     lower: list[np.ndarray] = field(default_factory=list)
     upper: list[np.ndarray] = field(default_factory=list)
 
-    def add(self, columns: np.ndarray, values: np.ndarray, lower: float, upper: float) -> None:
+    def add(self, columns: np.ndarray, values: np.ndarray, lower: float | np.ndarray, upper: float | np.ndarray) -> None:
         self.columns.append(columns)
         self.values.append(values)
         self.lower.append(np.full(len(columns), lower))
@@ -65,7 +65,7 @@ def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, bang: np.n
     if formulation.returns:
         of = list(formulation.returns)
         ends = np.stack([layout.state(layout.n_intervals)[of], layout.state(0)[of]], axis=1)
-        rows.add(ends, np.tile([1.0, -1.0], (len(of), 1)), 0.0, 0.0)
+        rows.add(ends, np.tile([1.0, -1.0], (len(of), 1)), formulation.advance, formulation.advance)
     if formulation.smooth and layout.effort_coefficients > 1:
         following = effort[(np.arange(layout.n_intervals) + 1) % layout.n_intervals, 0]
         pairs = np.stack([effort[:, -1], following], axis=-1)[: None if formulation.periodic else -1].reshape(-1, 2)

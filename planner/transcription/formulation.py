@@ -44,12 +44,13 @@ class Units:
 class Formulation:
     """Structure and numbers of a continuous problem.
 
-    `build_system` makes the system when it is needed. Bounds are [low, high] rows: `state` (n_state, 2), `algebraic`
-    (n_z, 2), `effort` (n_u, 2) in its own units, `path` (n_path, 2), `own` by kind of an interval's own rows. `returns` are
-    states that end as they began; `smooth` says whether efforts may not jump. `eta` are an interval's own parameters,
-    `theta` maps times (n, m) [s] to those of nodes (n, m, n_theta). `tightening` maps breaks (n + 1,) [s] to how far (n,
-    n_path) path bounds are tightened on each interval. `position_path` are path quantities that follow from the positions of
-    the second-order coordinates alone: where a phase boundary gives those, nothing is left to bound.
+    `build_system` makes the system when it is needed. Bounds are [low, high] rows: `state` (n_state, 2), `algebraic` (n_z,
+    2), `effort` (n_u, 2) in its own units, `path` (n_path, 2), `own` by kind of an interval's own rows. `returns` are states
+    that end as they began, but for what they have gone on by, `advance` (n_returns,) or nothing; `smooth` says whether
+    efforts may not jump. `eta` are an interval's own parameters, `theta` maps times (n, m) [s] to those of nodes (n, m,
+    n_theta). `tightening` maps breaks (n + 1,) [s] to how far (n, n_path) path bounds are tightened on each interval.
+    `position_path` are path quantities that follow from the positions of the second-order coordinates alone: where a phase
+    boundary gives those, nothing is left to bound.
     """
 
     build_system: Callable[[], System]
@@ -71,6 +72,7 @@ class Formulation:
     theta: Callable[[np.ndarray], np.ndarray]
     tightening: Callable[[np.ndarray], np.ndarray] | None = None
     position_path: tuple[int, ...] = ()
+    advance: np.ndarray | float = 0.0
     endpoint: Endpoint | None = None
     endpoint_bounds: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     endpoint_parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))

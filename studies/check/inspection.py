@@ -175,7 +175,12 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     joint, branching, said = mechanism.joints[mechanism.independent[can.coordinate]], dict(can.branching), []
     for position in can.singular:
         at = f"singular pose at {joint.name} = {joint.said(position, 5)} {joint.unit}"
-        if position in branching:
+        if position in can.single:
+            said.append(
+                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}: one motion alone"
+                " leads through, no branch, but forces on the loops grow without bound there; no other coordinate mends it"
+            )
+        elif position in branching:
             said.append(
                 f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}: the mechanism may"
                 " go over to another branch there, and forces on the loops grow without bound; no other coordinate mends it"

@@ -42,6 +42,7 @@ class Problem:
         start_speed_deg_s, goal_speed_deg_s: independent speeds [deg/s]; `..._m_s` [m/s] on slides. At rest by default.
         duration_s: a number of seconds, or "free", then within `min_duration_s` and `max_duration_s` where they are given.
         waypoints: tables in order, with `at_deg`, `at_m`, `speed_deg_s`, `speed_m_s`, `time_s`, whichever are known.
+        turns: whole turns by joint that a periodic motion goes on by in a period, {"O": 1}; their sign is the direction.
         minimize: effort, time, tracking, work, copper_loss, effort_rate or closure_force, or a table of weights.
         reference: a sinusoid: `amplitude_deg`, `bias_deg`, `phase_deg` by joint, and `frequency_hz`.
         limits: `effort`, `range_deg`, `speed_deg_s`, `effort_rate`, `power_w`, `closure_force`, each by name, and
@@ -120,6 +121,7 @@ class Problem:
         goal_at: Mapping[str, Sequence[float] | ByName] | None = None,
         min_duration_s: float | None = None,
         max_duration_s: float | None = None,
+        turns: Mapping[str, int] | None = None,
         motors: Mapping[str, Mapping] | None = None,
         guess: Mapping | None = None,
         mesh: Mapping | None = None,
@@ -130,7 +132,8 @@ class Problem:
         """Return the problem of a motion that returns to its own first state; the arguments are those of `Problem`.
 
         It moves between `start_deg` and `goal_deg`, where it is after half the period, or by way of `waypoints`, or comes
-        nearest to the `reference`, whose period is then its duration and whose distance is least by default.
+        nearest to the `reference`, whose period is then its duration and whose distance is least by default. With `turns`
+        hinges go on by whole turns in every period.
         """
         return _built("periodic", mechanism, name, locals())
 

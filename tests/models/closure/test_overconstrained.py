@@ -69,9 +69,10 @@ def test_bricards_reach_ends_where_its_closed_form_does():
     assert np.abs(q[:, 1] - expected).max() < ANGLE_RAD
 
 
+@pytest.mark.parametrize("noise", [0.0, NOISE])
 @pytest.mark.parametrize("name", ["bennett", "cranks"])
-def test_rates_and_accelerations_are_those_of_the_closed_motion(name):
-    mechanism, h = over(name), 1e-3
+def test_rates_and_accelerations_are_those_of_the_closed_motion(name, noise):
+    mechanism, h = over(name, noise), 1e-3
     for s in np.linspace(0.3, 6.0, 9):
         q = [close_at(mechanism, np.array([s + k * h]), close_at(mechanism, np.array([s]))) for k in (-2, -1, 0, 1, 2)]
         rate = (8 * (q[3] - q[1]) - (q[4] - q[0])) / (12 * h)

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from linkplan.models.mechanism import load_mechanism
+from linkplan.models.errors import UnassembledError
+from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import reach
 from linkplan.studies.check.inspection import inspect
 from tests.support.mechanisms import replaced, slider_crank
-from tests.support.overconstrained import bricard, coupled_cranks, sarrus
+from tests.support.overconstrained import HEAD, bricard, coupled_cranks, sarrus
 from tests.support.tolerances import BRANCHING
 
 DRAWN = 0.5
@@ -50,6 +51,76 @@ def test_a_dead_centre_of_the_coordinate_is_no_branching_pose(text):
     notes = inspect(mechanism, []).notes
     assert sum("dead centre of" in note for note in notes) == 2
     assert not any("branch" in note for note in notes)
+
+
+ROW = ((0, 0), (-0.1, 0), (0.25, 0))  # the middle one is driven
+
+
+@pytest.mark.parametrize(("pivots", "alone"), [(ROW, True), (ROW[:2], False)])
+def test_three_cranks_in_a_row_lose_rank_where_they_lie_flat_and_do_not_branch(pivots, alone):
+    mechanism = load_mechanism(coupled_cranks(pivots=pivots, drawn=np.pi / 2))
+    can = reach(mechanism)
+    assert len(can.branching) == 2
+    assert can.single == (can.singular if alone else ())
+    notes = inspect(mechanism, []).notes
+    assert sum("one motion alone leads through, no branch" in note for note in notes) == (2 if alone else 0)
+    assert sum("may go over to another branch" in note for note in notes) == (0 if alone else 2)
+    assert other_ways(mechanism) is not alone  # what is said is true
+
+
+def other_ways(mechanism: Mechanism) -> bool:
+    """Return whether closed poses next to the flat one are there in which the cranks do not stand alike."""
+    flat, rng = mechanism.home * 0, np.random.default_rng(1)
+    cranks = [i for i, joint in enumerate(mechanism.joints) if joint.name.startswith("O")]
+    plate = next(i for i in range(mechanism.n_q) if i not in cranks)
+    flat[[*cranks, plate]] = [*([np.pi / 2] * len(cranks)), -np.pi / 2]  # drawn upright, a quarter turn on
+    assert mechanism.gap_m(flat) < 1e-12
+    found = []
+    for _ in range(60):
+        x = flat + rng.uniform(-0.2, 0.2, mechanism.n_q)
+        for _ in range(60):
+            phi, J = (np.array(f(x)) for f in (mechanism.dynamics.closure, mechanism.dynamics.closure_jacobian))
+            x = x - np.linalg.lstsq(J, phi.ravel(), rcond=1e-9)[0]
+        if mechanism.gap_m(x) < 1e-11 and np.abs(x - flat).max() < 0.5:
+            found.append(np.ptp(x[cranks]))
+    assert len(found) > 10
+    return bool(max(found) > 0.02)
+
+
+def double_four_bar(turned: float, driven: str) -> str:
+    """Return three equal cranks a crank's length apart, rods between them, at an angle [rad] from lying flat."""
+    tip = f"{0.1 * np.cos(turned)} 0 {0.1 * np.sin(turned)}"
+    arm = f'<geom type="capsule" fromto="0 0 0 {tip}" mass="0.1"/>'
+    rods = "".join(
+        f'<body pos="{tip}"><joint name="R{k}" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 {x} 0 0" mass="0.1"/>'
+        f'<site name="e{k}" pos="{x} 0 0"/></body>'
+        for k, x in enumerate((-0.1, 0.1))
+    )
+    others = "".join(
+        f'<body pos="{x} 0 0"><joint name="{name}" axis="0 -1 0"/>{arm}<site name="t{k}" pos="{tip}"/></body>'
+        for k, (x, name) in enumerate(((0, "left"), (0.2, "right")))
+    )
+    return (
+        f"{HEAD.format(name='double')}<worldbody>"
+        f'<body pos="0.1 0 0"><joint name="middle" axis="0 -1 0"/>{arm}{rods}</body>{others}</worldbody>'
+        '<equality><connect site1="e0" site2="t0"/><connect site1="e1" site2="t1"/></equality>'
+        f'<actuator><motor joint="{driven}" ctrlrange="-2 2"/></actuator></mujoco>'
+    )
+
+
+@pytest.mark.parametrize("driven", ["middle", "left"])
+def test_a_double_four_bar_branches_where_it_lies_flat_whichever_crank_drives(driven):
+    can = reach(load_mechanism(double_four_bar(np.pi / 2, driven)))
+    assert [rank for _, rank in can.branching] == [2, 2]
+    assert np.abs(np.array(can.singular) - [-np.pi / 2, np.pi / 2]).max() < BRANCHING
+    assert can.single == ()
+
+
+@pytest.mark.parametrize("driven", ["middle", "left"])
+def test_a_double_four_bar_drawn_flat_is_refused_for_its_rank_and_not_as_locked(driven):
+    with pytest.raises(UnassembledError, match="rank 2 there and 4 next to it") as refused:
+        load_mechanism(double_four_bar(0.0, driven))
+    assert "cannot move" not in str(refused.value)
 
 
 # Ranges
