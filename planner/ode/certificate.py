@@ -17,6 +17,8 @@ INTEGRATION = 1e-4
 SLACK = 1e-8
 # Between the nodes, where the integrated state need not be the polynomial, it may leave a limit by this share of its size.
 OVERRUN = 1e-6
+# A quantity this near to a limit, as a share of its size, is at it.
+TOUCH = 1e-6
 # The objective may differ from that of the integrated motion by so many times what its states may, relative.
 OBJECTIVE_SHARE = 10.0
 
@@ -41,6 +43,7 @@ class OdeCertificate:
     leaves_states: bool
     path_margin: np.ndarray  # (n_path,)
     path_overrun: np.ndarray  # (n_path, n_intervals)
+    touching: np.ndarray  # (n_intervals,) whether a state or path quantity is at a limit on part of the interval only
     boundary_error: float
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed
     residual_share: np.ndarray  # (n_intervals,), zero: the integration tells all
@@ -69,6 +72,9 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     n = len(trajectory.breaks_s) - 1
     by_interval = np.array([least_between(row, points) for row in inside]).reshape(-1, n)
     path_margin = by_interval.min(axis=1, initial=np.inf)
+    path_size = np.abs(path).max(axis=1, initial=1.0)
+    beside = np.minimum(x - problem.state_limit[:, 0], problem.state_limit[:, 1] - x).T / size[:, None]
+    touching = _touching(np.vstack([beside, inside / path_size[:, None]]), n)
     boundary = _boundary_error(problem, trajectory, size)
     error = float(errors.max())
     failures = []
@@ -82,7 +88,6 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
             failures.append(f"state {name} leaves its limits by {-value:.3g} between the nodes")
     if beyond.max() > INTEGRATION:
         failures.append(f"the integrated state leaves its limits by {beyond.max():.3g} of its size between the nodes")
-    path_size = np.abs(path).max(axis=1, initial=1.0)
     for k, value in enumerate(path_margin):
         if value < -SLACK * path_size[k]:
             failures.append(f"path quantity {k} leaves its limits by {-value:.3g} between the nodes")
@@ -104,11 +109,18 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         leaves_states=bool(outside.any()),
         path_margin=path_margin,
         path_overrun=np.maximum(0.0, -by_interval),
+        touching=touching,
         boundary_error=boundary,
         growth=np.nan_to_num(growth, nan=np.inf),
         residual_share=np.zeros(len(growth)),
         failures=tuple(failures),
     )
+
+
+def _touching(beside: np.ndarray, n: int) -> np.ndarray:
+    """Return on which of n intervals a quantity of those beside (n_quantities, n m) is at its limit, but not throughout."""
+    at = (beside <= TOUCH).reshape(len(beside), n, -1)
+    return np.any(at.any(axis=2) & ~at.all(axis=2), axis=0)
 
 
 def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme) -> np.ndarray:

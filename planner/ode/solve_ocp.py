@@ -219,8 +219,8 @@ def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say
     elif not refined.settled:
         status = "failed"
         message = (
-            f"failed: the objective still changes from mesh to mesh by more than objective_tolerance ="
-            f" {problem.objective_tolerance:g}, at {objective:.10g}"
+            f"failed: objective_tolerance = {problem.objective_tolerance:g} was not reached: the objective, {objective:.10g}, "
+            f"changed by {refined.moved:.2g} of itself from mesh to mesh at the last"
         )
     return OdePlan(
         problem=problem,
