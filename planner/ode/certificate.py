@@ -64,7 +64,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     size = np.where(size > 0, size, 1.0)
     errors, integrated, misjudged, beyond = _integrate(problem, trajectory, size, points)
     over = np.maximum(u - problem.effort_limit[:, 1], problem.effort_limit[:, 0] - u).max()
-    state_margin = np.minimum(x - problem.state_limit[:, 0], problem.state_limit[:, 1] - x).min(axis=0)
+    state_margin = _inside(x, problem.state_limit).min(axis=0)
     p = np.tile(problem.parameters[:, None], (1, len(time)))
     path = np.array(problem.at_instant("path").map(len(time))(x.T, u.T, p, time[None])).reshape(-1, len(time))
     limit = problem.path_limit
@@ -73,8 +73,10 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     by_interval = np.array([least_between(row, points) for row in inside]).reshape(-1, n)
     path_margin = by_interval.min(axis=1, initial=np.inf)
     path_size = np.abs(path).max(axis=1, initial=1.0)
-    beside = np.minimum(x - problem.state_limit[:, 0], problem.state_limit[:, 1] - x).T / size[:, None]
-    touching = _touching(np.vstack([beside, inside / path_size[:, None]]), n)
+    # Of states the coefficients: rows hold those to their limits, before the polynomial comes near.
+    beside = _inside(trajectory.state[..., :n_x], problem.state_limit) / size
+    along = (inside / path_size[:, None]).reshape(len(inside), n, len(points))
+    touching = _in_part(beside.transpose(2, 1, 0)) | _in_part(along)
     boundary = _boundary_error(problem, trajectory, size)
     error = float(errors.max())
     failures = []
@@ -117,9 +119,14 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     )
 
 
-def _touching(beside: np.ndarray, n: int) -> np.ndarray:
-    """Return on which of n intervals a quantity of those beside (n_quantities, n m) is at its limit, but not throughout."""
-    at = (beside <= TOUCH).reshape(len(beside), n, -1)
+def _inside(value: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Return how far values (..., n) are within limits (n, 2), negative outside."""
+    return np.minimum(value - limit[:, 0], limit[:, 1] - value)
+
+
+def _in_part(beside: np.ndarray) -> np.ndarray:
+    """Return on which intervals (n,) quantities (n_quantities, n, n_points) are at a limit at a point, but not at all."""
+    at = beside <= TOUCH
     return np.any(at.any(axis=2) & ~at.all(axis=2), axis=0)
 
 
@@ -161,7 +168,8 @@ def _integrate(
         return rate
 
     end = begin
-    for k, reached in enumerate(flows(rate_on, breaks, np.append(begin, 0.0), np.append(points[:-1], 1.0))):
+    shares, until = np.append(points[:-1], 1.0), problem.solver.judged_until
+    for k, reached in enumerate(flows(rate_on, breaks, np.append(begin, 0.0), shares, until)):
         if reached is None:
             errors[k:] = np.inf
             return errors, np.inf, np.full(n, np.inf), np.full(n, np.inf)

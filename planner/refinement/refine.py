@@ -118,8 +118,6 @@ def refine(
     left, leaves = np.inf, True  # what was left of the integration error and the objective's change; whether it falls
     for turn in range(_FURTHER):
         check()
-        if turn >= _ROUNDS and not (aims.tolerance_given and leaves):
-            break
         if at.findings is not None and not at.passed and not at.findings.mendable:
             break
         motion, solution, fixed = at.found.motion, at.found.solution, at.found.fixed
@@ -130,7 +128,8 @@ def refine(
             if np.isfinite(before) and solution.objective:
                 moved = change / abs(solution.objective)
             still = aims.objective_tolerance is None or change <= aims.objective_tolerance * abs(solution.objective)
-            calm = calm + 1 if still and tells else 0
+            if solution.status == SUCCEEDED:  # a solver that stopped short says nothing of the objective
+                calm = calm + 1 if still and tells else 0
             settled = aims.objective_tolerance is None or calm >= _SETTLED
             if at.findings.exact and settled and (not off.any() or change <= _TOUCHED * abs(solution.objective)):
                 known = fixed is not None and fixed.everything and not at_bounds(solution)
@@ -144,7 +143,8 @@ def refine(
                     break
                 at = _judged(case, better, history)
                 continue
-            before = solution.objective
+            if solution.status == SUCCEEDED or aims.objective_tolerance is None:
+                before = solution.objective
         begun = position_rows
         position_rows = not lost and (position_rows or at.findings is None or at.findings.leaves_positions)
         marked, over = _marked(at, aims.strictness) | off, _overrunning(at)
@@ -180,6 +180,8 @@ def refine(
             kept, what = kept.tightened(at.certificate, motion), "finer mesh, constraints tightened between the nodes"
         tells = not np.any(uneven & ~marked)
         n_finer = _grown(at.found.mesh, marked)
+        if turn >= _ROUNDS and not (aims.tolerance_given and leaves):
+            break
         if n_finer > finest or (passed is not None and not aims.tolerance_given and n_finer > _COMFORTABLE):
             break
         finer = _finer(
