@@ -35,7 +35,7 @@ from linkplan.planner.problem.settings import CERTIFYING
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, Step, silent, step_of
 from linkplan.planner.refinement.refine import Refined, refine
-from linkplan.planner.solvers.outcome import why_stopped
+from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import broken, uniform
 
@@ -125,7 +125,7 @@ def _planned(problem: OdeProblem, say: Say) -> OdePlan:
 def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], say: Say) -> list[FirstSolution]:
     """Return first solutions from the guesses, and from further starts where those lead to none or time is open."""
     found = _first_solutions(problem, given, history, say, enough=1)
-    stopped = not found and why_stopped(history[-1].solver_status, problem.solver.max_time_s) is not None
+    stopped = not found and why_stopped(_last_status(history), problem.solver.max_time_s) is not None
     if stopped or (found and not is_open(problem)):
         return found
     patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * history[-1].solve_s))
@@ -137,6 +137,11 @@ def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], 
         return found + _first_solutions(patient, others if is_open(problem) else [], history, say, first=len(given))
     found += _from_least_effort(patient, given[0], history, say)
     return found or _first_solutions(patient, others, history, say, enough=1, first=len(given))
+
+
+def _last_status(history: list[Step]) -> str:
+    """Return what the last solve ended with; a plan without any had no time for it."""
+    return history[-1].solver_status if history else OUT_OF_TIME
 
 
 def _from_least_effort(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> list[FirstSolution]:
@@ -271,7 +276,7 @@ def _contradiction(problem: OdeProblem) -> str | None:
 def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> OdePlan:
     """Return the plan of a problem that no start solved: from the motion of the least limits, or the reason."""
     # Of the first start: those after it were given less time.
-    status = history[0].solver_status
+    status = history[0].solver_status if history else OUT_OF_TIME
     stopped = why_stopped(status, problem.solver.max_time_s)
     reason = f"failed: {stopped or f'no start led to a solution ({status})'}"
     if stopped is None and np.all(np.isfinite(problem.effort_limit)):

@@ -130,7 +130,7 @@ def refine(
             still = aims.objective_tolerance is None or change <= aims.objective_tolerance * abs(solution.objective)
             if solution.status == SUCCEEDED:  # a solver that stopped short says nothing of the objective
                 calm = calm + 1 if still and tells else 0
-            settled = aims.objective_tolerance is None or calm >= _SETTLED
+            settled = aims.objective_tolerance is None or calm >= (_SETTLED if fixed is None else 1)
             if at.findings.exact and settled and (not off.any() or change <= _TOUCHED * abs(solution.objective)):
                 known = fixed is not None and fixed.everything and not at_bounds(solution)
                 if polished == _POLISHED or known or not is_bang_bang(case, solution.transcribed):
@@ -156,9 +156,11 @@ def refine(
                 read = turn
                 at = _judged(case, better, history)
                 continue
-        uneven = _uneven(at) if aims.objective_tolerance is not None else np.zeros(at.n_intervals, dtype=bool)
-        if not settled and at.passed:
-            marked = marked | uneven
+        uneven = np.zeros(at.n_intervals, dtype=bool)
+        if not settled and at.passed and (fixed is None or not (marked | over).any()):
+            # With arcs held between switch times, limits begin and cease to bind there and not inside intervals.
+            uneven = _uneven(at) if fixed is None else _rough(motion)
+        marked = marked | uneven
         higher = _higher_on_arcs(kept, at, over)
         if over.any() and loose:
             marked = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
