@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.certificate.boundary import missed
-from linkplan.planner.certificate.flow import Rate, flow
+from linkplan.planner.certificate.flow import Rate, flows
 from linkplan.planner.certificate.margins import least_between, sample_points
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.restarts import restarts_of
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.transcription.schemes import Scheme, bernstein_value
 
@@ -44,7 +43,6 @@ class OdeCertificate:
     leaves_states: bool
     path_margin: np.ndarray  # (n_path,)
     path_overrun: np.ndarray  # (n_path, n_intervals)
-    integration_restarts: int  # how often the integration was restarted, the motion being unstable; 0 as a rule
     touching: np.ndarray  # (n_intervals,) whether a state or path quantity is at a limit on part of the interval only
     boundary_error: float
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed
@@ -64,11 +62,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
     size = np.maximum(np.abs(x).max(axis=0), np.ptp(x, axis=0))
     size = np.where(size > 0, size, 1.0)
-    restarted = np.zeros(len(trajectory.breaks_s) - 1, dtype=bool)
-    errors, integrated, misjudged, beyond = _integrate(problem, trajectory, size, points, restarted)
-    if not errors.max() <= INTEGRATION and np.any(unstable := restarts_of(problem, trajectory, size)):
-        restarted = unstable
-        errors, integrated, misjudged, beyond = _integrate(problem, trajectory, size, points, restarted)
+    errors, integrated, misjudged, beyond = _integrate(problem, trajectory, size, points)
     over = np.maximum(u - problem.effort_limit[:, 1], problem.effort_limit[:, 0] - u).max()
     state_margin = _inside(x, problem.state_limit).min(axis=0)
     p = np.tile(problem.parameters[:, None], (1, len(time)))
@@ -119,7 +113,6 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         leaves_states=bool(outside.any()),
         path_margin=path_margin,
         path_overrun=np.maximum(0.0, -by_interval),
-        integration_restarts=int(restarted.sum()),
         touching=touching,
         boundary_error=boundary,
         growth=np.nan_to_num(growth, nan=np.inf),
@@ -151,7 +144,7 @@ def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme)
 
 
 def _integrate(
-    problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray, restarted: np.ndarray
+    problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray
 ) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
     """Return the integrated state's errors (n, n_x) at the intervals' ends, the objective along it, its errors, overruns.
 
@@ -176,11 +169,9 @@ def _integrate(
 
         return rate
 
+    end = begin
     shares, until = np.append(points[:-1], 1.0), problem.solver.judged_until
-    end, reached = begin, np.zeros((1, n_x + 1))
-    for k, width in enumerate(np.diff(breaks)):
-        end = planned[k - 1] if restarted[k] else end
-        reached = flow(rate_on(k), width, np.append(end, reached[-1, n_x]), shares, until)
+    for k, reached in enumerate(flows(rate_on, breaks, np.append(begin, 0.0), shares, until)):
         if reached is None:
             errors[k:] = np.inf
             return errors, np.inf, np.full(n, np.inf), np.full(n, np.inf)
