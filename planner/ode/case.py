@@ -113,6 +113,7 @@ class OdeCase:
             leaves_positions=certificate.leaves_states,
             overruns=bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -SLACK),
             overrun=over.reshape(len(certificate.growth)),
+            touching=certificate.touching,
             integration_error=certificate.integration_error,
         )
 

@@ -17,6 +17,8 @@ INTEGRATION = 1e-4
 SLACK = 1e-8
 # Between the nodes, where the integrated state need not be the polynomial, it may leave a limit by this share of its size.
 OVERRUN = 1e-6
+# A quantity this near to a limit, as a share of its size, is at it.
+TOUCH = 1e-6
 # The objective may differ from that of the integrated motion by so many times what its states may, relative.
 OBJECTIVE_SHARE = 10.0
 
@@ -41,6 +43,7 @@ class OdeCertificate:
     leaves_states: bool
     path_margin: np.ndarray  # (n_path,)
     path_overrun: np.ndarray  # (n_path, n_intervals)
+    touching: np.ndarray  # (n_intervals,) whether a state or path quantity is at a limit on part of the interval only
     boundary_error: float
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed
     residual_share: np.ndarray  # (n_intervals,), zero: the integration tells all
@@ -61,7 +64,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     size = np.where(size > 0, size, 1.0)
     errors, integrated, misjudged, beyond = _integrate(problem, trajectory, size, points)
     over = np.maximum(u - problem.effort_limit[:, 1], problem.effort_limit[:, 0] - u).max()
-    state_margin = np.minimum(x - problem.state_limit[:, 0], problem.state_limit[:, 1] - x).min(axis=0)
+    state_margin = _inside(x, problem.state_limit).min(axis=0)
     p = np.tile(problem.parameters[:, None], (1, len(time)))
     path = np.array(problem.at_instant("path").map(len(time))(x.T, u.T, p, time[None])).reshape(-1, len(time))
     limit = problem.path_limit
@@ -69,6 +72,11 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     n = len(trajectory.breaks_s) - 1
     by_interval = np.array([least_between(row, points) for row in inside]).reshape(-1, n)
     path_margin = by_interval.min(axis=1, initial=np.inf)
+    path_size = np.abs(path).max(axis=1, initial=1.0)
+    # Of states the coefficients: rows hold those to their limits, before the polynomial comes near.
+    beside = _inside(trajectory.state[..., :n_x], problem.state_limit) / size
+    along = (inside / path_size[:, None]).reshape(len(inside), n, len(points))
+    touching = _in_part(beside.transpose(2, 1, 0)) | _in_part(along)
     boundary = _boundary_error(problem, trajectory, size)
     error = float(errors.max())
     failures = []
@@ -76,13 +84,13 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         failures.append(f"an effort exceeds its limit by {over:.3g}")
     if not error <= INTEGRATION:
         failures.append(f"the integrated state ends {error:.3g} of its size from the solution (allowed: {INTEGRATION:g})")
-    outside = state_margin < -SLACK * size
+    # The polynomial is no nearer to the motion than its own error; the integrated state is judged by itself.
+    outside = state_margin < -max(SLACK, min(error, OVERRUN)) * size
     for name, value, left in zip(problem.states, state_margin, outside, strict=True):
         if left:
             failures.append(f"state {name} leaves its limits by {-value:.3g} between the nodes")
     if beyond.max() > INTEGRATION:
         failures.append(f"the integrated state leaves its limits by {beyond.max():.3g} of its size between the nodes")
-    path_size = np.abs(path).max(axis=1, initial=1.0)
     for k, value in enumerate(path_margin):
         if value < -SLACK * path_size[k]:
             failures.append(f"path quantity {k} leaves its limits by {-value:.3g} between the nodes")
@@ -91,7 +99,8 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     if boundary > SLACK:
         failures.append(f"start, goal or ends are missed by {boundary:.3g}")
     both = np.column_stack([errors, misjudged / OBJECTIVE_SHARE])
-    growth = np.abs(np.diff(np.vstack([np.zeros(n_x + 1), both]), axis=0)).max(axis=1) / INTEGRATION
+    with np.errstate(invalid="ignore"):  # beyond a failed integration, infinity less infinity
+        growth = np.abs(np.diff(np.vstack([np.zeros(n_x + 1), both]), axis=0)).max(axis=1) / INTEGRATION
     # An overrun at its limit asks for as much refinement as a state at its tolerance.
     growth = np.maximum(growth, beyond / OVERRUN * problem.tolerance / INTEGRATION)
     return OdeCertificate(
@@ -104,11 +113,23 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         leaves_states=bool(outside.any()),
         path_margin=path_margin,
         path_overrun=np.maximum(0.0, -by_interval),
+        touching=touching,
         boundary_error=boundary,
         growth=np.nan_to_num(growth, nan=np.inf),
         residual_share=np.zeros(len(growth)),
         failures=tuple(failures),
     )
+
+
+def _inside(value: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Return how far values (..., n) are within limits (n, 2), negative outside."""
+    return np.minimum(value - limit[:, 0], limit[:, 1] - value)
+
+
+def _in_part(beside: np.ndarray) -> np.ndarray:
+    """Return on which intervals (n,) quantities (n_quantities, n, n_points) are at a limit at a point, but not at all."""
+    at = beside <= TOUCH
+    return np.any(at.any(axis=2) & ~at.all(axis=2), axis=0)
 
 
 def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme) -> np.ndarray:
@@ -149,7 +170,8 @@ def _integrate(
         return rate
 
     end = begin
-    for k, reached in enumerate(flows(rate_on, breaks, np.append(begin, 0.0), np.append(points[:-1], 1.0))):
+    shares, until = np.append(points[:-1], 1.0), problem.solver.judged_until
+    for k, reached in enumerate(flows(rate_on, breaks, np.append(begin, 0.0), shares, until)):
         if reached is None:
             errors[k:] = np.inf
             return errors, np.inf, np.full(n, np.inf), np.full(n, np.inf)

@@ -5,6 +5,7 @@ problem = OdeProblem(name="double integrator", rate=lambda x, u, p, t: [x[1], u[
 plan = plan_ode(problem).require()        # plan.objective is 2, with one switch at T / 2
 """
 
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -20,18 +21,21 @@ from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.starts import (
     is_open,
     of_least_effort,
+    of_least_time,
     of_other_durations,
     perturbed,
     piecewise_constant,
     sampled_guess,
+    stretched,
     unbounded_duration,
 )
 from linkplan.planner.ode.switches import has_arcs, switch_by_costates
 from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.problem.settings import CERTIFYING
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, Step, silent, step_of
-from linkplan.planner.refinement.refine import refine
-from linkplan.planner.solvers.outcome import why_stopped
+from linkplan.planner.refinement.refine import Refined, refine
+from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import broken, uniform
 
@@ -47,6 +51,8 @@ _ALIKE = 1e-4
 _FURTHER = 3
 # What is left of an objective by one of them where it only falls and falls.
 _FALLS = 0.5
+# Where the words on time that ran out point to.
+_OF_TIME = "(solver.max_time_s)"
 # Iterations for starts tried beside others, or after others failed, and a time [s] that none needs but one that goes
 # astray: those measured took less than a second on programs of this size, or a few times what the first solve took.
 _ITERATIONS = 200
@@ -88,6 +94,15 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     contradiction = _contradiction(problem)
     if contradiction is not None:
         return OdePlan(problem=problem, status="infeasible", message=contradiction)
+    deadline = time.monotonic() + (1 - CERTIFYING) * problem.solver.max_time_s
+    plan = _planned(replace(problem, solver=replace(problem.solver, deadline=deadline)), say)
+    if plan.status == "failed" and time.monotonic() > deadline and _OF_TIME not in plan.message:
+        plan = replace(plan, message=f"{plan.message}; the plan ran out of its {problem.solver.max_time_s:g} s {_OF_TIME}")
+    return replace(plan, problem=problem)
+
+
+def _planned(problem: OdeProblem, say: Say) -> OdePlan:
+    """Return the solution of a problem whose solves end at its deadline."""
     history: list[Step] = []
     given = [completed(problem, guess) for guess in problem.guesses] or [straight_guess(problem)]
     if problem.solver.starts > 1:
@@ -110,7 +125,7 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
 def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], say: Say) -> list[FirstSolution]:
     """Return first solutions from the guesses, and from further starts where those lead to none or time is open."""
     found = _first_solutions(problem, given, history, say, enough=1)
-    stopped = not found and why_stopped(history[-1].solver_status, problem.solver.max_time_s) is not None
+    stopped = not found and why_stopped(_last_status(history), problem.solver.max_time_s) is not None
     if stopped or (found and not is_open(problem)):
         return found
     patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * history[-1].solve_s))
@@ -122,6 +137,11 @@ def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], 
         return found + _first_solutions(patient, others if is_open(problem) else [], history, say, first=len(given))
     found += _from_least_effort(patient, given[0], history, say)
     return found or _first_solutions(patient, others, history, say, enough=1, first=len(given))
+
+
+def _last_status(history: list[Step]) -> str:
+    """Return what the last solve ended with; a plan without any had no time for it."""
+    return history[-1].solver_status if history else OUT_OF_TIME
 
 
 def _from_least_effort(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> list[FirstSolution]:
@@ -197,11 +217,21 @@ def _eased(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution
     return replace(first, found=solved, case=case) if after < _SWINGS * before else first
 
 
-def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say: Say) -> OdePlan:
-    first = replace(first, case=OdeCase(problem, problem, first.case.units))
-    first = switch_by_costates(_eased(_calmed(first, history, say), history, say), history, say)
+def _finest(
+    problem: OdeProblem, first: FirstSolution, history: list[Step], say: Say
+) -> Refined[OdeTrajectory, OdeCertificate]:
+    """Return what a first solution is refined to; one with switch times already is as it is."""
+    if not first.case.has_switch_times:
+        first = replace(first, case=OdeCase(problem, problem, first.case.units))
+        first = switch_by_costates(_eased(_calmed(first, history, say), history, say), history, say)
     refined = refine(first.case, first.found, history, say)
     assert refined is not None  # a user's solution always has a certificate
+    return refined
+
+
+def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say: Say) -> OdePlan:
+    """Return the plan that a first solution is refined to."""
+    refined = _finest(problem, first, history, say)
     trajectory, certificate, objective = refined.motion, refined.certificate, refined.solution.objective
     away = first.away or unbounded_duration(problem, refined)
     status, message = "optimal", f"optimum {objective:.10g} in {trajectory.duration_s:.8g} s"
@@ -219,8 +249,8 @@ def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say
     elif not refined.settled:
         status = "failed"
         message = (
-            f"failed: the objective still changes from mesh to mesh by more than objective_tolerance ="
-            f" {problem.objective_tolerance:g}, at {objective:.10g}"
+            f"failed: objective_tolerance = {problem.objective_tolerance:g} was not reached: the objective,"
+            f" {objective:.10g}, changed by {refined.moved:.2g} of itself from mesh to mesh at the last"
         )
     return OdePlan(
         problem=problem,
@@ -246,7 +276,7 @@ def _contradiction(problem: OdeProblem) -> str | None:
 def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> OdePlan:
     """Return the plan of a problem that no start solved: from the motion of the least limits, or the reason."""
     # Of the first start: those after it were given less time.
-    status = history[0].solver_status
+    status = history[0].solver_status if history else OUT_OF_TIME
     stopped = why_stopped(status, problem.solver.max_time_s)
     reason = f"failed: {stopped or f'no start led to a solution ({status})'}"
     if stopped is None and np.all(np.isfinite(problem.effort_limit)):
@@ -260,6 +290,9 @@ def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: S
         if solution.converged and factor > 1:
             found = f"efforts of {factor:.4g} times their limits are the least with which a motion was found"
             fixed = problem.duration[0] == problem.duration[1]
+            shorter = _least_time(problem, guess, history, say) if fixed else None
+            if shorter is not None:
+                return _lengthened(problem, shorter, history, say)
             # Where time is free a motion may build up energy by swings that no start has tried: what was found is no proof
             # then.
             message = f"infeasible: {found}" if fixed else f"failed: no solution was found; {found}, which is no proof"
@@ -271,3 +304,33 @@ def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: S
             if solved is not None:
                 return _refined(problem, FirstSolution(case=case, found=solved), history, say)
     return OdePlan(problem=problem, status="failed", message=reason, history=tuple(history))
+
+
+def _least_time(
+    problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say
+) -> Refined[OdeTrajectory, OdeCertificate] | None:
+    """Return the motion of least time between a problem's ends where one passes that is no longer than what was asked."""
+    say("looking for the shortest feasible duration")
+    quick = of_least_time(problem)
+    for one in sorted(_in_turn(quick, [guess], history, say), key=lambda one: one.found.solution.objective):
+        refined = _finest(quick, one, history, say)
+        if refined.certificate.passed:
+            return refined if refined.motion.duration_s <= problem.duration[1] else None
+    return None
+
+
+def _lengthened(
+    problem: OdeProblem, shorter: Refined[OdeTrajectory, OdeCertificate], history: list[Step], say: Say
+) -> OdePlan:
+    """Return the plan begun from a shorter motion on its own mesh; one that is not found is not called infeasible."""
+    mesh, motion = shorter.solution.transcribed.program.mesh, stretched(shorter.motion, problem.duration[1])
+    case = OdeCase(problem, problem, units_of(problem, sampled_guess(motion)), has_switch_times=True)
+    durations = np.bincount(mesh.segment, weights=np.diff(motion.breaks_s))
+    solved = attempt(case, case.start_from(motion), mesh, durations, "start from the least time", history, say)
+    if solved is not None:
+        return _refined(problem, FirstSolution(case=case, found=solved), history, say)
+    message = (
+        f"failed: no start led to a solution of {problem.duration[1]:.8g} s; a motion of {shorter.motion.duration_s:.8g} s"
+        " is known, the shortest found"
+    )
+    return OdePlan(problem=problem, status="failed", message=message, history=tuple(history))

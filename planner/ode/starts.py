@@ -23,6 +23,8 @@ _ROWS = 41
 _LONGER = (4.0, 16.0, 0.25)
 # A free duration whose bounds lie further apart than this says nothing of how long a motion takes.
 _WIDE = 20.0
+# The durations among which the least time is looked for, in shares of the one that was asked; several starts go with them.
+_ABOUT = (0.05, 4.0)
 # Rows of a solution as a guess.
 _SAMPLES = 101
 # Where in an interval the effort is read that is then held over it: the first node of radau-3.
@@ -83,6 +85,22 @@ def of_least_effort(problem: OdeProblem) -> OdeProblem:
 
     free = problem.duration[0] < longest
     return replace(problem, running_cost=running_cost, final_cost=final_cost if free else None, objective_tolerance=None)
+
+
+def of_least_time(problem: OdeProblem) -> OdeProblem:
+    """Return the problem with the least time as its objective, its duration free about the one that was asked."""
+
+    def final_cost(x0: ca.SX, xT: ca.SX, T: ca.SX, p: ca.SX) -> ca.SX:
+        del x0, xT, p
+        return T
+
+    bounds = tuple(share * problem.duration[1] for share in _ABOUT)
+    return replace(problem, running_cost=None, final_cost=final_cost, duration_s=bounds, objective_tolerance=None)
+
+
+def stretched(motion: OdeTrajectory, duration_s: float) -> OdeTrajectory:
+    """Return a motion's states and efforts over another duration [s]."""
+    return replace(motion, breaks_s=motion.breaks_s * (duration_s / motion.duration_s), running=None)
 
 
 def unbounded_duration(

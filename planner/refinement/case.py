@@ -71,6 +71,7 @@ class Findings:
     `exact`: the integration error is within the tolerance. `mendable`: another mesh may mend why it does not pass.
     `leaves_positions`: states leave their bounds between the nodes; `overruns`: so do they, or another limit is left there.
     `overrun` (n_intervals,): by what share of themselves limits are overrun between the nodes, at most, on each interval.
+    `touching` (n_intervals,): whether a limit is touched on part of an interval only, None where that is not looked at.
     The integration error is noted in the history: [deg] of a mechanism, else as a share of the states' sizes.
     """
 
@@ -79,6 +80,7 @@ class Findings:
     leaves_positions: bool
     overruns: bool
     overrun: np.ndarray
+    touching: np.ndarray | None = None
     integration_error_deg: float | None = None
     integration_error: float | None = None
 

@@ -19,6 +19,11 @@ from linkplan.planner.transcription.schemes import MAX_DEGREE
 
 # Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
 _ROUNDS = 12
+# Rounds beyond those, each only where it leaves at most this share of what the one before left: a boundary layer a
+# ten-thousandth of the motion long takes eight halvings before it is seen.
+_FURTHER, _LEAVES = 24, 0.5
+# Meshes in a row on which the objective is to change by no more than its tolerance: one may do so by chance.
+_SETTLED = 2
 # From this round on limits are tightened while the mesh still grows; from the later one on even those that it could mend.
 _MERGED, _MERGED_ALL = 4, 8
 # How often switches are looked for again where limits are overrun next to ends of arcs that a finer mesh shows.
@@ -57,7 +62,7 @@ class Refined(Generic[MotionT, CertificateT]):
     """A motion with its solution and certificate, which may not pass.
 
     `settled` says whether the objective has, from mesh to mesh, where that is asked for; `moved` by what share of itself it
-    changed between the last two meshes on which the motion passed.
+    changed between the last two meshes on which the motion passed, infinite where it passed on one.
     """
 
     motion: MotionT
@@ -109,7 +114,9 @@ def refine(
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
     best, moved = None, 0.0  # the best of all that passed, and by what share the last two differ
     settled, again, polished, read = True, 0, 0, 0  # and the round in which switches were last read
-    for turn in range(_ROUNDS):
+    calm, tells, lost = 0, False, False  # settled so often; whether this mesh tells; whether rows led nowhere
+    left, leaves = np.inf, True  # what was left of the integration error and the objective's change; whether it falls
+    for turn in range(_FURTHER):
         check()
         if at.findings is not None and not at.passed and not at.findings.mendable:
             break
@@ -120,7 +127,10 @@ def refine(
             change = abs(solution.objective - before)
             if np.isfinite(before) and solution.objective:
                 moved = change / abs(solution.objective)
-            settled = aims.objective_tolerance is None or change <= aims.objective_tolerance * abs(solution.objective)
+            still = aims.objective_tolerance is None or change <= aims.objective_tolerance * abs(solution.objective)
+            if solution.status == SUCCEEDED:  # a solver that stopped short says nothing of the objective
+                calm = calm + 1 if still and tells else 0
+            settled = aims.objective_tolerance is None or calm >= (_SETTLED if fixed is None else 1)
             if at.findings.exact and settled and (not off.any() or change <= _TOUCHED * abs(solution.objective)):
                 known = fixed is not None and fixed.everything and not at_bounds(solution)
                 if polished == _POLISHED or known or not is_bang_bang(case, solution.transcribed):
@@ -133,9 +143,10 @@ def refine(
                     break
                 at = _judged(case, better, history)
                 continue
-            before = solution.objective
+            if solution.status == SUCCEEDED or aims.objective_tolerance is None:
+                before = solution.objective
         begun = position_rows
-        position_rows = position_rows or at.findings is None or at.findings.leaves_positions
+        position_rows = not lost and (position_rows or at.findings is None or at.findings.leaves_positions)
         marked, over = _marked(at, aims.strictness) | off, _overrunning(at)
         loose = aims.switches and not (fixed is not None and fixed.everything)
         if over.any() and loose and turn and turn % 2 == 0 and again < _AGAIN:
@@ -146,8 +157,11 @@ def refine(
                 read = turn if better.fixed is not None and better.fixed.everything else read
                 at = _judged(case, better, history)
                 continue
-        if not settled and not (marked | over).any():
-            marked = _rough(motion)
+        uneven = np.zeros(at.n_intervals, dtype=bool)
+        if not settled and at.passed and (fixed is None or not (marked | over).any()):
+            # With arcs held between switch times, limits begin and cease to bind there and not inside intervals.
+            uneven = _uneven(at) if fixed is None else _rough(motion)
+        marked = marked | uneven
         higher = _higher_on_arcs(kept, at, over)
         if over.any() and loose:
             marked = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
@@ -167,18 +181,30 @@ def refine(
             marked[:] = True
         elif turn - read >= (_MERGED_ALL if over.any() else _MERGED) and at.overruns:
             kept, what = kept.tightened(at.certificate, motion), "finer mesh, constraints tightened between the nodes"
+        tells = not np.any(uneven & ~marked)
         n_finer = _grown(at.found.mesh, marked)
+        if turn >= _ROUNDS and not (aims.tolerance_given and leaves):
+            break
         if n_finer > finest or (passed is not None and not aims.tolerance_given and n_finer > _COMFORTABLE):
             break
         finer = _finer(
             kept, at.found, marked, what, history, say, warm=warm, again=passed is not None, position_rows=position_rows
         )
+        if finer is None and position_rows and not begun:
+            # What leaves its limit by the mesh's own error keeps it on a finer one.
+            lost, position_rows, marked = True, False, np.ones(at.n_intervals, dtype=bool)
+            finer = _finer(
+                kept, at.found, marked, "finer mesh", history, say, warm=warm, again=passed is not None, position_rows=False
+            )
         if finer is None:
             break
         if position_rows and not begun and aims.switches:
             finer = settle_switch_times(kept, replace(finer, fixed=None), history, say, position_rows=True)
         at = _judged(case, finer, history)
-    at = better_of(best, at, aims) if at.passed else best or at
+        now = max(at.findings.integration_error or 0.0, abs(at.found.solution.objective - before)) if at.findings else np.inf
+        left, leaves = now, now <= _LEAVES * left
+    if not (at.passed and settled and aims.objective_tolerance is not None):
+        at = better_of(best, at, aims) if at.passed else best or at
     if at.certificate is None:
         return None
     return Refined(
@@ -265,6 +291,13 @@ def _overrunning(at: _Judged[Any, Any]) -> np.ndarray:
 
 def _grown(mesh: Mesh, marked: np.ndarray) -> int:
     return mesh.n_intervals + int(marked.sum())
+
+
+def _uneven(at: _Judged[Any, Any]) -> np.ndarray:
+    """Return the intervals (n,) that the objective hangs on: next to kinks, and where limits begin or cease to bind."""
+    rough = _rough(at.found.motion)
+    touching = None if at.findings is None else at.findings.touching
+    return rough if touching is None else rough | touching
 
 
 def _rough(motion: Motion) -> np.ndarray:

@@ -1,0 +1,122 @@
+"""What a plan of a differential equation promises: its objective's tolerance, its time, and no false "infeasible"."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.solve_ocp import plan_ode
+from linkplan.planner.problem.settings import SolverSettings
+from tests.support.ode import FREE_EFFORT, FREE_STATE, INF, double_integrator, duration, solved, squared_effort
+
+# Robbins' problem by a quadratic program with efforts linear over 2,000 intervals, integrated exactly, the limit kept at
+# their ends and middles; it moves by 6e-6 of itself from 1,000 intervals.
+ROBBINS = 19.43175
+
+
+def robbins(tolerance: float) -> OdeProblem:
+    """Return Robbins' problem (Betts 2010): y''' = u, y >= 0, int 3 y + u^2 / 2, with ever smaller bumps between touches."""
+    return OdeProblem(
+        name="Robbins",
+        rate=lambda x, u, p, t: [x[1], x[2], u[0]],  # noqa: ARG005
+        running_cost=lambda x, u, p, t: 3 * x[0] + u[0] ** 2 / 2,  # noqa: ARG005
+        start=[1, -2, 0],
+        goal=[0, 0, 0],
+        effort_limit=FREE_EFFORT,
+        state_limit=[[0, INF], FREE_STATE, FREE_STATE],
+        duration_s=10,
+        objective_tolerance=tolerance,
+    )
+
+
+def bryson_denham(limit: float) -> OdeProblem:
+    """Return Bryson and Denham's problem, whose optimum is 4 / (9 l) for a limit l below 1/6."""
+    return OdeProblem(
+        name="Bryson-Denham",
+        rate=double_integrator,
+        start=[0, 1],
+        goal=[0, -1],
+        effort_limit=FREE_EFFORT,
+        state_limit=[[-INF, limit], FREE_STATE],
+        duration_s=1.0,
+        running_cost=lambda x, u, p, t: u[0] ** 2 / 2,  # noqa: ARG005
+        objective_tolerance=1e-6,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [1 / 9, 0.04, 0.1, 0.13])
+def test_the_tolerance_asked_of_the_objective_is_kept_beside_an_arc_along_a_limit(limit):
+    assert solved(bryson_denham(limit)).objective == pytest.approx(4 / (9 * limit), rel=1e-6)
+
+
+@pytest.mark.slow
+def test_the_tolerance_asked_of_the_objective_is_kept_where_a_limit_is_touched_ever_more_often():
+    assert solved(robbins(1e-5)).objective == pytest.approx(ROBBINS, rel=1e-5)
+
+
+def test_an_objective_that_has_not_settled_is_said_with_what_it_changed_by():
+    plan = plan_ode(replace(robbins(1e-12), solver=SolverSettings(max_time_s=8)))
+    assert plan.status == "failed"
+    assert "objective_tolerance = 1e-12 was not reached" in plan.message
+    assert "changed by" in plan.message
+
+
+@pytest.mark.slow
+def test_boundary_layers_a_ten_thousandth_of_the_motion_long_are_found():
+    """The hypersensitive problem over 10,000 s: its layers cost int of -x^3 + x sqrt(x^4 + 1) to 1, of x^3 + ... to 1.5."""
+
+    def layer(x: float) -> float:
+        return 0.25 * (x**2 * np.sqrt(x**4 + 1) + np.arcsinh(x**2))
+
+    plan = solved(
+        OdeProblem(
+            name="hypersensitive",
+            rate=lambda x, u, p, t: [-(x[0] ** 3) + u[0]],  # noqa: ARG005
+            start=[1],
+            goal=[1.5],
+            effort_limit=FREE_EFFORT,
+            duration_s=1e4,
+            running_cost=lambda x, u, p, t: (x[0] ** 2 + u[0] ** 2) / 2,  # noqa: ARG005
+        )
+    )
+    assert plan.objective == pytest.approx(layer(1) - 1 / 4 + layer(1.5) + 1.5**4 / 4, rel=1e-7)
+
+
+def swing_up(limit: float = 0.5) -> OdeProblem:
+    """Return the least-time swing-up of a pendulum whose torque is half its weight's moment."""
+    return OdeProblem(
+        name="swing-up",
+        rate=lambda x, u, p, t: [x[1], u[0] - ca.sin(x[0])],  # noqa: ARG005
+        start=[0, 0],
+        goal=[np.pi, 0],
+        effort_limit=[[-limit, limit]],
+        duration_s=(0.5, 10),
+        final_cost=duration,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [1.0002, 1.0005, 1.02])
+def test_a_swing_up_a_little_slower_than_the_least_time_is_found(factor):
+    least = solved(swing_up()).trajectory.duration_s
+    longer = {"duration_s": factor * least, "running_cost": squared_effort, "final_cost": None}
+    effort = solved(replace(swing_up(), **longer)).objective
+    assert 0.25 * least / 2 < effort < 0.25 * factor * least  # no more than the limit squared all the time
+
+
+@pytest.mark.slow
+def test_a_swing_up_faster_than_the_least_time_is_infeasible_all_the_same():
+    least = solved(swing_up()).trajectory.duration_s
+    longer = {"duration_s": 0.98 * least, "running_cost": squared_effort, "final_cost": None}
+    assert plan_ode(replace(swing_up(), **longer)).status == "infeasible"
+
+
+def test_the_longest_time_bounds_a_whole_plan():
+    problem = replace(swing_up(), solver=SolverSettings(starts=100, max_time_s=3))
+    plan = plan_ode(problem)
+    assert plan.problem is problem
+    assert len(plan.history) < 100  # no solve takes three seconds: all starts and their refinement take much longer
+    assert sum(step.solve_s for step in plan.history) <= 3
