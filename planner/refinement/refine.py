@@ -62,7 +62,7 @@ class Refined(Generic[MotionT, CertificateT]):
     """A motion with its solution and certificate, which may not pass.
 
     `settled` says whether the objective has, from mesh to mesh, where that is asked for; `moved` by what share of itself it
-    changed between the last two meshes on which the motion passed, infinite where it passed on one.
+    changed between the last two meshes on which the motion passed, 0 where it passed on one.
     """
 
     motion: MotionT
