@@ -162,7 +162,7 @@ def _said(command: list[str]) -> bytes:
         return said.read()
 
 
-def _run(command: list[str], work: Path | None, timeout_s: float = _TIMEOUT_S, said: IO[bytes] | None = None) -> None:
+def _run(command: list[str], work: Path | None, timeout_s: float | None = None, said: IO[bytes] | None = None) -> None:
     """Run a compiler in a folder; where it hangs or is interrupted, its children end with it.
 
     Raises:
@@ -174,7 +174,7 @@ def _run(command: list[str], work: Path | None, timeout_s: float = _TIMEOUT_S, s
         command, cwd=work, stdin=nothing, stdout=said or nothing, stderr=nothing, start_new_session=True
     ) as process:
         try:
-            code = process.wait(timeout_s)
+            code = process.wait(_TIMEOUT_S if timeout_s is None else timeout_s)
         except BaseException:
             with contextlib.suppress(OSError):
                 if hasattr(os, "killpg"):
