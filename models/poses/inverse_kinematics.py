@@ -202,7 +202,7 @@ def _descended(mechanism: Mechanism, targets: SiteTargets, start: np.ndarray, ra
             break
         trial = _closed(mechanism, (s + step) * unit, q)
         further = None if trial is None else residuals(trial)
-        if further is not None and further[0] @ further[0] < r @ r:
+        if trial is not None and further is not None and further[0] @ further[0] < r @ r:
             gained = 1 - further[0] @ further[0] / (r @ r)
             q, (r, J), damping = trial, further, max(damping / 10, 1e-14)
             if gained < _NO_GAIN:
