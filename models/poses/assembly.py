@@ -16,6 +16,7 @@ from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
+from linkplan.models.poses.continuation import MOST_CORRECTED, MOST_TURNED, stride_along
 from linkplan.models.poses.singular_poses import closure_rank, dips, has_one_way_on, is_branching, least_values, vanishes
 from linkplan.models.tree.joints import Joint, where
 
@@ -62,16 +63,53 @@ def _followed(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None) 
         poses = _follow_at_once(mechanism, path, q)
         if poses is not None:
             return poses
-    poses = np.empty((len(path), mechanism.n_q))
-    for k, s in enumerate(path):
-        q, arrived = _advance(mechanism, q, s)
-        if not arrived:
-            raise AssemblyError(
-                f"mechanism '{mechanism.name}' does not close at {_where(mechanism, s)}: the kinematic loop opens at"
-                f" {_where(mechanism, q[mechanism.independent])}"
-            )
-        poses[k] = q
+    poses, arrived = _led(mechanism, q, path)
+    if arrived < len(path):
+        raise AssemblyError(
+            f"mechanism '{mechanism.name}' does not close at {_where(mechanism, path[arrived])}: the kinematic loop opens at"
+            f" {_where(mechanism, poses[-1][mechanism.independent])}"
+        )
     return poses
+
+
+def _led(mechanism: Mechanism, q: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return the poses at the positions of a path, led from pose q, and how many there are.
+
+    Where the path cannot be followed to its end, one pose more: the last on the branch before the loop comes apart.
+    """
+    step_size, independent = _step_sizes(mechanism), mechanism.independent
+    poses, k = np.empty((len(path), mechanism.n_q)), 0
+    while k < len(path):
+        between, at = _strides(mechanism, np.concatenate([q[independent][None], path[k:]]), step_size[independent])
+        strides = stride_along(mechanism, q, between, step_size)
+        if mechanism.projected:
+            strides = strides[: _on_branch(mechanism, np.concatenate([q[None], strides]))]
+        reached = int(np.searchsorted(at, len(strides), side="right"))
+        poses[k : k + reached] = strides[at[:reached] - 1]
+        q, k = (strides[-1] if len(strides) else q), k + reached
+        if k < len(path):  # from the last regular pose on, with steps as short as it takes
+            q, arrived = _advance(mechanism, q, path[k])
+            if not arrived:
+                return np.concatenate([poses[:k], q[None]]), k
+            poses[k] = q
+            k += 1
+    return poses, len(path)
+
+
+def _strides(mechanism: Mechanism, path: np.ndarray, step_size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions at most a step apart from the first of a path (n + 1, n_s) to its last, and how many to each other."""
+    ways = np.diff(path, axis=0)
+    long = np.max(np.abs(ways) / step_size, axis=1, initial=0.0)
+    if not long.sum() < _MOST_STEPS:
+        raise AssemblyError(
+            f"mechanism '{mechanism.name}' does not close at {_where(mechanism, path[-1])}: further away than any motion goes"
+        )
+    counts = np.maximum(1, np.ceil(long)).astype(int)
+    at = np.cumsum(counts)
+    shares = (np.arange(at[-1]) - np.repeat(at - counts, counts) + 1) / np.repeat(counts, counts)
+    between = np.repeat(path[:-1], counts, axis=0) + shares[:, None] * np.repeat(ways, counts, axis=0)
+    between[at - 1] = path[1:]
+    return between, at
 
 
 def _follow_at_once(mechanism: Mechanism, path: np.ndarray, q: np.ndarray) -> np.ndarray | None:
@@ -89,12 +127,9 @@ def _follow_at_once(mechanism: Mechanism, path: np.ndarray, q: np.ndarray) -> np
     knots = np.unique(np.concatenate([np.searchsorted(at, np.arange(0.0, at[-1], 0.5)), [len(path) - 1]]))
     if len(knots) > len(path) // 2:
         return None
-    at_knots = np.empty((len(knots), mechanism.n_q))
-    for row, k in enumerate(knots):
-        q, arrived = _advance(mechanism, q, path[k])
-        if not arrived:
-            return None
-        at_knots[row] = q
+    at_knots, arrived = _led(mechanism, q, path[knots])
+    if arrived < len(knots):
+        return None
     poses = np.empty((len(path), mechanism.n_q))
     poses[:, independent] = path
     for joint in dependent:
@@ -115,15 +150,22 @@ def _follow_at_once(mechanism: Mechanism, path: np.ndarray, q: np.ndarray) -> np
         return None
     by_block = determinants.reshape(-1, len(path))
     one_sign = np.all(np.all(by_block > 0, axis=1) | np.all(by_block < 0, axis=1))
-    return poses if moved < 0.25 and one_sign else None
+    return poses if moved < MOST_CORRECTED and one_sign else None
 
 
 def _stays_on_branch(mechanism: Mechanism, poses: np.ndarray) -> bool:
     """Return whether all rows of overconstrained loops are closed at poses (n, n_q), and no block folds between two."""
-    if np.any(mechanism.gaps_m(poses) > mechanism.closed_m):
-        return False
-    turned = sampled(mechanism.dynamics.orientation, poses[:-1], poses[1:]) if len(poses) > 1 else np.ones(1)
-    return bool(np.all(turned > 0))
+    return not np.any(mechanism.gaps_m(poses[:1]) > mechanism.closed_m) and _on_branch(mechanism, poses) == len(poses) - 1
+
+
+def _on_branch(mechanism: Mechanism, poses: np.ndarray) -> int:
+    """Return how many poses after the first (n, n_q) close all rows of overconstrained loops without a fold on the way."""
+    if len(poses) < 2:
+        return 0
+    closed = mechanism.gaps_m(poses[1:]) <= mechanism.closed_m
+    turned = sampled(mechanism.dynamics.orientation, poses[:-1], poses[1:])
+    stays = closed & np.all(turned.reshape(len(closed), -1) > 0, axis=1)
+    return len(stays) if np.all(stays) else int(np.argmin(stays))
 
 
 def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
@@ -164,8 +206,8 @@ def _advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[n
         predicted = trial[dependent].copy()
         trial, gamma_trial, dets_trial = _correct(mechanism, trial)
         moved = np.max(np.abs(trial[dependent] - predicted) / step_size[dependent], initial=0.0)
-        turned = np.max(np.abs(gamma_trial - gamma), initial=0.0) > 0.5 * (1 + np.max(np.abs(gamma), initial=0.0))
-        regular = np.isfinite(moved) and moved < 0.25 and not turned and np.all(dets_trial * determinants > 0)
+        turned = np.max(np.abs(gamma_trial - gamma), initial=0.0) > MOST_TURNED * (1 + np.max(np.abs(gamma), initial=0.0))
+        regular = np.isfinite(moved) and moved < MOST_CORRECTED and not turned and np.all(dets_trial * determinants > 0)
         if regular and (not mechanism.projected or _stays_on_branch(mechanism, np.array([q, trial]))):
             q, gamma, determinants = trial, gamma_trial, dets_trial
             share = min(1.0, 2 * share)
