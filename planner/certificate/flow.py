@@ -1,11 +1,18 @@
-"""Integration under a plan's efforts, interval by interval: restarted at each interval's end, where efforts may jump."""
+"""Integration under a plan's efforts, interval by interval: restarted at each interval's end, where efforts may jump.
 
+By Dormand and Prince's method of order eight (Hairer, Norsett & Wanner, Solving ODEs I, section II.10): `strides` takes even
+steps, many intervals in one call of a CasADi function, and judges their errors afterwards by the method's own estimate;
+`flow` is scipy's, with adaptive steps, for intervals where even ones are too long.
+"""
+
+import functools
 import itertools
 import time
 from collections.abc import Callable, Iterator
 
+import casadi as ca
 import numpy as np
-from scipy.integrate import solve_ivp
+from scipy.integrate import DOP853, solve_ivp
 
 from linkplan.models.interrupts import check
 
@@ -14,6 +21,11 @@ _RTOL, _ATOL = 1e-12, 1e-13
 # The most evaluations of the dynamics on one interval, sixteen hundred steps; where a motion is one, some ten do. At a fold
 # where the reduced dynamics end, steps become ever smaller.
 _EVALUATIONS = 20_000
+
+# Steps an interval, half of them to its middle: adaptive ones are one or two on the knee's meshes.
+_STEPS = 2
+# Intervals in one call, few at first: where steps are too long, what follows is lost.
+_STRETCHES = (1, 4, 16, 64)
 
 # From the time since an interval's beginning [s] and the state (n,) to its rate (n,).
 Rate = Callable[[float, np.ndarray], np.ndarray]
@@ -72,3 +84,54 @@ def _counted(rate: Rate, until: float) -> Rate:
         return rate(t, y)
 
     return counted
+
+
+def strides(rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, state: np.ndarray) -> np.ndarray:
+    """Return the states (m, 2, n) in the middle and at the end of the first m intervals, all but where a step is too long.
+
+    Args:
+        rate: (state (n,), input (k,), share of the interval) to the state's rate (n,).
+        widths_s: (n_intervals,) [s].
+        inputs: (n_intervals, k), what is constant over each.
+        state: (n,) at the start.
+    """
+    found: list[np.ndarray] = [np.empty((0, 2, len(state)))]
+    begin, longest = 0, 4
+    while begin < len(widths_s):
+        check()
+        length = max(length for length in _STRETCHES if length <= min(longest, len(widths_s) - begin))
+        some = slice(begin, begin + length)
+        ends, middles, errors = (np.array(x) for x in _stretch(rate, length)(state, inputs[some].T, widths_s[some]))
+        before = np.column_stack([state, ends[:, :-1]])
+        sizes = np.maximum(np.abs(before), np.abs(ends))
+        scale = _ATOL * np.maximum(1.0, np.abs(before)) + _RTOL * sizes
+        fifth, third = (np.square(e / np.repeat(scale, _STEPS, axis=1)).sum(axis=0) for e in np.split(errors, 2))
+        short = fifth <= np.sqrt((fifth + 0.01 * third) * len(state))
+        good = length if np.all(short) else int(np.argmin(short)) // _STEPS
+        found.append(np.stack([middles, ends]).transpose(2, 0, 1)[:good])
+        if good < length:
+            break
+        state, begin, longest = ends[:, -1], begin + length, 4 * longest
+    return np.concatenate(found)
+
+
+@functools.lru_cache(maxsize=64)
+def _stretch(rate: ca.Function, length: int) -> ca.Function:
+    """Return (state, inputs, widths) -> states at intervals' ends and middles, errors of the steps, over some intervals."""
+    A, b, c, e5, e3 = (np.asarray(getattr(DOP853, name)) for name in ("A", "B", "C", "E5", "E3"))
+    begin, given, width = (ca.MX.sym(name, n) for name, n in (("x", rate.size1_in(0)), ("c", rate.size1_in(1)), ("T", 1)))
+    h, x, states, errors = width / _STEPS, begin, [], [[], []]
+    slope = rate(x, given, 0.0)
+    for step in range(_STEPS):
+        slopes = [slope]
+        for row, share in zip(A[1:], c[1:], strict=True):
+            ahead = sum((float(a) * k for a, k in zip(row, slopes, strict=False) if a), ca.MX(0))
+            slopes.append(rate(x + h * ahead, given, (step + share) / _STEPS))
+        x += h * sum((float(w) * k for w, k in zip(b, slopes, strict=True) if w), ca.MX(0))
+        slope = rate(x, given, (step + 1) / _STEPS)
+        for of, e in zip(errors, (e5, e3), strict=True):
+            of.append(h * sum((float(w) * k for w, k in zip(e, [*slopes, slope], strict=True) if w), ca.MX(0)))
+        states.append(x)
+    both = ca.vertcat(*(ca.horzcat(*of) for of in errors))
+    one = ca.Function("stride", [begin, given, width], [x, states[_STEPS // 2 - 1], both])
+    return one if length == 1 else one.mapaccum(length)

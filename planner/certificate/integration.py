@@ -7,7 +7,8 @@ is restarted wherever an error would have grown by `GROWTH`. What is judged is t
 model, not whether somebody could follow it blindly; how often it was restarted is reported.
 """
 
-from collections.abc import Callable
+import functools
+import time
 from dataclasses import dataclass
 
 import casadi as ca
@@ -16,7 +17,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.flow import Rate, flow, flows
+from linkplan.planner.certificate.flow import Rate, flow, strides
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.schemes import bernstein_value
 
@@ -70,16 +71,17 @@ def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allow
     start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
     state = np.concatenate([start, trajectory.velocity[0, 0]])
     n = len(trajectory.breaks_s) - 1
-    shares = np.array([0.0, 0.5, 1.0])
-    errors, velocity_error = np.zeros((n, mechanism.dof)), 0.0
-    for k, reached in enumerate(flows(_rate(mechanism, trajectory), trajectory.breaks_s, state, shares, until)):
-        if reached is None:
-            errors[k:], velocity_error = np.inf, np.inf
-            break
-        planned = np.array([bernstein_value(trajectory.position[:, k], tau) for tau in shares])
-        planned_velocity = np.array([bernstein_value(trajectory.velocity[:, k], tau) for tau in shares])
-        errors[k] = np.abs(reached[:, independent] - planned).max(axis=0)
-        velocity_error = max(velocity_error, float(np.abs(reached[:, n_q:] - planned_velocity).max()) / speed)
+    errors, velocity_error = np.full((n, mechanism.dof), np.inf), np.inf
+    reached = _states(mechanism, trajectory, state, until)
+    m = len(reached) - 1
+    planned, speeds = (
+        np.stack([bernstein_value(c[:, :m], tau) for tau in (0.0, 0.5, 1.0)], axis=1)
+        for c in (trajectory.position, trajectory.velocity)
+    )
+    inside = np.stack([reached[:-1, 1], reached[1:, 0], reached[1:, 1]], axis=1)
+    errors[:m] = np.abs(inside[:, :, independent] - planned).max(axis=1, initial=0.0)
+    if m == n:
+        velocity_error = float(np.abs(inside[:, :, n_q:] - speeds).max()) / speed
     with np.errstate(invalid="ignore"):  # beyond a failed integration, infinity less infinity
         growth = np.abs(np.diff(np.vstack([np.zeros(mechanism.dof), errors]), axis=0) / allowed).max(axis=1)
     growth = np.nan_to_num(growth, nan=np.inf)
@@ -91,7 +93,8 @@ def _anew(
 ) -> Integrated | None:
     """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
     n, n_s, n_q = len(trajectory.breaks_s) - 1, mechanism.dof, mechanism.n_q
-    rate_on, widths = _rate(mechanism, trajectory), np.diff(trajectory.breaks_s)
+    function, inputs = _rate(mechanism, *trajectory.effort[:, 0].shape), _inputs(trajectory)
+    widths = np.diff(trajectory.breaks_s)
     span = np.maximum(np.ptp(trajectory.position, axis=(0, 1)), np.finfo(float).tiny)
     unit = np.concatenate([span, np.full(n_s, speed)])
     begins = np.hstack([trajectory.position[0], trajectory.velocity[0]])
@@ -101,7 +104,7 @@ def _anew(
 
     def arrives(k: int, begin: np.ndarray) -> np.ndarray | None:
         pose = poses[k] if np.array_equal(begin, begins[k]) else follow(mechanism, begin[None, :n_s], poses[k])[0]
-        reached = flow(rate_on(k), widths[k], np.concatenate([pose, begin[n_s:]]), last, until)
+        reached = flow(_called(function, inputs[k], widths[k]), widths[k], np.concatenate([pose, begin[n_s:]]), last, until)
         return None if reached is None else np.concatenate([reached[0, :n_q][mechanism.independent], reached[0, n_q:]])
 
     error, carried = np.zeros(2 * n_s), np.eye(2 * n_s)
@@ -129,35 +132,54 @@ def _anew(
     return Integrated(position=position, velocity=velocity, growth=growth, restarts=restarts)
 
 
-def _rate(mechanism: Mechanism, trajectory: Trajectory) -> Callable[[int], Rate]:
-    """Return a maker of the model's right-hand side on an interval, by its number, under the plan's efforts there.
+def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, until: float) -> np.ndarray:
+    """Return the states (m + 1, 2, n) at the start, twice, then in the middle and at the end of intervals, up to a failing one."""
+    widths, inputs = np.diff(trajectory.breaks_s), _inputs(trajectory)
+    rate = _rate(mechanism, *trajectory.effort[:, 0].shape)
+    reached = np.array([[state, state]])
+    while (k := len(reached) - 1) < len(widths):
+        if k == 0 or time.monotonic() < until:
+            reached = np.concatenate([reached, strides(rate, widths[k:], inputs[k:], reached[-1, 1])])
+        if (k := len(reached) - 1) < len(widths):
+            half = flow(_called(rate, inputs[k], widths[k]), widths[k], reached[-1, 1], np.array([0.5, 1.0]), until)
+            if half is None:
+                break
+            reached = np.concatenate([reached, half[None]])
+    return reached
+
+
+def _inputs(trajectory: Trajectory) -> np.ndarray:
+    """Return the coefficients of every interval's efforts (n_intervals, k), flat."""
+    return trajectory.effort.transpose(1, 2, 0).reshape(trajectory.effort.shape[1], -1)
+
+
+@functools.lru_cache(maxsize=16)
+def _rate(mechanism: Mechanism, n_coefficients: int, n_u: int) -> ca.Function:
+    """Return the model's right-hand side: (state, flat coefficients of the efforts, share of the interval) to its rate."""
+    n = mechanism.n_q + mechanism.dof
+    x, flat, tau = ca.SX.sym("x", n), ca.SX.sym("u", n_coefficients * n_u), ca.SX.sym("tau")
+    effort = bernstein_value(ca.reshape(flat, n_coefficients, n_u), tau).T
+    rates = mechanism.dynamics.flow(x[: mechanism.n_q], x[mechanism.n_q :], effort)
+    return ca.Function("rate", [x, flat, tau], [ca.vertcat(*rates)], {"cse": True})
+
+
+def _called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
+    """Return a right-hand side on an interval for numpy.
 
     It is called some thousand times per motion: CasADi reads and writes numpy's memory without copies.
     """
-    n, shape = mechanism.n_q + mechanism.dof, trajectory.effort[:, 0].shape
-    x, coefficients, tau = ca.SX.sym("x", n), ca.SX.sym("u", *shape), ca.SX.sym("tau")
-    rates = mechanism.dynamics.flow(x[: mechanism.n_q], x[mechanism.n_q :], bernstein_value(coefficients, tau).T)
-    function = ca.Function("rate", [x, coefficients, tau], [ca.vertcat(*rates)], {"cse": True})
     buffer, evaluate = function.buffer()
-    # All of these live as long as the right-hand sides: CasADi keeps addresses only.
-    state, flat, at, result = np.zeros(n), np.zeros(shape[0] * shape[1]), np.zeros(1), np.zeros(n)
-    effort = flat.reshape(shape, order="F")
+    # All of these live as long as the right-hand side: CasADi keeps addresses only.
+    state, flat, at, result = np.zeros(function.size1_in(0)), np.array(inputs), np.zeros(1), np.zeros(function.size1_out(0))
     for index, array in enumerate((state, flat, at)):
         buffer.set_arg(index, memoryview(array))
     buffer.set_res(0, memoryview(result))
     kept = function, buffer, flat
 
-    widths = np.diff(trajectory.breaks_s)
+    def rate(t: float, y: np.ndarray, kept=kept) -> np.ndarray:
+        del kept
+        state[:], at[0] = y, t / width
+        evaluate()
+        return np.array(result)
 
-    def on_interval(k: int) -> Rate:
-        values, width = trajectory.effort[:, k], widths[k]
-
-        def rate(t: float, y: np.ndarray, kept=kept) -> np.ndarray:
-            del kept
-            state[:], effort[...], at[0] = y, values, t / width
-            evaluate()
-            return np.array(result)
-
-        return rate
-
-    return on_interval
+    return rate
