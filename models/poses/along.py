@@ -1,15 +1,23 @@
 """Quantities of a mechanism along a motion, sampled: poses q (n, n_q), velocities v and accelerations a (n, n_s)."""
 
+import functools
+
 import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 
 
+@functools.lru_cache(maxsize=256)
+def mapped(function: ca.Function, n: int) -> ca.Function:
+    """Return a function of n samples side by side. Motions on the same mesh ask for the same ones again and again."""
+    return function.map(n)
+
+
 def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
     """Return a function's first output over samples: arguments (n, k), result (n, rows, columns)."""
     n = len(arguments[0])
-    stacked = np.array(function.map(n)(*[a.T for a in arguments]))
+    stacked = mapped(function, n)(*[a.T for a in arguments]).full()
     return stacked.reshape(function.size1_out(0), n, function.size2_out(0)).transpose(1, 0, 2)
 
 

@@ -15,8 +15,10 @@ from linkplan.models.mechanism import Mechanism
 
 # Newton steps of a stride. From a tangent's end, two degrees on, two leave 1e-12 and the third rounding; one in reserve.
 _NEWTON_STEPS = 4
-# Strides folded into one call. The first calls are short: near a singular pose few strides are regular.
+# Strides folded into one call, the last position repeated where fewer are left. The first calls are short: near a singular
+# pose few strides are regular.
 _STRETCHES = (1, 4, 16, 64)
+_FIRST = 16
 # A stride is regular where Newton corrects its predictor by less than this share of the step,
 MOST_CORRECTED = 0.25
 # and Gamma turns by less than this share of its size.
@@ -24,29 +26,32 @@ MOST_TURNED = 0.5
 
 
 def stride_along(mechanism: Mechanism, q: np.ndarray, positions: np.ndarray, step_size: np.ndarray) -> np.ndarray:
-    """Return the poses (m, n_q) at the first m of the independent positions (n, n_s), led from pose q: all, if all are regular.
+    """Return the poses (m, n_q) at the first m of the positions (n, n_s), led from pose q: all if all are regular.
 
     Positions are at most a step (`step_size`, (n_q,) [rad or m]) apart.
     """
+    if not len(mechanism.dependent):
+        poses = np.empty((len(positions), mechanism.n_q))
+        poses[:, mechanism.independent] = positions
+        return poses
     gamma, determinants = (np.array(x) for x in mechanism.dynamics.closure_step(q)[2:])
     state = np.concatenate([q, gamma.T.ravel(), determinants.ravel()])
-    poses: list[np.ndarray] = [np.empty((0, mechanism.n_q))]
-    begin, longest = 0, 4
+    found: list[np.ndarray] = [np.empty((0, mechanism.n_q))]
+    begin, longest = 0, _FIRST
     while begin < len(positions):
-        length = max(length for length in _STRETCHES if length <= min(longest, len(positions) - begin))
-        found = _stretch(mechanism, length)(state, positions[begin : begin + length].T)
-        states, phi, predicted = (np.array(x).T for x in found)
+        n = min(longest, len(positions) - begin)
+        length = next(length for length in _STRETCHES if length >= n)
+        targets = positions[np.minimum(np.arange(begin, begin + length), len(positions) - 1)]
+        states, phi, predicted = (x.full().T[:n] for x in _stretch(mechanism, length)(state, targets.T))
         regular = _regular(mechanism, np.concatenate([state[None], states]), phi, predicted, step_size)
-        poses.append(states[:regular, : mechanism.n_q])
-        if regular < length:
+        found.append(states[:regular, : mechanism.n_q])
+        if regular < n:
             break
-        state, begin, longest = states[-1], begin + length, 4 * longest
-    return np.concatenate(poses)
+        state, begin, longest = states[-1], begin + n, _STRETCHES[-1]
+    return np.concatenate(found)
 
 
-def _regular(
-    mechanism: Mechanism, states: np.ndarray, phi: np.ndarray, predicted: np.ndarray, step_size: np.ndarray
-) -> int:
+def _regular(mechanism: Mechanism, states: np.ndarray, phi: np.ndarray, predicted: np.ndarray, step_size: np.ndarray) -> int:
     """Return how many of the first strides through states (n + 1, ...) are regular."""
     dependent, n_q = mechanism.dependent, mechanism.n_q
     n_gamma = n_q * mechanism.dof

@@ -234,7 +234,7 @@ def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v,
         inside = np.minimum(values - bounds[:, 0], bounds[:, 1] - values)
         for joint, column in zip(mechanism.joints, inside.T, strict=True):
             worst[f"{what} of {joint.name}"] = float(time[int(np.argmin(column))])
-        least = np.array([least_between(column, points) for column in inside.T])
+        least = least_between(inside.T, points).reshape(inside.shape[1], -1)
         of = list(mechanism.independent)
         hull = np.minimum(coefficients - bounds[of, 0], bounds[of, 1] - coefficients).min(axis=0).T
         least[of] = np.maximum(least[of], hull)

@@ -133,7 +133,7 @@ def _anew(
 
 
 def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, until: float) -> np.ndarray:
-    """Return the states (m + 1, 2, n) at the start, twice, then in the middle and at the end of intervals, up to a failing one."""
+    """Return the states (m + 1, 2, n): the start twice, then the middle and end of every interval up to one that fails."""
     widths, inputs = np.diff(trajectory.breaks_s), _inputs(trajectory)
     rate = _rate(mechanism, *trajectory.effort[:, 0].shape)
     reached = np.array([[state, state]])

@@ -1,5 +1,6 @@
 """Initial guesses: motions that close the kinematic loops, keep the boundary states and need a feasible effort."""
 
+import functools
 import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -99,7 +100,7 @@ def perturbed_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Itera
 def closes(mechanism: Mechanism, guess: Guess) -> bool:
     """Return whether a guess stays within what the loops allow."""
     try:
-        poses_along(mechanism, guess, np.linspace(0.0, guess.duration_s, _SAMPLES))
+        even_poses(mechanism, guess)
     except AssemblyError:
         return False
     return True
@@ -258,6 +259,19 @@ def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> floa
         middle = 0.5 * (low + high)
         low, high = (middle, high) if excess(middle) > 0 else (low, middle)
     return float(np.exp(high))
+
+
+@functools.lru_cache(maxsize=4)
+def even_poses(mechanism: Mechanism, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
+    """Return even times (n,) over a guess and its closed poses (n, n_q) at them: looked at once, by all who ask.
+
+    Raises:
+        AssemblyError: where its loops open.
+    """
+    times = np.linspace(0.0, guess.duration_s, _SAMPLES)
+    poses = poses_along(mechanism, guess, times)
+    times.flags.writeable = poses.flags.writeable = False
+    return times, poses
 
 
 def poses_along(mechanism: Mechanism, guess: Guess, time_s: np.ndarray) -> np.ndarray:

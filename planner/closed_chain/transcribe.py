@@ -8,7 +8,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate, is_smoothed
-from linkplan.planner.closed_chain.guess import Guess, poses_along
+from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
 from linkplan.planner.closed_chain.mechanics import Scales
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.tightening import Tightening
@@ -20,8 +20,6 @@ from linkplan.planner.transcription.schemes import bernstein_value, scheme
 
 __all__ = ["Transcribed", "choose_scales", "own_objective", "renumbered", "trajectory_of", "transcribe"]
 
-# Samples of a guess from which units are chosen.
-_SAMPLES = 61
 # The least effort that is a unit, of what gives the reduced inertia the span in the duration.
 _LEAST_NEED = 1e-6
 
@@ -42,9 +40,8 @@ class Origin:
 def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
     """Return units of order one: durations, spans, limits, or the guess's needs where they are far below the limits."""
     mechanism, limit = problem.mechanism, problem.limits.effort
-    times = np.linspace(0.0, guess.duration_s, _SAMPLES)
+    times, poses = (samples[::2] for samples in even_poses(mechanism, guess))
     s = guess.position(times)
-    poses = poses_along(mechanism, guess, times)
     need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times))
     extent = mechanism.extent_m
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in mechanism.independent_joints])

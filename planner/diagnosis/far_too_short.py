@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import needed_effort
-from linkplan.planner.closed_chain.guess import Guess, poses_along
+from linkplan.planner.closed_chain.guess import Guess, even_poses
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.durations import longest
 from linkplan.planner.search.ladder import Search
@@ -14,8 +14,8 @@ from linkplan.planner.search.least_time import shortest_motion
 
 # A duration below this share of the shortest motion's is beyond doubt: least times found are local ones by some percent.
 _FAR = 0.1
-# Samples of the smooth path, and the share of a duration's efforts at which it is not counted as driven.
-_SAMPLES, _NOTHING = 121, 1e-6
+# The share of the smooth path's efforts at which it is not counted as driven.
+_NOTHING = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -63,9 +63,8 @@ def _shortest(search: Search) -> tuple[float | None, str]:
 def path_effort(problem: PlanningProblem, guess: Guess) -> PathEffort | None:
     """Return what a path asks of the actuator, or of the undriven joint, that it asks for most; None where loops open."""
     mechanism, limit = problem.mechanism, problem.limits.effort
-    time = np.linspace(0.0, guess.duration_s, _SAMPLES)
     try:
-        q = poses_along(mechanism, guess, time)
+        time, q = even_poses(mechanism, guess)
     except AssemblyError:
         return None
     v, a = guess.velocity(time), guess.acceleration(time)

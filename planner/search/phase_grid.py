@@ -9,7 +9,8 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
-from linkplan.models.poses.assembly import follow, reach
+from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
 # Cells of the grid over s; two poses a cell.

@@ -1,14 +1,12 @@
 """Before any solving: is the problem within what the mechanism can do at all, and is there a plain contradiction in it?"""
 
-import functools
-
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
-from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.assembly import Reach, close_at, follow, reach
+from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.models.poses.reach import Reach, reach
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.certificate.site_margins import SITE_SLACK, title
 from linkplan.planner.problem.motion import Motion
@@ -20,12 +18,6 @@ from linkplan.planner.search.turning import check_turns
 _BETWEEN = 401
 
 
-@functools.lru_cache(maxsize=16)
-def _reach(mechanism: Mechanism) -> Reach:
-    """Return what a mechanism reaches: walked once, as planning again and again asks for it each time."""
-    return reach(mechanism)
-
-
 def start_pose_of(problem: PlanningProblem) -> np.ndarray:
     """Return the closed pose at the start.
 
@@ -34,7 +26,7 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
             `check_turns`.
     """
     mechanism, motion = problem.mechanism, problem.motion
-    can = _reach(mechanism) if mechanism.dof == 1 else None
+    can = reach(mechanism) if mechanism.dof == 1 else None
     for name in ("start", "goal"):
         value = getattr(motion, name)
         if value is not None:
@@ -140,7 +132,7 @@ def _branches_on_the_way(problem: PlanningProblem) -> str | None:
         return None
     low, high = sorted((float(motion.start[0]), float(motion.goal[0])))
     (joint,) = mechanism.independent_joints
-    can = _reach(mechanism)
+    can = reach(mechanism)
     for position, rank in can.branching:
         if low < position < high and position not in can.single:
             return (

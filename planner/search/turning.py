@@ -4,8 +4,9 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.assembly import Reach, follow
+from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.controls import needed_controls
+from linkplan.models.poses.reach import Reach
 from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.problem.planning_problem import PlanningProblem
 

@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.controllers.sampling import Sampling, sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.assembly import reach
+from linkplan.models.poses.reach import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.scan import Line, Scan, coordinate_line, judge_of, scan_line, with_room

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.models.poses.assembly import Reach
+from linkplan.models.poses.reach import Reach
 from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit
 from linkplan.studies.check.draw_mechanism import draw_poses, mark_turning
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts

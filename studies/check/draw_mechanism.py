@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
-from linkplan.models.poses.assembly import Reach
+from linkplan.models.poses.reach import Reach
 from linkplan.models.poses.skeleton import sticks
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.inspection import Inspection

@@ -8,8 +8,9 @@ from linkplan.models.audit import audit
 from linkplan.models.closure.closed_pose import keyframe_of
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Joint, Mechanism
-from linkplan.models.poses.assembly import Reach, close_at, reach
+from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
+from linkplan.models.poses.reach import Reach, reach
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import AT_THE_END, NO_ARM, feeble_drives, pressed_stops, pushed_one_way, undriven
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath

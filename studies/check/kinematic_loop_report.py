@@ -16,7 +16,8 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort, sampled
-from linkplan.models.poses.assembly import Reach, follow
+from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.reach import Reach
 from linkplan.planner.closed_chain.guess import first_guess, poses_along
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import start_pose_of

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.poses.assembly import reach
+from linkplan.models.poses.reach import reach
 from linkplan.models.tree.ties import tied_points
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.problem.limits import Limits, free

@@ -11,7 +11,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.assembly import close_at, reach
+from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.reach import reach
 from tests.support.data import DATA
 from tests.support.mechanism_checks import acceleration, mechanism_of, plan_of, rigid_acceleration, tracked
 from tests.support.tolerances import CLOSURE, DIFFERENCES, ENERGY, INTEGRATED_GAP, POWER, START_POSE, TREE, relative_error

@@ -6,7 +6,8 @@ import pytest
 from linkplan.models.library import BUILT_IN as MODELS
 from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.assembly import follow, reach
+from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.reach import reach
 from linkplan.models.poses.skeleton import sticks
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables

@@ -10,7 +10,8 @@ import pytest
 from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
-from linkplan.models.poses.assembly import close_at, follow, reach
+from linkplan.models.poses.assembly import close_at, follow
+from linkplan.models.poses.reach import reach
 from tests.support.drive import line, line_rates
 from tests.support.fourbar import SHANK, FourBar, G, knee
 from tests.support.mechanism_checks import acceleration, mechanism_of, plan_of, rigid_acceleration, tracked

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.poses.along import needed_effort
-from linkplan.models.poses.assembly import close_at, follow, reach
+from linkplan.models.poses.assembly import close_at, follow
+from linkplan.models.poses.reach import reach
 from tests.support.mechanism_checks import (
     acceleration,
     lagrangian_acceleration,

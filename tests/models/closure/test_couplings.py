@@ -6,7 +6,8 @@ import pytest
 
 from linkplan.models.closure.equations import read_closures
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.assembly import close_at, reach
+from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.reach import reach
 from linkplan.models.tree.dynamics import build_tree
 from tests.support.linkages import GRIPPER, UNCUT, WELDED, loaded
 from tests.support.mechanisms import replaced, simulated

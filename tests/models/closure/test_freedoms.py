@@ -5,7 +5,8 @@ import pytest
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.assembly import close_at, follow, reach
+from linkplan.models.poses.assembly import close_at, follow
+from linkplan.models.poses.reach import reach
 from tests.support.linkages import GRIPPER, PRESS, RSSR, WELDED, loaded
 from tests.support.mechanisms import FLAT_PARALLELOGRAM, replaced
 from tests.support.tolerances import (

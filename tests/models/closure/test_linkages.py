@@ -10,7 +10,8 @@ import scipy.integrate
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import joint_rates
-from linkplan.models.poses.assembly import close_at, reach
+from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.reach import reach
 from tests.support.linkages import COUNTS, LEG, LINKAGES, loaded
 from tests.support.mechanisms import Simulated, replaced, simulated
 from tests.support.tolerances import (

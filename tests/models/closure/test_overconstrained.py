@@ -9,7 +9,8 @@ import pytest
 
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.poses.assembly import close_at, follow, reach
+from linkplan.models.poses.assembly import close_at, follow
+from linkplan.models.poses.reach import reach
 from tests.support.linkages import LINKAGES, WELDED
 from tests.support.mechanisms import replaced
 from tests.support.overconstrained import bennett, bennett_follower, bricard, bricard_follower, coupled_cranks

@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.assembly import close_at, follow, reach
+from linkplan.models.poses.assembly import close_at, follow
+from linkplan.models.poses.reach import reach
 from tests.support.four_bars import PLAIN, load, random_bars
 from tests.support.mechanisms import (
     CHAINS,

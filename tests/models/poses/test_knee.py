@@ -10,8 +10,9 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import SHANK
 from linkplan.models.poses.along import needed_effort
-from linkplan.models.poses.assembly import Reach, close_at, follow, reach
+from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.contacts import contact_pairs
+from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.poses.skeleton import sticks
 from tests.support.data import KNEE_TABLE as REFERENCE
 from tests.support.mechanisms import FourBar, stated_gap_mm

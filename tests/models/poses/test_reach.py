@@ -6,7 +6,7 @@ import scipy.optimize
 
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.assembly import reach
+from linkplan.models.poses.reach import reach
 from tests.support.four_bars import PLAIN, RANGED, load, random_bars
 from tests.support.mechanisms import (
     CHAINS,

@@ -5,7 +5,7 @@ import pytest
 
 from linkplan.models.errors import UnassembledError
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.poses.assembly import reach
+from linkplan.models.poses.reach import reach
 from linkplan.studies.check.inspection import inspect
 from tests.support.mechanisms import replaced, slider_crank
 from tests.support.overconstrained import HEAD, bricard, coupled_cranks, sarrus

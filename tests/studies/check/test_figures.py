@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from linkplan.models.poses.assembly import reach
+from linkplan.models.poses.reach import reach
 from linkplan.studies.check.draw_kinematic_loop_report import draw_weight, shares
 from linkplan.studies.check.draw_mechanism import draw_holding, inspection_figure
 from linkplan.studies.check.inspection import inspect

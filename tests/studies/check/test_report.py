@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.assembly import follow, reach
+from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.reach import reach
 from linkplan.planner.files.folders import plain
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.studies.check.check_report import path_text, quantities

@@ -1,0 +1,229 @@
+"""How far a mechanism goes: the interval of an independent joint on the home branch, and what ends it."""
+
+import functools
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import scipy.interpolate
+import scipy.optimize
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import advance, led, step_sizes
+from linkplan.models.poses.singular_poses import closure_rank, dips, has_one_way_on, is_branching, least_values, vanishes
+from linkplan.models.tree.joints import Joint
+
+# A rate of a dependent joint below this share of the independent one's is rounding.
+_STILL = 1e-9
+# A range is left where a joint stands outside it by more than this [rad or m], what assembly and rounding leave.
+_RANGE_SLACK = 1e-8
+# Neighbours to either side of a spline of poses: with these its error at half degree steps is below 1e-8.
+_SPLINED = 5
+# Steps that are led together before ranges are looked at, and how many times more the next time.
+_FIRST_STEPS, _MORE = 16, 4
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class End:
+    """Where the reach ends: the independent position there [rad or m], and why in a few words."""
+
+    position: float
+    reason: str  # "range of A", "end of rod_rx's chart", "singular pose", "full turn"
+    joint: int | None  # whose range it is
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Reach:
+    """What one independent joint can do while the other independent joints stay at home.
+
+    `poses` (n, n_q) samples the interval, ends included. `toggles` are (dependent joint, independent position) where a
+    dependent joint turns back: the dead centres of that joint. `singular` are positions where J_z loses rank, by crossing
+    zero at an end or by touching it on the way; `branching` are (position, rank of the closure there) of those among them
+    where J loses rank as well: there the mechanism may branch, at the others the coordinate alone is at a dead centre.
+    `single` are positions of those where to second order one motion alone leads through.
+    """
+
+    coordinate: int
+    lower: End
+    upper: End
+    poses: np.ndarray
+    singular: tuple[float, ...]
+    branching: tuple[tuple[float, int], ...]
+    single: tuple[float, ...]
+    toggles: tuple[tuple[int, float], ...]
+
+    @property
+    def turns_fully(self) -> bool:
+        """Whether nothing stops the joint within a turn to either side."""
+        return self.lower.reason == self.upper.reason == "full turn"
+
+
+@functools.lru_cache(maxsize=64)
+def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
+    """Return the interval of an independent joint on the home branch: to a joint's range, a singular pose, or a turn."""
+    down, lower, singular_down = _walk(mechanism, coordinate, -1)
+    up, upper, singular_up = _walk(mechanism, coordinate, +1)
+    poses = np.array([*down[::-1], mechanism.home, *up])
+    index = int(mechanism.independent[coordinate])
+    singular = sorted([*singular_down, *singular_up, *_touched(mechanism, coordinate, poses)], key=lambda pose: pose[index])
+    lost = [pose for pose in singular if is_branching(mechanism, pose)]
+    return Reach(
+        coordinate=coordinate,
+        lower=lower,
+        upper=upper,
+        poses=poses,
+        singular=tuple(float(pose[index]) for pose in singular),
+        branching=tuple((float(pose[index]), closure_rank(mechanism, pose)) for pose in lost),
+        single=tuple(float(pose[index]) for pose in lost if has_one_way_on(mechanism, pose)),
+        toggles=_toggles(mechanism, coordinate, poses),
+    )
+
+
+def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:
+    """Return the poses inside a reach at which J_z loses rank though no determinant changes sign."""
+    index, found = int(mechanism.independent[coordinate]), []
+    for k in dips(mechanism, poses):
+        # Next to such a pose Newton has no ground; the motion is smooth, and a spline of its neighbours exact enough.
+        near = poses[max(0, k - _SPLINED) : k + _SPLINED + 1]
+        motion = scipy.interpolate.CubicSpline(near[:, index], near)
+
+        def least(x: float, motion: scipy.interpolate.CubicSpline = motion) -> float:
+            return float(least_values(mechanism, motion(x))[1])
+
+        ends = (float(poses[k - 1, index]), float(poses[k + 1, index]))
+        x = scipy.optimize.minimize_scalar(least, bounds=ends, method="bounded", options={"xatol": 1e-12}).x
+        if vanishes(mechanism, motion(x)):
+            found.append(motion(x))
+    return found
+
+
+def _at(mechanism: Mechanism, start: np.ndarray, coordinate: int, x: float) -> np.ndarray:
+    """Return the pose where one coordinate stands at x, led there from `start`; the last one before where it cannot."""
+    s = start[mechanism.independent].copy()
+    s[coordinate] = x
+    return advance(mechanism, start, s)[0]
+
+
+def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.ndarray], End, list[np.ndarray]]:
+    """Return the poses from home (left out) to the end in one direction, the end, and a singular pose if one."""
+    index = int(mechanism.independent[coordinate])
+    joint = mechanism.joints[index]
+    step = step_sizes(mechanism)[index] / 2
+    turn = 2 * np.pi if joint.kind == "hinge" else 20 * mechanism.extent_m
+    home = mechanism.home
+    limit = joint.upper if sign > 0 else joint.lower
+    last = limit if abs(limit - home[index]) <= turn else home[index] + sign * turn
+    poses, q = [], np.array(home)
+    if sign * (last - q[index]) <= 0:
+        return poses, End(position=float(q[index]), reason=_end_of(joint), joint=index), []
+    n_steps = int(np.ceil(sign * (last - home[index]) / step - 1e-9))
+    path = np.tile(home[mechanism.independent], (max(n_steps, 1), 1))
+    path[:, coordinate] = home[index] + sign * step * np.arange(1, len(path) + 1)
+    path[-1, coordinate] = last
+    begin, n = 0, _FIRST_STEPS
+    while begin < len(path):
+        found, arrived = led(mechanism, q, path[begin : begin + n])
+        for trial in found:
+            stop = _range_stop(mechanism, q, trial, coordinate)
+            if stop is not None:
+                poses.append(stop[0])
+                return poses, End(position=float(stop[0][index]), reason=_end_of(stop[1]), joint=stop[2]), []
+            poses.append(trial)
+            q = trial
+        if arrived < len(path[begin : begin + n]):
+            pose = _singular_pose(mechanism, q, coordinate)
+            return poses, End(position=float(pose[index]), reason="singular pose", joint=None), [pose]
+        begin, n = begin + n, _MORE * n
+    reason = "full turn" if last != limit else _end_of(joint)
+    return poses, End(position=float(last), reason=reason, joint=index if last == limit else None), []
+
+
+def _end_of(joint: Joint) -> str:
+    return f"range of {joint.name}" if joint.chart is None or joint.kind == "slide" else f"end of {joint.name}'s chart"
+
+
+def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int):
+    """Return the pose, joint and index where the first dependent joint leaves its range between two poses, or None."""
+    first = None
+    low, high = (
+        np.array([(mechanism.joints[i].lower, mechanism.joints[i].upper) for i in mechanism.dependent]).reshape(-1, 2).T
+    )
+    out = np.maximum(trial[mechanism.dependent] - high, low - trial[mechanism.dependent]) > _RANGE_SLACK
+    for i in mechanism.dependent[out]:
+        joint = mechanism.joints[i]
+        for limit, outside in ((joint.upper, trial[i] - joint.upper), (joint.lower, joint.lower - trial[i])):
+            outward = trial[i] - q[i] if limit == joint.upper else q[i] - trial[i]
+            # A joint that does not move with the coordinate, or comes back into its range, does not stop it.
+            if not outside > _RANGE_SLACK or not outward > _STILL * step_sizes(mechanism)[i]:
+                continue
+            pose = _pose_where(mechanism, q, trial, coordinate, lambda p, i=i, limit=limit: p[i] - limit)
+            distance = abs(pose[mechanism.independent[coordinate]] - q[mechanism.independent[coordinate]])
+            if first is None or distance < first[3]:
+                first = (pose, joint, int(i), distance)
+    return first if first is None else first[:3]
+
+
+def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int, function) -> np.ndarray:
+    """Return the pose between two poses at which `function(pose)` changes sign (the start if it does not)."""
+    index = mechanism.independent[coordinate]
+
+    def pose_at(x: float) -> np.ndarray:
+        return _at(mechanism, q, coordinate, x)
+
+    a, b = q[index], trial[index]
+    if function(q) * function(trial) >= 0 or function(pose_at(a)) * function(pose_at(b)) >= 0:
+        return np.array(q)
+    return pose_at(float(scipy.optimize.brentq(lambda x: function(pose_at(x)), a, b, xtol=1e-14)))
+
+
+def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:
+    """Return the pose with phi = 0 and det J_z = 0 next to `near`; `near` itself where that does not converge."""
+    index = int(mechanism.independent[coordinate])
+    free = [*[int(i) for i in mechanism.dependent], index]
+    at_home, here = (np.array(mechanism.dynamics.block_singularity(q)).ravel() for q in (mechanism.home, near))
+    at_home = np.where(at_home == 0, 1.0, at_home)
+    block = int(np.argmin(np.abs(here / at_home)))  # the loops that fold
+
+    def fold(q: np.ndarray) -> float:
+        if mechanism.projected:
+            return float(mechanism.dynamics.orientation(near, q)[block]) / here[block] / at_home[block]
+        return float(mechanism.dynamics.block_singularity(q)[block]) / at_home[block]
+
+    def system(x: np.ndarray) -> np.ndarray:
+        q = np.array(near)
+        q[free] = x
+        phi = np.array(closure(q)).ravel()
+        return np.append(phi, fold(q))
+
+    # Normal equations are blind to the gap that opens where J_z loses rank: all rows are looked at there.
+    closure = mechanism.dynamics.closure if mechanism.projected else mechanism.dynamics.independent_closure
+    method = "lm" if mechanism.projected else "hybr"
+    solution = scipy.optimize.root(system, near[free], tol=1e-14, method=method)
+    pose = np.array(near)
+    pose[free] = solution.x
+    close = np.max(np.abs(pose - near) / step_sizes(mechanism)) < 4
+    return pose if close and np.abs(system(solution.x)).max() < max(1e-8, mechanism.closed_m) else np.array(near)
+
+
+def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[tuple[int, float], ...]:
+    """Return where each dependent joint's rate against the independent one changes sign."""
+    index = mechanism.independent[coordinate]
+
+    def rate(pose: np.ndarray, joint: int) -> float:
+        return float(np.array(mechanism.dynamics.velocity_map(pose))[joint, coordinate])
+
+    found = []
+    rates = sampled(mechanism.dynamics.velocity_map, poses)[:, :, coordinate]
+    rates[np.abs(rates) < _STILL] = 0.0
+    for joint in mechanism.dependent:
+        moving = np.flatnonzero(rates[:, joint])  # a sample on the toggle itself has no sign: its neighbours have
+        for before, after in pairwise(moving):
+            if rates[before, joint] * rates[after, joint] > 0:
+                continue
+            if after > before + 1:
+                found.append((int(joint), float(poses[(before + after) // 2, index])))
+                continue
+            pose = _pose_where(mechanism, poses[before], poses[after], coordinate, lambda p, j=int(joint): rate(p, j))
+            found.append((int(joint), float(pose[index])))
+    return tuple(sorted(found, key=lambda item: item[1]))
