@@ -245,11 +245,18 @@ def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> floa
     except AssemblyError:  # the path leaves what the loop allows; how fast it could be gone along says nothing
         return 1.0
 
+    # In the pace r = 1 / T speeds are r v_0 + v_1 and accelerations r^2 a_0 + r a_1, with the ends' given speeds in v_1 and
+    # a_1. Efforts are quadratic in r, dampers that are not linear apart: three paces tell all the others.
+    twice = _smooth_path(problem, 2.0)
+    v, a = (np.array([path.derivative(order)(path.x[-1] * tau) for path in (unit, twice)]) for order in (1, 2))
+    v_1, a_1 = 2 * v[1] - v[0], 4 * a[1] - a[0]
+    v_0, a_0 = v[0] - v_1, a[0] - a_1
+    still, ahead, back = (needed_effort(mechanism, poses, r * v_0 + v_1, r**2 * a_0 + r * a_1)[0] for r in (0.0, 1.0, -1.0))
+    linear, quadratic = 0.5 * (ahead - back), 0.5 * (ahead + back) - still
+
     def excess(log_duration: float) -> float:
-        duration = float(np.exp(log_duration))
-        path = _smooth_path(problem, duration)
-        time = duration * tau
-        effort, _ = needed_effort(mechanism, poses, path.derivative(1)(time), path.derivative(2)(time))
+        pace = float(np.exp(-log_duration))
+        effort = still + pace * linear + pace**2 * quadratic
         return float(np.max(np.maximum(effort - limit[:, 1], limit[:, 0] - effort)))
 
     low, high = (float(np.log(d)) for d in _DURATIONS)

@@ -4,6 +4,7 @@ Next to a singular pose joints fly while the crank creeps: cells are closer toge
 """
 
 from dataclasses import dataclass
+from math import inf, sqrt
 
 import numpy as np
 
@@ -13,8 +14,6 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
-# Cells of the grid over s; two poses a cell.
-_CELLS = 1600
 # The share of a grid's progress that is even in s; the rest goes where joints or the inertia change most.
 _EVEN = 0.5
 # A crank that turns fully may go so far beyond start and goal [rad].
@@ -33,6 +32,7 @@ class Plane:
     """
 
     s: np.ndarray
+    cells: list[float]  # widths (n - 1,)
     inertia: list[float]  # M
     work: dict[int, list[float]]  # W of weight, springs and full effort in direction +1 or -1, from the first position
     force: dict[int, list[float]]  # dW/ds
@@ -53,25 +53,28 @@ class Plane:
         stays `below` w at cell ends (n,).
         """
         sign, work, at = (-step if backwards else step), self.work[effort], start
-        top = self.top[sign]
-        values, energy = [w], self.inertia[start] * w
+        inertia, drags, top, cells, n = self.inertia, self.drag, self.top[sign], self.cells, len(self.inertia)
+        values, energy = [float(w)], inertia[start] * w
         if not w and step * self.force[effort][start] <= 0:
             return np.array(values)  # rest is not left that way, however soon the way would be open again
-        while 0 <= at + step < len(self.s):
+        while 0 <= at + step < n:
             over = at + step
-            h, free = self.s[over] - self.s[at], energy + work[over] - work[at]
-            drag = sign * self.drag[at] * (2 * values[-1]) ** 0.5
-            ahead = max(free + h * drag, 0.0) / self.inertia[over]
-            energy = free + 0.5 * h * (drag + sign * self.drag[over] * (2 * ahead) ** 0.5)
+            h = cells[at] if step > 0 else -cells[over]
+            drag = sign * drags[at] * sqrt(2 * w)
+            free = energy + work[over] - work[at]
+            ahead = max(free + h * drag, 0.0) / inertia[over]
+            energy = free + 0.5 * h * (drag + sign * drags[over] * sqrt(2 * ahead))
             if energy <= 0 or top[over] <= 0:
                 break
-            at, w = over, min(energy / self.inertia[over], top[over], np.inf if below is None else below[over])
-            energy = self.inertia[at] * w
-            values.append(float(w))
+            at, w = over, min(energy / inertia[over], top[over], inf if below is None else float(below[over]))
+            energy = inertia[at] * w
+            values.append(w)
         return np.array(values)
 
 
-def plane_of(problem: PlanningProblem, places: np.ndarray, start_pose: np.ndarray, share: float) -> Plane | None:
+def plane_of(
+    problem: PlanningProblem, places: np.ndarray, start_pose: np.ndarray, share: float, n_cells: int, *, graded: bool = True
+) -> Plane | None:
     """Return the plane around places (n,) that a motion passes, within the ranges that hold from its start on.
 
     None where they are not all within reach on one side of what is out of range.
@@ -81,6 +84,8 @@ def plane_of(problem: PlanningProblem, places: np.ndarray, start_pose: np.ndarra
         places: positions that are cell ends, the start first.
         start_pose: closed, at the start.
         share: of the effort limits that legs push with.
+        n_cells: cells of the grid over s; two poses a cell.
+        graded: whether cells are closer together where joints or the inertia change most.
     """
     mechanism, limits = problem.mechanism, problem.limits
     ends = np.array([places.min(), places.max()])
@@ -92,7 +97,7 @@ def plane_of(problem: PlanningProblem, places: np.ndarray, start_pose: np.ndarra
     else:
         low, high = max(low, can.lower.position), min(high, can.upper.position)
     room = _ROOM * (high - low)
-    s = np.linspace(min(low + room, ends[0]), max(high - room, ends[1]), _CELLS + 1)
+    s = np.linspace(min(low + room, ends[0]), max(high - room, ends[1]), n_cells + 1)
     gridded = _followed(problem, s, places, start_pose)
     if gridded is None:
         return None
@@ -106,7 +111,7 @@ def plane_of(problem: PlanningProblem, places: np.ndarray, start_pose: np.ndarra
     s, poses = s[first : last + 1], poses[2 * first : 2 * last + 1]
     if len(s) < 3 or not s[0] <= ends[0] <= ends[1] <= s[-1]:
         return None
-    gridded = _followed(problem, _graded(problem, s, poses[::2]), places, start_pose)
+    gridded = _followed(problem, _graded(problem, s, poses[::2]), places, start_pose) if graded else (s, poses)
     return None if gridded is None else _gridded(problem, *gridded, share * limits.effort)
 
 
@@ -147,15 +152,16 @@ def _gridded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: 
 
     inertia = sampled(dynamics.reduced_inertia, poses)[:, 0, 0]
     none = np.zeros((n, len(limit)))
-    ahead, back = (acceleration(v, none) for v in (1.0, -1.0))
+    ahead, back, still = (acceleration(v, none) for v in (1.0, -1.0, 0.0))
     maps = sampled(dynamics.effort_map, poses)[:, 0]
     effort = {way: np.where(way * maps > 0, limit[:, 1], limit[:, 0]) for way in (+1, -1)}
-    force = {way: inertia * acceleration(0.0, u) for way, u in effort.items()}
+    force = {way: inertia * still + (maps * u).sum(axis=1) for way, u in effort.items()}
     gains = {way: np.diff(s) * (f[:-2:2] + 4 * f[1::2] + f[2::2]) / 6 for way, f in force.items()}
     works = {way: np.concatenate([[0.0], np.cumsum(gain)]) for way, gain in gains.items()}
     fastest = _top(problem, poses[::2])
     return Plane(
         s=s,
+        cells=np.diff(s).tolist(),
         inertia=inertia[::2].tolist(),
         work={way: work.tolist() for way, work in works.items()},
         force={way: f[::2].tolist() for way, f in force.items()},
@@ -168,7 +174,7 @@ def _gridded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: 
 def _top(problem: PlanningProblem, poses: np.ndarray) -> np.ndarray:
     """Return the largest w = v^2 / 2 at poses (n, n_q) that every joint's speed limit admits."""
     mechanism, speed = problem.mechanism, np.abs(problem.limits.speed).min(axis=1)
-    ratio = np.array([np.abs(np.array(mechanism.dynamics.velocity_map(q))[:, 0]) for q in poses])
+    ratio = np.abs(sampled(mechanism.dynamics.velocity_map, poses)[:, :, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
         fastest = np.where(ratio > 0, speed / ratio, np.inf).min(axis=1)
     return 0.5 * fastest**2

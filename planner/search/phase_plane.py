@@ -20,9 +20,10 @@ from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.phase_grid import Plane, plane_of
 
-# Legs of a motion at the most, and places on the grid where it may turn.
+# Legs of a motion at the most.
 _SWINGS = 24
-_PLACES = 60
+# Cells of the grid, and places on it where a motion may turn.
+_CELLS, _PLACES = 1600, 60
 # A speed below this counts as this where times are added up [rad/s or m/s].
 _STILL = 1e-9
 # Shares of the effort limits tried for a motion that may take longer than the least.
@@ -57,8 +58,8 @@ def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest
 
 
 def _guess_with(problem: PlanningProblem, start_pose: np.ndarray, share: float) -> Guess | None:
-    parts = _parts(problem.motion)
-    plane = plane_of(problem, np.concatenate([part.places for part in parts]), start_pose, share)
+    parts = parts_of(problem.motion)
+    plane = plane_of(problem, np.concatenate([part.places for part in parts]), start_pose, share, _CELLS)
     if plane is None:
         return None
     ways = [_legs(plane, part) for part in parts]
@@ -66,14 +67,14 @@ def _guess_with(problem: PlanningProblem, start_pose: np.ndarray, share: float) 
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Part:
+class Part:
     """A part of a motion between known speeds: places (n,) from first to last, which are passed in turn."""
 
     places: np.ndarray
     speeds: tuple[float, float]
 
 
-def _parts(motion: Motion) -> list[_Part]:
+def parts_of(motion: Motion) -> list[Part]:
     """Return a reach's parts. Waypoints on the way are passed as quickly as may be, those at which it turns back at rest."""
     places = np.array([motion.start[0], *(w.position[0] for w in motion.waypoints), motion.goal[0]])
     ends = [0.0 if v is None else float(v[0]) for v in (motion.start_speed, motion.goal_speed)]
@@ -82,11 +83,11 @@ def _parts(motion: Motion) -> list[_Part]:
     speeds[turns & np.isnan(speeds)] = 0.0
     known = np.flatnonzero(~np.isnan(speeds))
     return [
-        _Part(places=places[a : b + 1], speeds=(float(speeds[a]), float(speeds[b]))) for a, b in itertools.pairwise(known)
+        Part(places=places[a : b + 1], speeds=(float(speeds[a]), float(speeds[b]))) for a, b in itertools.pairwise(known)
     ]
 
 
-def _legs(plane: Plane, part: _Part):
+def _legs(plane: Plane, part: Part):
     """Return a part's legs (indices, w, directions of the push at each), the quickest by way of a grid of turns.
 
     None where there is no way. Dijkstra over the places where a motion may rest.
@@ -139,27 +140,30 @@ def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: i
     braking = np.full(len(plane.s), np.nan)
     braking[goal - way * np.arange(len(brake))] = brake
     ahead = np.arange(index[0], goal + way, way)
-    pushing = np.full(len(plane.s), np.nan)
-    pushing[index] = push
-    over = np.flatnonzero(pushing[ahead] >= braking[ahead])
+    pushing, braking = (np.full(len(ahead), np.nan) for _ in range(2))
+    pushing[: len(push)] = push[: len(ahead)]
+    braking[len(ahead) - len(brake[: len(ahead)]) :] = brake[: len(ahead)][::-1]
+    over = np.flatnonzero(pushing >= braking)
     if not len(over):
         return None
     k = int(over[0])
-    if not k and pushing[index[0]] > (1 + _SAME) * braking[index[0]]:
+    if not k and pushing[0] > (1 + _SAME) * braking[0]:
         return None  # too fast already to stop there
     # Below the braking leg just before, or the way there is not open: it would be met too fast.
-    if np.any(np.isnan(pushing[ahead[:k]])) or (k and np.isnan(braking[ahead[k - 1]])):
+    if np.any(np.isnan(pushing[:k])) or (k and np.isnan(braking[k - 1])):
         return None
-    w = np.concatenate([pushing[ahead[:k]], braking[ahead[k:]]])
+    w = np.concatenate([pushing[:k], braking[k:]])
     if np.any(np.isfinite(plane.top[way])):
         # Below a speed limit a braking leg may rise faster than full effort does.
-        rest = plane.leg(index[0], push[0], way, way, below=np.where(np.isnan(braking), np.inf, braking))
+        below = np.full(len(plane.s), np.inf)
+        below[ahead] = np.where(np.isnan(braking), np.inf, braking)
+        rest = plane.leg(index[0], push[0], way, way, below=below)
         w[: len(rest)] = rest[: len(w)]
     effort = np.where(np.arange(len(ahead)) < k, way, -way)
     return ahead, w, effort
 
 
-def _guess(plane: Plane, parts: list[_Part], ways: list, start_pose: np.ndarray) -> Guess:
+def _guess(plane: Plane, parts: list[Part], ways: list, start_pose: np.ndarray) -> Guess:
     """Return parts' legs as a guess: position and velocity by Hermite cubics over time, efforts as they push."""
     visited, times, v, pushes, boundaries = [plane.at(parts[0].places[0])], [0.0], [parts[0].speeds[0]], [], [0]
     for part, legs in zip(parts, ways, strict=True):

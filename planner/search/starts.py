@@ -9,6 +9,7 @@ import numpy as np
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses, users_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.search.attempts import certified, plan_from
+from linkplan.planner.search.detours import detour_may_pay
 from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
@@ -92,9 +93,11 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
 
 def is_slow(search: Search) -> bool:
     """Return whether a least-time plan is slower than the phase plane's motion: a local optimum."""
-    if not search.solved or not search.only_time_counts or search.quickest is None:
+    if not search.solved or not search.only_time_counts or search.problem.mechanism.dof > 1:
         return False
-    return search.best.trajectory.duration_s > _SLOW * search.quickest.duration_s
+    if not detour_may_pay(search.problem, search.start_pose, search.best.trajectory.duration_s):
+        return False
+    return search.quickest is not None and search.best.trajectory.duration_s > _SLOW * search.quickest.duration_s
 
 
 def quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
