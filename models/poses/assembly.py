@@ -10,7 +10,7 @@ import numpy as np
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import mapped, sampled
+from linkplan.models.poses.along import sampled
 from linkplan.models.poses.continuation import MOST_CORRECTED, MOST_TURNED, stride_along
 from linkplan.models.tree.joints import where
 
@@ -19,8 +19,6 @@ _MIN_SHARE = 1e-5  # of a step: shorter than this, the path has met a singular p
 _NEWTON_STEPS = 12
 # A pose further away than this many steps (some 500 turns) is taken for a typing error.
 _MOST_STEPS = 1e5
-# Paths of so many samples a step are solved together: with fewer, leading from one to the next is quicker.
-_FEWEST_AT_ONCE = 8
 
 
 def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
@@ -34,27 +32,19 @@ def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = No
     Raises:
         AssemblyError: naming the joint's position at which the loop opens, or the ball joint whose chart the motion leaves.
     """
-    poses = _followed(mechanism, path, start)
-    left = mechanism.coordinates.left(poses)
-    if left is not None:
-        raise AssemblyError(
-            f"mechanism '{mechanism.name}' turns ball joint '{left}' further from its reference orientation than its"
-            " coordinates go (218 deg about one axis)"
-        )
-    return poses
-
-
-def _followed(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None) -> np.ndarray:
     q = np.array(mechanism.home if start is None else start, dtype=float)
     path = np.asarray(path, dtype=float)
-    poses = _follow_at_once(mechanism, path, q)
-    if poses is not None:
-        return poses
     poses, arrived = led(mechanism, q, path)
     if arrived < len(path):
         raise AssemblyError(
             f"mechanism '{mechanism.name}' does not close at {_where(mechanism, path[arrived])}: the kinematic loop opens at"
             f" {_where(mechanism, poses[-1][mechanism.independent])}"
+        )
+    left = mechanism.coordinates.left(poses)
+    if left is not None:
+        raise AssemblyError(
+            f"mechanism '{mechanism.name}' turns ball joint '{left}' further from its reference orientation than its"
+            " coordinates go (218 deg about one axis)"
         )
     return poses
 
@@ -98,62 +88,6 @@ def _strides(mechanism: Mechanism, path: np.ndarray, step_size: np.ndarray) -> t
     between = np.repeat(path[:-1], counts, axis=0) + shares[:, None] * np.repeat(ways, counts, axis=0)
     between[at - 1] = path[1:]
     return between, at
-
-
-def _follow_at_once(mechanism: Mechanism, path: np.ndarray, q: np.ndarray) -> np.ndarray | None:
-    """Return the poses along a path by Newton on all samples together, or None where that is not beyond doubt.
-
-    Knots are led one after the other; the samples between two knots start from the cubic through both with their tangents,
-    which at a step's distance is well within Newton's reach of the same branch.
-    """
-    independent, dependent = mechanism.independent, mechanism.dependent
-    step_size = step_sizes(mechanism)
-    travelled = np.max(np.abs(np.diff(path, axis=0)) / step_size[independent], axis=1, initial=0.0)
-    at = np.concatenate([[0.0], np.cumsum(travelled)])
-    if not len(dependent) or not len(path) > _FEWEST_AT_ONCE * (at[-1] + 2):
-        return None
-    knots = np.unique(np.concatenate([np.searchsorted(at, np.arange(0.0, at[-1], 1.0)), [len(path) - 1]]))
-    at_knots, arrived = led(mechanism, q, path[knots])
-    if arrived < len(knots):
-        return None
-    poses = np.empty((len(path), mechanism.n_q))
-    poses[:, independent] = path
-    poses[:, dependent] = predicted = _between_knots(mechanism, path, knots, at_knots)
-    many = mapped(mechanism.dynamics.closure_step, len(path))
-    for _ in range(_NEWTON_STEPS):
-        phi, steps, _, determinants = (x.full() for x in many(poses.T))
-        if not np.all(np.isfinite(steps)):
-            return None
-        poses[:, dependent] += steps.T
-        if np.abs(phi).max(initial=0.0) <= CLOSED_M and np.abs(steps).max(initial=0.0) < 1e-12:
-            break
-    else:
-        return None
-    moved = np.max(np.abs(poses[:, dependent] - predicted) / step_size[dependent], initial=0.0)
-    if mechanism.projected and not _stays_on_branch(mechanism, poses):
-        return None
-    by_block = determinants.reshape(-1, len(path))
-    one_sign = np.all(np.all(by_block > 0, axis=1) | np.all(by_block < 0, axis=1))
-    return poses if moved < MOST_CORRECTED and one_sign else None
-
-
-def _between_knots(mechanism: Mechanism, path: np.ndarray, knots: np.ndarray, at_knots: np.ndarray) -> np.ndarray:
-    """Return predicted dependent positions (n, n_z) along a path: Hermite's cubics over the chords between knots.
-
-    What the path is off a chord counts by the tangents, those of both knots in proportion.
-    """
-    z, s = at_knots[:, mechanism.dependent], path[knots]
-    gamma = sampled(mechanism.dynamics.velocity_map, at_knots)[:, mechanism.dependent]
-    k = np.clip(np.searchsorted(knots, np.arange(len(path)), side="right") - 1, 0, max(len(knots) - 2, 0))
-    after = np.minimum(k + 1, len(knots) - 1)
-    chord, way = s[after] - s[k], path - s[k]
-    x = np.einsum("ns,ns->n", way, chord) / np.maximum(np.einsum("ns,ns->n", chord, chord), np.finfo(float).tiny)
-    off = way - x[:, None] * chord
-    x = x[:, None]
-    first, last = (np.einsum("nzs,ns->nz", gamma[i], chord) for i in (k, after))
-    aside = (1 - x) * np.einsum("nzs,ns->nz", gamma[k], off) + x * np.einsum("nzs,ns->nz", gamma[after], off)
-    cubic = (1 - x) * (1 + x - 2 * x**2) * z[k] + x**2 * (3 - 2 * x) * z[after]
-    return cubic + x * (1 - x) ** 2 * first - x**2 * (1 - x) * last + aside
 
 
 def _stays_on_branch(mechanism: Mechanism, poses: np.ndarray) -> bool:

@@ -13,8 +13,8 @@ import numpy as np
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.mechanism import Mechanism
 
-# Newton steps of a stride. From a tangent's end, two degrees on, two leave 1e-12 and the third rounding; one in reserve.
-_NEWTON_STEPS = 4
+# Newton steps of a stride. From a tangent's end, two degrees on, two leave 1e-12 and the third rounding.
+_NEWTON_STEPS = 3
 # Strides folded into one call, the last position repeated where fewer are left. The first calls are short: near a singular
 # pose few strides are regular.
 _STRETCHES = (1, 4, 16, 64)
