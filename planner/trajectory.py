@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BPoly
+
+from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -74,28 +75,28 @@ class Trajectory:
 
     def position_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return s (n, n_s) [rad or m] at times (n,)."""
-        within = BPoly(self.position, self.breaks_s)(self._times(time_s))
+        within = PiecewisePolynomial(self.position, self.breaks_s)(self._times(time_s))
         return within + self.periods_at(time_s)[:, None] * self.advance
 
     def velocity_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return v (n, n_s) [rad/s or m/s] at times (n,); zero outside a motion that is not periodic."""
-        velocity = BPoly(self.velocity, self.breaks_s)(self._times(time_s))
+        velocity = PiecewisePolynomial(self.velocity, self.breaks_s)(self._times(time_s))
         return np.where(self._inside(time_s)[:, None], velocity, 0.0)
 
     def slope_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return s' (n, n_s), the planned position's own slope, within the motion: v but for a first-order scheme."""
-        return BPoly(self.position, self.breaks_s).derivative()(self._times(time_s))
+        return PiecewisePolynomial(self.position, self.breaks_s).derivative()(self._times(time_s))
 
     def acceleration_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return v' (n, n_s) [rad/s2 or m/s2] at times (n,); zero outside a motion that is not periodic."""
         if self.velocity.shape[0] == 1:
             return np.zeros((len(np.asarray(time_s)), self.n_s))
-        acceleration = BPoly(self.velocity, self.breaks_s).derivative()(self._times(time_s))
+        acceleration = PiecewisePolynomial(self.velocity, self.breaks_s).derivative()(self._times(time_s))
         return np.where(self._inside(time_s)[:, None], acceleration, 0.0)
 
     def effort_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return u (n, n_u) [N.m or N] at times (n,); that of the nearer end outside."""
-        return BPoly(self.effort, self.breaks_s)(self._times(time_s))
+        return PiecewisePolynomial(self.effort, self.breaks_s)(self._times(time_s))
 
     def _inside(self, time_s: np.ndarray) -> np.ndarray:
         time = np.asarray(time_s, dtype=float)

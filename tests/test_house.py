@@ -25,7 +25,7 @@ ROOMS = {
         "closure", "reduction", "actuation", "audit", "stiffness", "mechanism", "poses",
     ),
     "planner": (
-        "trajectory", "transcription", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain", "ode",
+        "transcription", "trajectory", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain", "ode",
         "search", "diagnosis", "planning", "files", "replan", "batch",
     ),
     "controllers": ("reference", "trackers", "integrator", "sampling", "rollout", "batch", "playback"),

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import scipy.optimize
+import scipy
 
 from linkplan.models.closure.rank import RANK_TOLERANCE
 

@@ -4,10 +4,9 @@ A planar loop closed by a connect has three rows and rank 2, and repeated pins a
 Matrix Computations, 5.4.2). What holds at one pose may not at the next, so choices are made over several closed poses.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-import scipy.linalg
 
 # Singular values below this share of the largest count as zero. An exact planar loop shows 1e-16; a pose within
 # a millionth of a link length of singular still shows 1e-6.
@@ -42,8 +41,7 @@ def independent_rows(jacobians: Sequence[np.ndarray], rank: int, tolerance: floa
     if rank == 0:
         return np.zeros(0, dtype=int)
     for stack in (np.hstack(jacobians), jacobians[0]):
-        pivots = scipy.linalg.qr(stack.T, mode="economic", pivoting=True)[-1]
-        rows = np.sort(np.asarray(pivots)[:rank])
+        rows = np.sort(_pivots(stack.T, range(len(stack)), rank, 0.0)[1])
         if all(numerical_rank(jacobian[rows], tolerance) == rank for jacobian in jacobians):
             break
     return rows
@@ -61,14 +59,20 @@ def dependent_columns(
     floor = tolerance * max(np.linalg.norm(work, axis=0).max(initial=0.0), np.finfo(float).tiny)
     chosen: list[int] = []
     for group in groups:
-        candidates = list(group)
-        while candidates and len(chosen) < rank:
-            norms = np.linalg.norm(work[:, candidates], axis=0)
-            best = int(np.argmax(norms))
-            if norms[best] <= floor:
-                break
-            column = candidates.pop(best)
-            chosen.append(column)
-            direction = work[:, column] / norms[best]
-            work -= np.outer(direction, direction @ work)
+        work, more = _pivots(work, group, rank - len(chosen), floor)
+        chosen += more
     return np.array(sorted(chosen), dtype=int)
+
+
+def _pivots(matrix: np.ndarray, columns: Iterable[int], most: int, floor: float) -> tuple[np.ndarray, list[int]]:
+    """Return a matrix without its components along chosen columns, and these: the longest left each time, above a floor."""
+    work, candidates, chosen = np.array(matrix, dtype=float), list(columns), []
+    while candidates and len(chosen) < most:
+        norms = np.linalg.norm(work[:, candidates], axis=0)
+        best = int(np.argmax(norms))
+        if norms[best] <= floor:
+            break
+        chosen.append(candidates.pop(best))
+        direction = work[:, chosen[-1]] / norms[best]
+        work -= np.outer(direction, direction @ work)
+    return work, chosen

@@ -9,8 +9,7 @@ hold everything but what lies in the null space of their effort map R (n_s, n_u)
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.linalg import null_space
-from scipy.optimize import least_squares
+import scipy
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
@@ -56,11 +55,11 @@ def resting(mechanism: Mechanism, named: Mapping[int, float], unnamed: tuple[int
     def left_over(x: np.ndarray) -> np.ndarray:
         pose = closed(x)
         tau = np.array(mechanism.dynamics.inverse_dynamics(pose, still, still)).ravel()
-        beyond = null_space(np.array(mechanism.dynamics.effort_map(pose)).T)
+        beyond = scipy.linalg.null_space(np.array(mechanism.dynamics.effort_map(pose)).T)
         return beyond @ (beyond.T @ tau)  # in the coordinates' own axes: a null space's basis may turn from pose to pose
 
     try:
-        found = least_squares(left_over, base[columns], x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        found = scipy.optimize.least_squares(left_over, base[columns], x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
         rest = left_over(found.x)
     except AssemblyError:
         return None

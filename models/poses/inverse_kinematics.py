@@ -12,8 +12,7 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import qr
-from scipy.optimize import lsq_linear
+import scipy
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
@@ -126,7 +125,7 @@ def independent_rows_of(mechanism: Mechanism, targets: SiteTargets, pose: np.nda
         J = J[:, ~np.isin(mechanism.independent, mechanism.passive_dofs)]
         if not J.size:
             continue
-        factors: Any = qr(J.T, mode="economic", pivoting=True)
+        factors: Any = scipy.linalg.qr(J.T, mode="economic", pivoting=True)
         _, R, order = factors
         sizes = np.abs(np.diagonal(R))
         rank = int(np.sum(sizes > _RANK))
@@ -221,7 +220,7 @@ def _step(J: np.ndarray, r: np.ndarray, damping: float, low: np.ndarray, high: n
     step = np.linalg.lstsq(stacked, wanted, rcond=None)[0]
     if np.all((low <= step) & (step <= high)):
         return step
-    return np.asarray(lsq_linear(stacked, wanted, bounds=(low, high)).x)
+    return np.asarray(scipy.optimize.lsq_linear(stacked, wanted, bounds=(low, high)).x)
 
 
 def _closed(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray | None:

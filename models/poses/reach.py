@@ -5,13 +5,20 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import scipy.interpolate
-import scipy.optimize
+import scipy
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import advance, led, step_sizes
-from linkplan.models.poses.singular_poses import closure_rank, dips, has_one_way_on, is_branching, least_values, vanishes
+from linkplan.models.poses.singular_poses import (
+    all_regular,
+    closure_rank,
+    dips,
+    has_one_way_on,
+    is_branching,
+    least_values,
+    vanishes,
+)
 from linkplan.models.tree.joints import Joint
 
 # A rate of a dependent joint below this share of the independent one's is rounding.
@@ -22,6 +29,8 @@ _RANGE_SLACK = 1e-8
 _SPLINED = 5
 # Steps that are led together before ranges are looked at, and how many times more the next time.
 _FIRST_STEPS, _MORE = 16, 4
+# Ways of more steps than a full turn's are looked at by `reach` itself.
+_MOST_LOOKS = 361
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -80,6 +89,35 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
     )
 
 
+def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
+    """Return whether the straight way from home to s (n_s,) is surely open: no singular pose, no joint beyond its range.
+
+    Looked at in the steps of `reach`, and much sooner known.
+    """
+    poses = _way(mechanism, mechanism.home, s)
+    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
+    if poses is None:
+        return False
+    kept = (poses >= ranges[:, 0] - _RANGE_SLACK) & (poses <= ranges[:, 1] + _RANGE_SLACK)
+    return bool(np.all(kept[:, mechanism.dependent]))
+
+
+def is_regular(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> bool:
+    """Return whether no pose on the straight way from a pose `start` (n_q,) to s (n_s,) is near a singular one."""
+    poses = _way(mechanism, start, s)
+    return poses is not None and all_regular(mechanism, poses)
+
+
+def _way(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> np.ndarray | None:
+    """Return the poses (n, n_q) on the straight way to s in the steps of `reach`; None where it is shut, or very long."""
+    first = start[mechanism.independent]
+    n = int(np.ceil(2 * np.max(np.abs(s - first) / step_sizes(mechanism)[mechanism.independent], initial=0.0)))
+    if not n < _MOST_LOOKS:
+        return None
+    poses, arrived = led(mechanism, start, np.linspace(first, s, n + 1))
+    return poses if arrived == n + 1 else None
+
+
 def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:
     """Return the poses inside a reach at which J_z loses rank though no determinant changes sign."""
     index, found = int(mechanism.independent[coordinate]), []
@@ -88,7 +126,7 @@ def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[n
         near = poses[max(0, k - _SPLINED) : k + _SPLINED + 1]
         motion = scipy.interpolate.CubicSpline(near[:, index], near)
 
-        def least(x: float, motion: scipy.interpolate.CubicSpline = motion) -> float:
+        def least(x: float, motion=motion) -> float:
             return float(least_values(mechanism, motion(x))[1])
 
         ends = (float(poses[k - 1, index]), float(poses[k + 1, index]))

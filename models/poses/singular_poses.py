@@ -9,6 +9,7 @@ show either, also where det J_z touches zero without a change of sign, two loops
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
 
 # A least singular value below this share of home's is zero at a pose found to 1e-8.
 _RANK_LOST = 1e-4
@@ -21,13 +22,18 @@ _DIRECTIONS, _BEND, _STRAIGHT = 360, 1e-5, 0.02
 
 def least_values(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Return the least singular values (2,) of J and of J_z that the closure's rank at home counts, slides by the extent."""
+    return least_values_along(mechanism, np.asarray(q)[None])[0]
+
+
+def least_values_along(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return the same (n, 2) at poses (n, n_q)."""
     rank = len(mechanism.dependent)
     if rank == 0:
-        return np.ones(2)
+        return np.ones((len(poses), 2))
     unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.joints])
-    jacobian = np.array(mechanism.dynamics.closure_jacobian(q)) * unit
-    whole, solved = (np.linalg.svd(A, compute_uv=False) for A in (jacobian, jacobian[:, mechanism.dependent]))
-    return np.array([whole[rank - 1], solved[rank - 1]])
+    jacobian = sampled(mechanism.dynamics.closure_jacobian, poses) * unit
+    both = (np.linalg.svd(A, compute_uv=False) for A in (jacobian, jacobian[:, :, mechanism.dependent]))
+    return np.stack([values[:, rank - 1] for values in both], axis=1)
 
 
 def is_branching(mechanism: Mechanism, q: np.ndarray) -> bool:
@@ -47,11 +53,17 @@ def dips(mechanism: Mechanism, poses: np.ndarray) -> list[int]:
     """Return the samples k of poses (n, n_q), ends left out, at which the least singular value of J_z dips."""
     if len(mechanism.dependent) == 0 or len(poses) < 3:
         return []
-    values = np.array([least_values(mechanism, q)[1] for q in poses])
+    values = least_values_along(mechanism, poses)[:, 1]
     at_home = least_values(mechanism, mechanism.home)[1]
     inner = values[1:-1]
     lowest = (inner <= values[:-2]) & (inner <= values[2:]) & (inner < _DIP * at_home)
     return [int(k) + 1 for k in np.flatnonzero(lowest)]
+
+
+def all_regular(mechanism: Mechanism, poses: np.ndarray) -> bool:
+    """Return whether no least singular value of J_z at poses (n, n_q) is so low that it wants a closer look."""
+    at_home = least_values(mechanism, mechanism.home)[1]
+    return bool(np.all(least_values_along(mechanism, poses)[:, 1] >= _DIP * at_home))
 
 
 def vanishes(mechanism: Mechanism, q: np.ndarray) -> bool:

@@ -12,9 +12,10 @@ from collections.abc import Callable, Iterator
 
 import casadi as ca
 import numpy as np
-from scipy.integrate import DOP853, solve_ivp
+import scipy
 
 from linkplan.models.interrupts import check
+from linkplan.planner.certificate.dormand_prince import E3, E5, A, B, C
 
 # The integration's own error: two digits below the 1e-10 that certificates speak of.
 _RTOL, _ATOL = 1e-12, 1e-13
@@ -44,7 +45,7 @@ def flow(rate: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, unti
     # An infeasible motion may diverge: the outcome shows it, and needs no warnings.
     with np.errstate(all="ignore"):
         try:
-            result = solve_ivp(
+            result = scipy.integrate.solve_ivp(
                 _counted(rate, until), (0.0, width_s), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=shares * width_s
             )
         except _CrawlsError:
@@ -118,18 +119,17 @@ def strides(rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, state: 
 @functools.lru_cache(maxsize=64)
 def _stretch(rate: ca.Function, length: int) -> ca.Function:
     """Return (state, inputs, widths) -> states at intervals' ends and middles, errors of the steps, over some intervals."""
-    A, b, c, e5, e3 = (np.asarray(getattr(DOP853, name)) for name in ("A", "B", "C", "E5", "E3"))
     begin, given, width = (ca.MX.sym(name, n) for name, n in (("x", rate.size1_in(0)), ("c", rate.size1_in(1)), ("T", 1)))
     h, x, states, errors = width / _STEPS, begin, [], [[], []]
     slope = rate(x, given, 0.0)
     for step in range(_STEPS):
         slopes = [slope]
-        for row, share in zip(A[1:], c[1:], strict=True):
+        for row, share in zip(A[1:], C[1:], strict=True):
             ahead = sum((float(a) * k for a, k in zip(row, slopes, strict=False) if a), ca.MX(0))
             slopes.append(rate(x + h * ahead, given, (step + share) / _STEPS))
-        x += h * sum((float(w) * k for w, k in zip(b, slopes, strict=True) if w), ca.MX(0))
+        x += h * sum((float(w) * k for w, k in zip(B, slopes, strict=True) if w), ca.MX(0))
         slope = rate(x, given, (step + 1) / _STEPS)
-        for of, e in zip(errors, (e5, e3), strict=True):
+        for of, e in zip(errors, (E5, E3), strict=True):
             of.append(h * sum((float(w) * k for w, k in zip(e, [*slopes, slope], strict=True) if w), ca.MX(0)))
         states.append(x)
     both = ca.vertcat(*(ca.horzcat(*of) for of in errors))

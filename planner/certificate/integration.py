@@ -19,7 +19,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.flow import Rate, flow, strides
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.schemes import bernstein_value
+from linkplan.planner.transcription.bernstein import bernstein_value
 
 # An error that has grown so much restarts the integration: rounding, grown so, is far below a certificate's hundredth of a
 # degree.

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.poses.along import sampled
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.schemes import bernstein_matrix
+from linkplan.planner.transcription.bernstein import bernstein_matrix
 
 # A limit is kept where it is overrun by no more than this share of itself: rounding.
 SLACK = 1e-9

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import BPoly, CubicSpline
+import scipy
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
@@ -15,6 +15,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.problem.planning_problem import GuessedPath, PlanningProblem
 from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 # Samples along a guess at which its effort is evaluated: enough for a path of a few radians.
 _SAMPLES = 121
@@ -171,12 +172,12 @@ def users_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
 
 def _splined(times: np.ndarray, s: np.ndarray, start_pose: np.ndarray, boundaries_s: np.ndarray | None) -> Guess:
     """Return the cubic spline through positions (n, n_s) at times (n,) as a guess."""
-    spline = CubicSpline(times, s)
+    spline = scipy.interpolate.CubicSpline(times, s)
     guess = _guess_along(spline, float(times[-1]), start_pose)
     return replace(guess, boundaries_s=boundaries_s)
 
 
-def _guess_along(path: BPoly | CubicSpline, duration: float, start_pose: np.ndarray) -> Guess:
+def _guess_along(path: PiecewisePolynomial, duration: float, start_pose: np.ndarray) -> Guess:
     """Return a path as a guess, its efforts left to inverse dynamics."""
     return Guess(
         position=path,
@@ -196,17 +197,17 @@ def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterat
     motion = problem.motion
     if motion.kind != "reach" or motion.waypoints:
         return
-    way, rest = motion.goal - motion.start, np.zeros_like(motion.goal)
+    way = motion.goal - motion.start
     duration = motion.duration_s or _within(problem, 4.0 * _shortest_duration(problem, start_pose))
     for via, at in ((motion.start - 0.5 * way, 0.4), (motion.goal + 0.5 * way, 0.6)):
-        states = [[motion.start, rest, rest], [via, rest, rest], [motion.goal, rest, rest]]
-        path = BPoly.from_derivatives([0.0, at * duration, duration], states)
+        states = np.array([motion.start, via, motion.goal])
+        path = PiecewisePolynomial.through(np.array([0.0, at * duration, duration]), states, np.zeros_like(states))
         guess = _guess_along(path, duration, start_pose)
         if closes(problem.mechanism, guess):
             yield guess
 
 
-def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False) -> BPoly:
+def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False) -> PiecewisePolynomial:
     """Return quintics through the phase boundaries, with no acceleration there (Flash & Hogan 1985), at rest where asked."""
     motion = problem.motion
     if motion.waypoints:
@@ -229,7 +230,7 @@ def _smooth_path(problem: PlanningProblem, duration: float, rests: bool = False)
     if motion.kind == "reach":
         v[0] = motion.start_speed if motion.start_speed is not None else 0.0
         v[-1] = motion.goal_speed if motion.goal_speed is not None else 0.0
-    return BPoly.from_derivatives(times, [[a, b, np.zeros_like(a)] for a, b in zip(s, v, strict=True)])
+    return PiecewisePolynomial.through(times, s, v)
 
 
 def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> float:
@@ -248,7 +249,7 @@ def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> floa
     # In the pace r = 1 / T speeds are r v_0 + v_1 and accelerations r^2 a_0 + r a_1, with the ends' given speeds in v_1 and
     # a_1. Efforts are quadratic in r, dampers that are not linear apart: three paces tell all the others.
     twice = _smooth_path(problem, 2.0)
-    v, a = (np.array([path.derivative(order)(path.x[-1] * tau) for path in (unit, twice)]) for order in (1, 2))
+    v, a = (np.array([path.derivative(order)(path.breaks[-1] * tau) for path in (unit, twice)]) for order in (1, 2))
     v_1, a_1 = 2 * v[1] - v[0], 4 * a[1] - a[0]
     v_0, a_0 = v[0] - v_1, a[0] - a_1
     still, ahead, back = (needed_effort(mechanism, poses, r * v_0 + v_1, r**2 * a_0 + r * a_1)[0] for r in (0.0, 1.0, -1.0))

@@ -3,13 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy
 
 from linkplan.models.poses.along import joint_rates, needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.schemes import bernstein_integral, bernstein_matrix
+from linkplan.planner.transcription.bernstein import bernstein_integral, bernstein_matrix
 
 # Degree of the polynomials that stand for a smooth reference on an interval: with forty intervals a period, its
 # interpolation error is at rounding.
@@ -159,7 +159,7 @@ def reference_demand(problem: PlanningProblem, start_pose: np.ndarray) -> Demand
     def negative(t: float) -> float:
         return -sign * float(looked_at(np.array([t]), poses[at])[index][0, column])
 
-    best = minimize_scalar(negative, bounds=(low, high), method="bounded", options={"xatol": 1e-12})
+    best = scipy.optimize.minimize_scalar(negative, bounds=(low, high), method="bounded", options={"xatol": 1e-12})
     needed = sign * -float(best.fun)
     if what == "effort":
         actuator = mechanism.actuators[column]

@@ -13,10 +13,11 @@ from linkplan.planner.closed_chain.mechanics import Scales
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.tightening import Tightening
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.bernstein import bernstein_value
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with
 from linkplan.planner.transcription.formulation import Formulation, Start
 from linkplan.planner.transcription.mesh import Mesh
-from linkplan.planner.transcription.schemes import bernstein_value, scheme
+from linkplan.planner.transcription.schemes import scheme
 
 __all__ = ["Transcribed", "choose_scales", "own_objective", "renumbered", "trajectory_of", "transcribe"]
 

@@ -9,7 +9,8 @@ from linkplan.planner.certificate.flow import Rate, flows
 from linkplan.planner.certificate.margins import least_between, sample_points
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.transcription.schemes import Scheme, bernstein_value
+from linkplan.planner.transcription.bernstein import bernstein_value
+from linkplan.planner.transcription.schemes import Scheme
 
 # The state reached by integration may differ by this share of each state's size; a tolerance below it is refined towards.
 INTEGRATION = 1e-4

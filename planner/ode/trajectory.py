@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BPoly
 
 from linkplan.planner.problem.values import frozen
+from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -39,15 +39,15 @@ class OdeTrajectory:
 
     def full_state_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return states at times (n,), time among them where it is carried."""
-        return BPoly(self.state, self.breaks_s)(np.atleast_1d(time_s))
+        return PiecewisePolynomial(self.state, self.breaks_s)(np.atleast_1d(time_s))
 
     def rate_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return the states' rates at times (n,)."""
-        return BPoly(self.state, self.breaks_s).derivative()(np.atleast_1d(time_s))
+        return PiecewisePolynomial(self.state, self.breaks_s).derivative()(np.atleast_1d(time_s))
 
     def effort_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return efforts (n, n_u) at times (n,); at a break the later interval's."""
-        return BPoly(self.effort, self.breaks_s)(np.atleast_1d(time_s))
+        return PiecewisePolynomial(self.effort, self.breaks_s)(np.atleast_1d(time_s))
 
     def dense_times(self, per_interval: int) -> np.ndarray:
         """Return times at `per_interval` steps of every interval, both sides of each break."""

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.planner.transcription.bernstein import bernstein_matrix
 from linkplan.planner.transcription.collocation import Transcribed
-from linkplan.planner.transcription.schemes import bernstein_matrix
 
 # A path quantity within this share of its limit is at it; next to switch times (this share of a segment) nothing is looked
 # at.

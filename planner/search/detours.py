@@ -7,7 +7,7 @@ longer. The shortest way over a grid of places, the leg from start to goal left 
 """
 
 import numpy as np
-from scipy.sparse.csgraph import csgraph_from_dense, dijkstra
+import scipy
 
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.phase_grid import Plane, plane_of
@@ -45,7 +45,8 @@ def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s:
     if not np.isfinite(times[first, last]):
         return True  # the way straight there is not open: what was found swings already
     times[first, last] = np.inf
-    detour = dijkstra(csgraph_from_dense(times, null_value=np.inf), indices=first)[last]
+    graph = scipy.sparse.csgraph
+    detour = graph.dijkstra(graph.csgraph_from_dense(times, null_value=np.inf), indices=first)[last]
     return bool(detour < (1 - _ROOM) * duration_s)
 
 

@@ -13,7 +13,7 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+import scipy
 
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.problem.motion import Motion
@@ -178,7 +178,7 @@ def _guess(plane: Plane, parts: list[Part], ways: list, start_pose: np.ndarray) 
             boundaries.append(boundaries[-1] + 1 + visited[boundaries[-1] + 1 :].index(plane.at(place)))
         boundaries.append(len(visited) - 1)
     t, pushed, place = np.array(times), np.array(pushes), plane.s[visited]
-    path = CubicHermiteSpline(t, place[:, None], np.array(v)[:, None])
+    path = scipy.interpolate.CubicHermiteSpline(t, place[:, None], np.array(v)[:, None])
 
     def effort_at(at: np.ndarray) -> np.ndarray:
         k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(pushed) - 1)

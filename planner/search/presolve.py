@@ -6,7 +6,7 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.poses.reach import Reach, reach
+from linkplan.models.poses.reach import Reach, is_open, is_regular, reach
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.certificate.site_margins import SITE_SLACK, title
 from linkplan.planner.problem.motion import Motion
@@ -26,30 +26,30 @@ def start_pose_of(problem: PlanningProblem) -> np.ndarray:
             `check_turns`.
     """
     mechanism, motion = problem.mechanism, problem.motion
-    can = reach(mechanism) if mechanism.dof == 1 else None
     for name in ("start", "goal"):
         value = getattr(motion, name)
         if value is not None:
-            _check_reach(problem, f"motion.{name}_deg", value, can)
+            _check_reach(problem, f"motion.{name}_deg", value)
     for k, waypoint in enumerate(motion.waypoints):
         if not np.all(np.isnan(waypoint.position)):
-            _check_reach(problem, f"motion.waypoints[{k}].at_deg", waypoint.position, can)
+            _check_reach(problem, f"motion.waypoints[{k}].at_deg", waypoint.position)
     if motion.start is not None or problem.reference is None:
         pose = np.array(mechanism.home) if motion.start is None else close_at(mechanism, motion.start)
         if motion.turns is not None:
-            check_turns(problem, pose, can)
+            check_turns(problem, pose, reach(mechanism) if mechanism.dof == 1 else None)
         return pose
     first = problem.reference.derivative(np.zeros(1))[0]
     period = np.linspace(0.0, problem.reference.period_s, 181)
     values = problem.reference.derivative(period)
     for extreme in (np.argmin, np.argmax):
         for column in range(mechanism.dof):
-            _check_reach(problem, "reference", values[int(extreme(values[:, column]))], can, ranges=False)
+            _check_reach(problem, "reference", values[int(extreme(values[:, column]))], ranges=False)
     return close_at(mechanism, first)
 
 
-def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, can: Reach | None, ranges: bool = True) -> None:
+def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, ranges: bool = True) -> None:
     mechanism = problem.mechanism
+    can = reach(mechanism) if mechanism.dof == 1 and not np.isnan(s[0]) and not is_open(mechanism, s) else None
     for column, joint in enumerate(mechanism.independent_joints):
         if np.isnan(s[column]):  # a waypoint leaves it free
             continue
@@ -129,6 +129,8 @@ def _branches_on_the_way(problem: PlanningProblem) -> str | None:
     """Return the sentence on a pose at which the loops lose rank between start and goal of a single freedom, or None."""
     mechanism, motion = problem.mechanism, problem.motion
     if mechanism.dof != 1 or motion.start is None or motion.goal is None:
+        return None
+    if is_regular(mechanism, close_at(mechanism, motion.start), motion.goal):
         return None
     low, high = sorted((float(motion.start[0]), float(motion.goal[0])))
     (joint,) = mechanism.independent_joints

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from linkplan.planner.transcription.bernstein import bernstein_elevation, bernstein_gram
 from linkplan.planner.transcription.layout import Layout
-from linkplan.planner.transcription.schemes import Scheme, bernstein_elevation, bernstein_gram
+from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import System
 
 # Costs that an interval adds itself, exact for the effort's polynomial: its duration, int u_j^2, int u_j'^2.

@@ -18,14 +18,13 @@ so coefficients within a limit keep the effort within it at every instant. Its d
 
 from dataclasses import dataclass
 from functools import cache
-from typing import Any
 
 import casadi as ca
 import numpy as np
-from scipy.special import comb
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
+from linkplan.planner.transcription.bernstein import bernstein_integral, bernstein_matrix
 from linkplan.planner.transcription.scheme_names import LOBATTO, MAX_DEGREE, NAMES
 
 EFFORTS = {"constant": 0, "linear": 1, "polynomial": MAX_DEGREE}
@@ -144,39 +143,3 @@ def _build(name: str, nodes: np.ndarray, effort: str, *, consistent: bool) -> Sc
         velocity_coefficients=to_velocity,
         position_coefficients=to_position,
     )
-
-
-def bernstein_matrix(degree: int, points: np.ndarray) -> np.ndarray:
-    """Return the Bernstein polynomials (n_points, degree + 1) of a degree at points of [0, 1]."""
-    t = np.asarray(points, dtype=float)[:, None]
-    k = np.arange(degree + 1)
-    return comb(degree, k) * t**k * (1 - t) ** (degree - k)
-
-
-def bernstein_value(coefficients: Any, at: Any) -> Any:
-    """Return a Bernstein polynomial's value (n,) at one point by de Casteljau: coefficients (degree + 1, n).
-
-    Numbers or CasADi's symbols, whose value is a row.
-    """
-    points = coefficients
-    for left in range(points.shape[0] - 1, 0, -1):
-        points = points[:left, :] + at * (points[1:, :] - points[:left, :])
-    return points[0, :]
-
-
-def bernstein_gram(degree: int) -> np.ndarray:
-    """Return int_0^1 B_i B_j (degree + 1, degree + 1), which makes integrals of squared polynomials exact."""
-    k = np.arange(degree + 1)
-    i, j = np.meshgrid(k, k, indexing="ij")
-    return np.asarray(comb(degree, i) * comb(degree, j) / ((2 * degree + 1) * comb(2 * degree, i + j)))
-
-
-def bernstein_integral(degree: int) -> np.ndarray:
-    """Return the matrix (degree + 2, degree + 1) from Bernstein coefficients to those of the integral from 0."""
-    return np.tril(np.ones((degree + 2, degree + 1)), -1) / (degree + 1)
-
-
-def bernstein_elevation(degree: int, higher: int) -> np.ndarray:
-    """Return the matrix (higher + 1, degree + 1) from a curve's Bernstein coefficients to those at a higher degree."""
-    i, k = np.meshgrid(np.arange(degree + 1), np.arange(higher + 1))
-    return np.asarray(comb(degree, i) * comb(higher - degree, k - i) / comb(higher, k))

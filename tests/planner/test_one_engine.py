@@ -22,8 +22,8 @@ from linkplan.planner.refinement.free_duration import LONGER, SHORTER, bounded_b
 from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME, SUCCEEDED, why_stopped
+from linkplan.planner.transcription.bernstein import bernstein_matrix, bernstein_value
 from linkplan.planner.transcription.mesh import Mesh, uniform
-from linkplan.planner.transcription.schemes import bernstein_matrix, bernstein_value
 from tests.support.tolerances_planner import UNIT
 
 TAU = np.linspace(0.0, 1.0, 41)

@@ -21,8 +21,9 @@ from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.solvers.solve import solve
+from linkplan.planner.transcription.bernstein import bernstein_gram, bernstein_integral, bernstein_matrix
 from linkplan.planner.transcription.mesh import uniform
-from linkplan.planner.transcription.schemes import NAMES, bernstein_gram, bernstein_integral, bernstein_matrix, scheme
+from linkplan.planner.transcription.schemes import NAMES, scheme
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, TURN
 from tests.support.tolerances_planner import EFFORT_JUMP, EXACT_EFFORT, MINIMUM_TIME, ORDER, UNIT, UNIT_VALUES
 

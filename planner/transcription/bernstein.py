@@ -1,0 +1,94 @@
+"""Polynomials by their Bernstein coefficients, on one interval and on many (Farouki, CAGD 29, 2012).
+
+A curve stays in the convex hull of its coefficients. What scipy.interpolate has of this takes longer to import than a small
+plan takes to solve.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from math import comb
+from typing import Any, Self
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PiecewisePolynomial:
+    """A polynomial on each of n intervals: Bernstein coefficients (degree + 1, n, k), breaks (n + 1,) that increase.
+
+    At a break the later interval's value holds; beyond the ends the polynomials there go on.
+    """
+
+    coefficients: np.ndarray
+    breaks: np.ndarray
+
+    @classmethod
+    def through(cls, breaks: np.ndarray, position: np.ndarray, speed: np.ndarray) -> Self:
+        """Return quintics through positions with speeds (n + 1, k), and with no acceleration, at the breaks."""
+        h = np.diff(breaks)[:, None]
+        left = [position[:-1], position[:-1] + h / 5 * speed[:-1], position[:-1] + 2 * h / 5 * speed[:-1]]
+        right = [position[1:] - 2 * h / 5 * speed[1:], position[1:] - h / 5 * speed[1:], position[1:]]
+        return cls(np.stack([*left, *right]), np.asarray(breaks, dtype=float))
+
+    def __call__(self, at: np.ndarray) -> np.ndarray:
+        """Return values (m, k) at m places."""
+        at, n = np.asarray(at, dtype=float), len(self.breaks) - 1
+        index = np.clip(np.searchsorted(self.breaks, at, side="right") - 1, 0, n - 1)
+        tau = (at - self.breaks[index]) / np.diff(self.breaks)[index]
+        basis = bernstein_matrix(len(self.coefficients) - 1, tau.ravel())
+        values = np.einsum("mp,pmk->mk", basis, self.coefficients[:, index.ravel()])
+        return values.reshape(*at.shape, -1)
+
+    def derivative(self, order: int = 1) -> "PiecewisePolynomial":
+        """Return the derivative of an order; zero of a constant."""
+        if not order:
+            return self
+        degree = len(self.coefficients) - 1
+        if not degree:
+            return PiecewisePolynomial(np.zeros_like(self.coefficients), self.breaks)
+        slope = degree * np.diff(self.coefficients, axis=0) / np.diff(self.breaks)[:, None]
+        return PiecewisePolynomial(slope, self.breaks).derivative(order - 1)
+
+
+@cache
+def _binomials(n: int) -> np.ndarray:
+    return np.array([comb(n, k) for k in range(n + 1)], dtype=float)
+
+
+def bernstein_matrix(degree: int, points: np.ndarray) -> np.ndarray:
+    """Return the Bernstein polynomials (n_points, degree + 1) of a degree at points of [0, 1]."""
+    t = np.asarray(points, dtype=float)[:, None]
+    k = np.arange(degree + 1)
+    return _binomials(degree) * t**k * (1 - t) ** (degree - k)
+
+
+def bernstein_value(coefficients: Any, at: Any) -> Any:
+    """Return a Bernstein polynomial's value (n,) at one point by de Casteljau: coefficients (degree + 1, n).
+
+    Numbers or CasADi's symbols, whose value is a row.
+    """
+    points = coefficients
+    for left in range(points.shape[0] - 1, 0, -1):
+        points = points[:left, :] + at * (points[1:, :] - points[:left, :])
+    return points[0, :]
+
+
+def bernstein_gram(degree: int) -> np.ndarray:
+    """Return int_0^1 B_i B_j (degree + 1, degree + 1), which makes integrals of squared polynomials exact."""
+    k = np.arange(degree + 1)
+    i, j = np.meshgrid(k, k, indexing="ij")
+    of = _binomials(degree)
+    return np.outer(of, of) / ((2 * degree + 1) * _binomials(2 * degree)[i + j])
+
+
+def bernstein_integral(degree: int) -> np.ndarray:
+    """Return the matrix (degree + 2, degree + 1) from Bernstein coefficients to those of the integral from 0."""
+    return np.tril(np.ones((degree + 2, degree + 1)), -1) / (degree + 1)
+
+
+def bernstein_elevation(degree: int, higher: int) -> np.ndarray:
+    """Return the matrix (higher + 1, degree + 1) from a curve's Bernstein coefficients to those at a higher degree."""
+    i, k = np.meshgrid(np.arange(degree + 1), np.arange(higher + 1))
+    rest, step = _binomials(higher - degree), k - i
+    inside = (step >= 0) & (step < len(rest))
+    return np.where(inside, _binomials(degree)[i] * rest[np.where(inside, step, 0)] / _binomials(higher)[k], 0.0)
