@@ -17,8 +17,24 @@ def mapped(function: ca.Function, n: int) -> ca.Function:
 def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
     """Return a function's first output over samples: arguments (n, k), result (n, rows, columns)."""
     n = len(arguments[0])
-    stacked = mapped(function, n)(*[a.T for a in arguments]).full()
+    (stacked,) = evaluated(mapped(function, n), *[a.T for a in arguments], outputs=1)
     return stacked.reshape(function.size1_out(0), n, function.size2_out(0)).transpose(1, 0, 2)
+
+
+def evaluated(function: ca.Function, *arguments: np.ndarray, outputs: int | None = None) -> list[np.ndarray]:
+    """Return a function's first outputs (all by default), each (rows, columns); inputs and outputs are dense.
+
+    CasADi reads and writes numpy's memory: its own matrices take longer to convert than the function takes to evaluate.
+    """
+    buffer, evaluate = function.buffer()
+    given = [np.asarray(a, dtype=float).ravel(order="F") for a in arguments]  # alive until the call is done
+    found = [np.empty(function.numel_out(k)) for k in range(function.n_out() if outputs is None else outputs)]
+    for put, arrays in ((buffer.set_arg, given), (buffer.set_res, found)):
+        for k, array in enumerate(arrays):
+            if array.size:
+                put(k, memoryview(array))
+    evaluate()
+    return [array.reshape(function.size_out(k), order="F") for k, array in enumerate(found)]
 
 
 def joint_rates(mechanism: Mechanism, q: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import sampled
+from linkplan.models.poses.along import evaluated, sampled
 from linkplan.models.poses.continuation import MOST_CORRECTED, MOST_TURNED, stride_along
 from linkplan.models.tree.joints import where
 
@@ -125,7 +125,7 @@ def advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[np
     independent, dependent = mechanism.independent, mechanism.dependent
     step_size = step_sizes(mechanism)
     q = np.array(q, dtype=float)
-    _, _, gamma, determinants = (np.array(x) for x in mechanism.dynamics.closure_step(q))
+    _, _, gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)
     share = 1.0
     longest = np.max(np.abs(target - q[independent]) / step_size[independent], initial=0.0)
     if not longest < _MOST_STEPS:
@@ -160,14 +160,14 @@ def _correct(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarra
     q = np.array(q)
     dependent = mechanism.dependent
     for iteration in range(_NEWTON_STEPS):
-        phi, step, gamma, determinants = mechanism.dynamics.closure_step(q)
-        step = np.array(step).ravel()
+        phi, step, gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)
+        step = step.ravel()
         size = np.abs(step).max(initial=0.0)
         if not np.isfinite(size) or size > 10:
             break
         # One step past convergence costs little and leaves rounding only.
-        done = np.abs(np.array(phi)).max(initial=0.0) <= CLOSED_M and (size < 1e-12 or iteration > 2)
+        done = np.abs(phi).max(initial=0.0) <= CLOSED_M and (size < 1e-12 or iteration > 2)
         q[dependent] += step
         if done or step.size == 0:
-            return q, np.array(gamma), np.array(determinants)
+            return q, gamma, determinants
     return np.full_like(q, np.nan), np.full((mechanism.n_q, mechanism.dof), np.nan), np.array(np.nan)

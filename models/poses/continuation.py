@@ -12,6 +12,7 @@ import numpy as np
 
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import evaluated
 
 # Newton steps of a stride. From a tangent's end, two degrees on, two leave 1e-12 and the third rounding.
 _NEWTON_STEPS = 3
@@ -34,7 +35,7 @@ def stride_along(mechanism: Mechanism, q: np.ndarray, positions: np.ndarray, ste
         poses = np.empty((len(positions), mechanism.n_q))
         poses[:, mechanism.independent] = positions
         return poses
-    gamma, determinants = (np.array(x) for x in mechanism.dynamics.closure_step(q)[2:])
+    gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)[2:]
     state = np.concatenate([q, gamma.T.ravel(), determinants.ravel()])
     found: list[np.ndarray] = [np.empty((0, mechanism.n_q))]
     begin, longest = 0, _FIRST
@@ -42,7 +43,7 @@ def stride_along(mechanism: Mechanism, q: np.ndarray, positions: np.ndarray, ste
         n = min(longest, len(positions) - begin)
         length = next(length for length in _STRETCHES if length >= n)
         targets = positions[np.minimum(np.arange(begin, begin + length), len(positions) - 1)]
-        states, phi, predicted = (x.full().T[:n] for x in _stretch(mechanism, length)(state, targets.T))
+        states, phi, predicted = (x.T[:n] for x in evaluated(_stretch(mechanism, length), state, targets.T))
         regular = _regular(mechanism, np.concatenate([state[None], states]), phi, predicted, step_size)
         found.append(states[:regular, : mechanism.n_q])
         if regular < n:

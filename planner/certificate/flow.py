@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 
 from linkplan.models.interrupts import check
+from linkplan.models.poses.along import evaluated
 from linkplan.planner.certificate.dormand_prince import E3, E5, A, B, C
 
 # The integration's own error: two digits below the 1e-10 that certificates speak of.
@@ -102,7 +103,7 @@ def strides(rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, state: 
         check()
         length = max(length for length in _STRETCHES if length <= min(longest, len(widths_s) - begin))
         some = slice(begin, begin + length)
-        ends, middles, errors = (np.array(x) for x in _stretch(rate, length)(state, inputs[some].T, widths_s[some]))
+        ends, middles, errors = evaluated(_stretch(rate, length), state, inputs[some].T, widths_s[some])
         before = np.column_stack([state, ends[:, :-1]])
         sizes = np.maximum(np.abs(before), np.abs(ends))
         scale = _ATOL * np.maximum(1.0, np.abs(before)) + _RTOL * sizes
