@@ -49,5 +49,7 @@ def needed_effort(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndar
     """
     tau = sampled(mechanism.dynamics.inverse_dynamics, q, v, a)[:, :, 0]
     maps = sampled(mechanism.dynamics.effort_map, q)
-    effort = np.einsum("kus,ks->ku", np.linalg.pinv(maps), tau)
+    same = len(maps) > 1 and bool(np.all(maps == maps[0]))  # motors on the coordinates themselves: one inverse for all
+    inverse = np.broadcast_to(np.linalg.pinv(maps[0]), maps.transpose(0, 2, 1).shape) if same else np.linalg.pinv(maps)
+    effort = np.einsum("kus,ks->ku", inverse, tau)
     return effort, tau - np.einsum("ksu,ku->ks", maps, effort)

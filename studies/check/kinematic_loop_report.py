@@ -171,8 +171,13 @@ def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return the least and the most effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
     pushes = np.abs(ratio) > _NO_ARM * np.abs(ratio).max(axis=(0, 1), initial=0.0)
-    ends = np.multiply(ratio[..., None], limit, out=np.zeros((*ratio.shape, 2)), where=pushes[..., None])
-    return np.stack([ends.min(axis=-1).sum(axis=-1), ends.max(axis=-1).sum(axis=-1)], axis=-1)
+    found = np.zeros((*ratio.shape[:2], 2))
+    for j in np.flatnonzero(pushes.any(axis=(0, 1))):
+        columns = pushes[:, :, j].any(axis=0)  # the coordinates that an actuator pushes at all: few
+        ends = np.multiply(ratio[:, columns, j, None], limit[j], out=np.zeros((len(ratio), columns.sum(), 2)),
+                           where=pushes[:, columns, j, None])  # fmt: skip
+        found[:, columns] += np.sort(ends, axis=-1)
+    return found
 
 
 def _singularity(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
