@@ -99,7 +99,7 @@ def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
     if poses is None:
         return False
     kept = (poses >= ranges[:, 0] - _RANGE_SLACK) & (poses <= ranges[:, 1] + _RANGE_SLACK)
-    return bool(np.all(kept[:, mechanism.dependent]))
+    return bool(np.all(kept))
 
 
 def is_regular(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> bool:

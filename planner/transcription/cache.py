@@ -13,6 +13,7 @@ import os
 import shutil
 import stat
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -22,6 +23,8 @@ except ImportError:  # not POSIX
     fcntl = None
 
 _WORK = ".work-"
+# A compilation that was begun so long ago [s] and is not there has failed.
+_BEGUN_S = 600.0
 # The largest libraries, of legs with thirteen joints, have ten megabytes and a megabyte of record. More is none of ours.
 _LARGEST_LIBRARY, _LARGEST_RECORD = 256 << 20, 32 << 20
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
@@ -113,6 +116,8 @@ def keep(built: Path, said: dict, folder: Path, key: str) -> Path:
     for path in (built, record):
         path.chmod(0o600)
         os.replace(path, folder / path.name)
+    for mark in ("wanted", "begun"):
+        (folder / f"{key}.{mark}").unlink(missing_ok=True)
     return folder / f"{key}.so"
 
 
@@ -151,6 +156,38 @@ def work_folder(folder: Path) -> Iterator[Path]:
         shutil.rmtree(work, ignore_errors=True)
         if lock is not None:
             os.close(lock)
+
+
+def handed_over(folder: Path) -> tuple[Path, int | None]:
+    """Return a folder to compile in and its lock, for another process to take over and to remove.
+
+    Raises:
+        OSError: when it cannot be made.
+    """
+    work = Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
+    return work, _locked(work)
+
+
+def wanted_again(folder: Path, key: str) -> bool:
+    """Return whether a key was wanted before and nobody has begun to compile it within a few minutes; mark that it is now.
+
+    Raises:
+        OSError: when the disk refuses.
+    """
+    mark, begun = folder / f"{key}.wanted", folder / f"{key}.begun"
+    try:
+        mark.touch(mode=0o600, exist_ok=False)
+    except FileExistsError:
+        pass
+    else:
+        return False
+    try:
+        begun.touch(mode=0o600, exist_ok=False)
+    except FileExistsError:
+        if time.time() - begun.stat().st_mtime < _BEGUN_S:
+            return False
+        begun.touch()
+    return True
 
 
 def sweep(folder: Path) -> None:

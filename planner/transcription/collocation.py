@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from linkplan.planner.transcription.bounds import bang_coefficients, bounds, given_nodes, linear_rows, row_bounds
-from linkplan.planner.transcription.compiled import cached, compiled, key_of
+from linkplan.planner.transcription.compiled import cached, compile_beside, compiled, key_of
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, fitted
 from linkplan.planner.transcription.interval import IntervalFunctions, build_interval
 from linkplan.planner.transcription.junctions import find_junctions, places
@@ -196,7 +196,11 @@ def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: 
     key = key_of(system, chosen, formulation.rows)
     if mode == "always" or n_intervals >= _WORTH_COMPILING:
         return compiled(key, build)
-    return cached(key) or build()
+    found = cached(key)
+    if found is None:
+        found = build()
+        compile_beside(key, found)
+    return found
 
 
 def _row_bounds(

@@ -10,11 +10,13 @@ cache (`cache.py`) cannot be used, or there is no compiler, the interpreter serv
 import contextlib
 import functools
 import hashlib
+import json
 import os
 import shlex
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -26,7 +28,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import one_line
-from linkplan.planner.transcription.cache import find, keep, sweep, trusted_folder, work_folder
+from linkplan.planner.transcription.cache import find, handed_over, keep, sweep, trusted_folder, wanted_again, work_folder
 from linkplan.planner.transcription.interval import NAMES, OPEN_END_NAMES, IntervalFunctions, IntervalRows
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import System
@@ -120,7 +122,8 @@ def compiled(key: str, build: Callable[[], IntervalFunctions]) -> IntervalFuncti
     try:
         folder = trusted_folder(make=True)
         with work_folder(folder) as work:
-            said = _compile(functions, work, key)
+            said, command = _written(functions, work, key)
+            _run(command, work)
             library = keep(work / f"{key}.so", said, folder, key)
         return replace(functions, **{name: ca.external(name, str(library)) for name in _names(functions)})
     except (OSError, subprocess.SubprocessError, RuntimeError) as error:
@@ -133,18 +136,46 @@ def _names(functions: IntervalFunctions) -> tuple[str, ...]:
     return (*NAMES, *OPEN_END_NAMES) if functions.n_open_ends else NAMES
 
 
-def _compile(functions: IntervalFunctions, work: Path, key: str) -> dict:
-    """Write functions' library into a folder and return what else there is to know of them."""
+def compile_beside(key: str, functions: IntervalFunctions) -> subprocess.Popen | None:
+    """Have functions compiled by a process of its own, once they were wanted before; return it, for nobody to wait for.
+
+    What is wanted once is worth no compilation: the first time leaves a mark in the cache, a later one, in this process or
+    another, begins the work. A full disk, or no compiler, costs nothing but that.
+    """
+    if compiler() is None:
+        return None
+    with contextlib.suppress(OSError, subprocess.SubprocessError):
+        folder = trusted_folder(make=True)
+        if not wanted_again(folder, key):
+            return None
+        work, lock = handed_over(folder)
+        try:
+            said, command = _written(functions, work, key)
+            (work / f"{key}.said").write_text(json.dumps(said), encoding="utf-8")
+            finish = [sys.executable, "-m", "linkplan.planner.transcription.finish_compiling"]
+            nothing, passed = subprocess.DEVNULL, () if lock is None else (lock,)
+            # Its own session: an interrupt that ends the planner does not end it. It holds the folder's lock.
+            return subprocess.Popen(
+                [*finish, str(folder), str(work), key, str(_TIMEOUT_S), *command],
+                stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True, pass_fds=passed,
+            )  # fmt: skip
+        finally:
+            if lock is not None:
+                os.close(lock)
+    return None
+
+
+def _written(functions: IntervalFunctions, work: Path, key: str) -> tuple[dict, list[str]]:
+    """Write functions' C into a folder; return what else there is to know of them, and the command that compiles it."""
     generator = ca.CodeGenerator(f"{key}.c")
     for name in _names(functions):
         generator.add(getattr(functions, name))
     generator.generate(f"{work}{os.sep}")
     flags = _FLAGS if (work / f"{key}.c").stat().st_size <= _LARGE_BYTES else _LARGE_FLAGS
     command = [*(compiler() or ()), *flags, f"{key}.c", "-o", f"{key}.so", "-lm"]
-    _run(command, work)
     said = {name: [part.tolist() for part in getattr(functions, name)] for name in _PATTERNS}
     said |= {name: getattr(functions, name) for name in ("n_own", "n_equations", "n_path", "n_nodes", "n_open_ends")}
-    return said | {
+    said |= {
         "weights": functions.weights.tolist(),
         "own_kinds": list(functions.own_kinds),
         "own_items": list(functions.own_items),
@@ -152,6 +183,7 @@ def _compile(functions: IntervalFunctions, work: Path, key: str) -> dict:
         "open_end_rows": list(functions.open_end_rows),
         "open_end_z": list(functions.open_end_z),
     }
+    return said, command
 
 
 def _said(command: list[str]) -> bytes:

@@ -1,0 +1,92 @@
+"""Poses led in stretches: the same as by the walk with adaptive steps, and regular only where that would be."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses import assembly
+from linkplan.models.poses.along import evaluated
+from linkplan.models.poses.assembly import advance, follow, led, step_sizes
+from linkplan.models.poses.continuation import stride_along
+from linkplan.models.poses.reach import is_open, is_regular, reach
+
+# Rounding of poses [rad or m].
+ASSEMBLY = 1e-12
+
+
+def walked(mechanism, path):
+    q, poses = mechanism.home, []
+    for s in path:
+        q, arrived = advance(mechanism, q, s)
+        assert arrived
+        poses.append(q)
+    return np.array(poses)
+
+
+@pytest.mark.parametrize("name", ["optimus-knee", "five-bar", "andrews-squeezer", "cart-pole"])
+def test_led_poses_are_those_of_the_walk(name):
+    mechanism = load_mechanism(name)
+    s = mechanism.home[mechanism.independent]
+    path = s + 0.3 * np.linspace(0.0, 1.0, 37)[:, None] * np.linspace(1.0, -0.5, mechanism.dof)
+    poses, n = led(mechanism, mechanism.home, path)
+    assert n == len(path)
+    np.testing.assert_allclose(poses, walked(mechanism, path), rtol=0, atol=ASSEMBLY)
+
+
+def test_positions_far_apart_are_led_to_in_steps():
+    mechanism = load_mechanism("optimus-knee")
+    there = np.radians([[55.0], [-60.0]])
+    np.testing.assert_allclose(follow(mechanism, there), walked(mechanism, there), rtol=0, atol=ASSEMBLY)
+
+
+def test_leading_stops_at_the_singular_pose_where_the_walk_does():
+    mechanism = load_mechanism("optimus-knee")
+    end = reach(mechanism).upper
+    assert end.reason == "singular pose"
+    path = np.linspace(mechanism.home[mechanism.independent], [end.position + 0.1], 50)
+    poses, n = led(mechanism, mechanism.home, path)
+    assert n < len(path)
+    assert len(poses) == n + 1
+    assert poses[-1, mechanism.independent[0]] == pytest.approx(end.position, abs=1e-3)
+    with pytest.raises(AssemblyError, match="loop opens"):
+        follow(mechanism, path)
+
+
+def test_a_stride_that_would_leave_the_branch_is_not_regular():
+    mechanism = load_mechanism("optimus-knee")
+    beyond = np.array([[reach(mechanism).upper.position + 0.05]])  # in one stride, ten times a step
+    assert len(stride_along(mechanism, mechanism.home, beyond, step_sizes(mechanism))) == 0
+
+
+def test_the_walk_is_asked_where_strides_are_not_regular(monkeypatch):
+    mechanism = load_mechanism("optimus-knee")
+    end = reach(mechanism).upper.position
+    path = np.linspace([end - 0.02], [end - 1e-4], 5)
+    asked = []
+    monkeypatch.setattr(assembly, "advance", lambda *of: asked.append(of) or advance(*of))
+    poses = follow(mechanism, path)
+    assert asked
+    assert np.all(mechanism.gaps_m(poses) < 1e-11)
+
+
+def test_functions_evaluated_in_place_are_the_functions():
+    mechanism = load_mechanism("five-bar")
+    found = evaluated(mechanism.dynamics.closure_step, mechanism.home)
+    for a, b in zip(found, mechanism.dynamics.closure_step(mechanism.home), strict=True):
+        np.testing.assert_array_equal(a, np.array(b))
+
+
+def test_a_way_is_open_as_far_as_the_reach_goes():
+    mechanism = load_mechanism("optimus-knee")
+    can = reach(mechanism)
+    for end, inwards in ((can.lower.position, 1), (can.upper.position, -1)):
+        assert is_open(mechanism, np.array([end + inwards * 0.02]))
+        assert not is_open(mechanism, np.array([end - inwards * 0.02]))
+
+
+def test_a_way_past_a_nearly_singular_pose_is_not_regular():
+    mechanism = load_mechanism("optimus-knee")
+    end = reach(mechanism).upper.position
+    assert is_regular(mechanism, mechanism.home, np.array([0.2]))
+    assert not is_regular(mechanism, mechanism.home, np.array([end - 1e-4]))

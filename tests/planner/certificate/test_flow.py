@@ -1,0 +1,42 @@
+"""Integration in even steps of order eight: coefficients, answers, and where steps are too long."""
+
+import casadi as ca
+import numpy as np
+from scipy.integrate import DOP853, solve_ivp
+
+from linkplan.planner.certificate import dormand_prince
+from linkplan.planner.certificate.flow import strides
+
+
+def pendulum():
+    x, u, tau = ca.SX.sym("x", 2), ca.SX.sym("u", 2), ca.SX.sym("tau")
+    return ca.Function("rate", [x, u, tau], [ca.vertcat(x[1], -9.81 * ca.sin(x[0]) + u[0] + u[1] * tau)])
+
+
+def test_the_coefficients_are_scipys():
+    for i, row in enumerate(dormand_prince.A):
+        np.testing.assert_array_equal(row, DOP853.A[i, :i])
+    for name in ("B", "C", "E5", "E3"):
+        np.testing.assert_array_equal(getattr(dormand_prince, name), getattr(DOP853, name))
+
+
+def test_states_are_those_of_adaptive_steps():
+    widths, inputs = np.array([0.05, 0.08, 0.03, 0.05, 0.06, 0.04]), np.random.default_rng(0).normal(0, 5, (6, 2))
+    reached, state = strides(pendulum(), widths, inputs, np.array([1.0, 0.5])), np.array([1.0, 0.5])
+    assert len(reached) == len(widths)
+    for k, (h, (a, b)) in enumerate(zip(widths, inputs, strict=True)):
+        right = lambda t, x, a=a, b=b, h=h: [x[1], -9.81 * np.sin(x[0]) + a + b * t / h]  # noqa: E731
+        exact = solve_ivp(right, (0, h), state, method="DOP853", rtol=1e-13, atol=1e-14, t_eval=[h / 2, h]).y.T
+        np.testing.assert_allclose(reached[k], exact, rtol=0, atol=2e-12)
+        state = exact[-1]
+
+
+def test_an_interval_with_too_long_steps_ends_what_is_returned():
+    widths = np.array([0.05, 0.05, 3.0, 0.05])
+    assert len(strides(pendulum(), widths, np.zeros((4, 2)), np.array([2.0, 0.0]))) == 2
+
+
+def test_a_rate_that_is_not_a_number_ends_it_too():
+    x, u, tau = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("tau")
+    rate = ca.Function("rate", [x, u, tau], [ca.sqrt(1.0 - x + 0 * u * tau)])
+    assert len(strides(rate, np.full(20, 0.2), np.zeros((20, 1)), np.array([2.0]))) == 0

@@ -1,0 +1,59 @@
+"""Functions that are wanted again are compiled by a process of its own, for which nobody waits."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
+from linkplan.planner.transcription.compiled import cached, compile_beside, compiler
+from linkplan.planner.transcription.interval import IntervalRows, build_interval
+from linkplan.planner.transcription.schemes import scheme
+from tests.support.tolerances_planner import ROUNDING
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("LINKPLAN_CACHE", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture(scope="module")
+def functions():
+    system = mechanism_system(load_mechanism("slider-crank"), NodeTerms())
+    return build_interval(system, scheme("radau-2"), IntervalRows(costs=("effort",)))
+
+
+def test_what_is_wanted_once_is_not_compiled(folder, functions):
+    assert compile_beside("k1", functions) is None
+    assert [path.name for path in folder.iterdir()] == ["k1.wanted"]
+
+
+def test_what_is_wanted_again_is_compiled_kept_and_nothing_else_is_left(folder, functions):
+    compile_beside("k1", functions)
+    process = compile_beside("k1", functions)
+    assert process.wait() == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["k1.json", "k1.so"]
+    fast = cached("k1").node_value
+    assert "External" in fast.class_name()
+    arguments = [np.full(fast.size_in(i), 0.7) for i in range(fast.n_in())]
+    for a, b in zip(functions.node_value.call(arguments), fast.call(arguments), strict=True):
+        np.testing.assert_allclose(np.array(b), np.array(a), rtol=ROUNDING, atol=ROUNDING)
+
+
+@pytest.mark.usefixtures("folder")
+def test_one_process_at_a_time_compiles_a_key(functions):
+    compile_beside("k1", functions)
+    process = compile_beside("k1", functions)
+    assert compile_beside("k1", functions) is None
+    process.wait()
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_compiler_that_fails_leaves_no_litter(folder, functions, monkeypatch):
+    monkeypatch.setattr("linkplan.planner.transcription.compiled.compiler", lambda: ("false",))
+    compile_beside("k1", functions)
+    assert compile_beside("k1", functions).wait() == 1
+    assert sorted(path.name for path in folder.iterdir()) == ["k1.begun", "k1.wanted"]
+    assert cached("k1") is None
