@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.models.actuation.actuators import ranged_control
 from linkplan.models.poses.along import sampled
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
@@ -111,17 +112,30 @@ def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
 
 
 def margin_of(
-    what: str, item: int, name: str, values: np.ndarray, bounds, unit: str, points: np.ndarray, time: np.ndarray, size=None
+    what: str,
+    item: int,
+    name: str,
+    values: np.ndarray,
+    bounds,
+    unit: str,
+    points: np.ndarray,
+    time: np.ndarray,
+    size=None,
+    bent: np.ndarray | None = None,
 ) -> Margin:
     """Return what is left of one limit [low, high] of values (n,) at times (n,), sampled at `points` of each interval.
 
-    `size` is what overruns are shares of, the limit's own by default.
+    `size` is what overruns are shares of, the limit's own by default. Where samples are `bent` (n,), beside a kink, no
+    parabola is laid through those of the interval.
     """
     low, high = bounds
     inside = np.minimum(values - low, high - values)
     at = int(np.argmin(inside))
     limit = high if high - values[at] <= values[at] - low else low
     least = least_between(inside, points)
+    if bent is not None:
+        rows, kinked = inside.reshape(-1, len(points)), bent.reshape(-1, len(points)).any(axis=1)
+        least = np.where(kinked, rows.min(axis=1), least)
     left = float(least.min())
     value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
     return Margin(
@@ -145,8 +159,8 @@ def margins(
     mechanism, limits, found = problem.mechanism, problem.limits, []
     names = [actuator.name for actuator in mechanism.actuators]
 
-    def add(what: str, item: int, name: str, values: np.ndarray, bounds, unit: str) -> None:
-        found.append(margin_of(what, item, name, values, bounds, unit, points, time))
+    def add(what: str, item: int, name: str, values: np.ndarray, bounds, unit: str, bent=None) -> None:
+        found.append(margin_of(what, item, name, values, bounds, unit, points, time, bent=bent))
 
     if np.any(np.isfinite(limits.effort_rate)):
         rate, jumps = _effort_rates(trajectory, time)
@@ -175,7 +189,9 @@ def margins(
             actuator = mechanism.actuators[j]
             b = actuator.biases
             ctrl = (u[:, j] - b[0] - b[1] * length[:, j] - b[2] * w[:, j]) / actuator.gain
-            add("control", j, names[j], ctrl, (actuator.control_lower, actuator.control_upper), "")
+            ranged = ranged_control(actuator, ctrl, u[:, j], actuator.gain, np.maximum)
+            bounds = (actuator.control_lower, actuator.control_upper)
+            add("control", j, names[j], ranged, bounds, "", bent=ranged != ctrl)
     if limits.singular_margin > 0:
         for block, ratios in enumerate(block_ratios(problem, q).T):
             add("singular_margin", block, mechanism.name, ratios, (limits.singular_margin, np.inf), "")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from linkplan.models.actuation.actuators import ranged_control
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.closed_chain.site_rows import TUBE, site_row
 from linkplan.planner.transcription.system import NodeSymbols, System, node_symbols
@@ -153,9 +154,9 @@ def _path(
     if asked.controls:
         length, w = call("actuator_length", q), call("effort_map", q).T @ v
         for j in asked.controls:
-            b = mechanism.actuators[j].biases
-            ctrl = (u[j] - b[0] - b[1] * length[j] - b[2] * w[j]) / mechanism.actuators[j].gain
-            path.append(ctrl / control_unit(mechanism, j))
+            b, gain = mechanism.actuators[j].biases, mechanism.actuators[j].gain
+            ctrl = (u[j] - b[0] - b[1] * length[j] - b[2] * w[j]) / gain
+            path.append(ranged_control(mechanism.actuators[j], ctrl, u[j], gain, ca.fmax) / control_unit(mechanism, j))
     return path + [site_row(mechanism, key, q) for key in asked.sites]
 
 

@@ -210,10 +210,14 @@ def _beyond_ctrl(problem: PlanningProblem) -> str | None:
             continue
         q, v = close_at(mechanism, s)[None], np.zeros((1, mechanism.dof)) if speed is None else speed[None]
         ends = [needed_controls(mechanism, q, v, end[None])[0] for end in problem.limits.effort.T]
-        for actuator, least, most in zip(mechanism.actuators, np.min(ends, axis=0), np.max(ends, axis=0), strict=True):
+        for j, (least, most) in enumerate(zip(np.min(ends, axis=0), np.max(ends, axis=0), strict=True)):
+            actuator = mechanism.actuators[j]
             low, high = actuator.control_lower, actuator.control_upper
             nearest_ctrl = least if least > high else most
-            if actuator.limits_control and (least > high or most < low):
+            # Where all of its range is beyond a clamp of its force, a servo gives the clamp: is that within the limits?
+            clamp = actuator.upper if (most < low) == (actuator.gain > 0) else actuator.lower
+            given = problem.limits.effort[j, 0] <= clamp <= problem.limits.effort[j, 1]
+            if actuator.limits_control and (least > high or most < low) and not given:
                 return (
                     f"infeasible: {actuator.name} on {actuator.target} would need a ctrl of {nearest_ctrl:.4g} at the {name}"
                     f" for any effort within its limits, beyond its ctrlrange of {low:g} to {high:g}"

@@ -58,6 +58,7 @@ def test_a_bush_on_the_loops_own_pin_is_left_to_spin_and_costs_next_to_nothing()
     assert abs(spun_deg(reach(BUSH))) > 1, "it has turned meanwhile"
 
 
+@pytest.mark.slow
 def test_a_bush_that_the_goal_names_is_steered_and_that_is_dear():
     asked = reach(BUSH, 0.0)
     assert abs(asked.trajectory.position[-1, -1, 1]) < PUT

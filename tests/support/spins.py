@@ -36,8 +36,11 @@ TWO_BALLS = f"""{_HEAD.format(name="two balls")}
 ON_ITS_LINE = replaced(
     ON_A_BALL,
     '<body name="rod" pos="0.05 0 0"><joint name="rod" type="ball" damping="1e-4"/>' + _ROD + "</body>",
-    '<body name="fork" pos="0.05 0 0"><joint name="fork_y" damping="1e-4"/>'
-    f'<joint name="fork_z" axis="0 0 1" damping="1e-4"/><geom size="0.002"/><body name="rod"><joint name="roll" axis="0.2 0.05 0.1" damping="1e-4"/>{_ROD}</body></body>',
+    """<body name="fork" pos="0.05 0 0"><joint name="fork_y" damping="1e-4"/>
+      <joint name="fork_z" axis="0 0 1" damping="1e-4"/><geom size="0.002"/>
+      <body name="rod"><joint name="roll" axis="0.2 0.05 0.1" damping="1e-4"/>"""
+    + _ROD
+    + "</body></body>",
 )
 ROUND = {"ball": ON_A_BALL, "floating": FLOATING, "two balls": TWO_BALLS, "on its line": ON_ITS_LINE}
 SPINS = {"ball": "rod_rx", "floating": "rod_rx", "two balls": "rod_rx", "on its line": "roll"}
