@@ -32,7 +32,7 @@ from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import Inertial, build_tree
 from linkplan.models.tree.joints import Joint, index_of, read_joints
 from linkplan.models.tree.size import extent_m
-from linkplan.models.tree.tendons import is_fixed, tendon_joints
+from linkplan.models.tree.tendons import TendonLimit, is_fixed, limited_tendons, tendon_joints
 
 # A named choice of coordinates is refused where a column of J_z is left with less than this share of itself: the pose
 # is then within some microradians of a dead centre of the choice.
@@ -61,6 +61,7 @@ class Mechanism:
     payload: Payload | None
     joints: tuple[Joint, ...]
     actuators: tuple[Actuator, ...]
+    tendons: tuple[TendonLimit, ...]  # whose lengths are limited
     closures: tuple[Closure, ...]
     closure_rows: np.ndarray  # rows of phi that are independent at home
     projected: tuple[ProjectedLoops, ...]
@@ -288,6 +289,7 @@ def load_mechanism(
         payload=payload,
         joints=joints,
         actuators=actuators,
+        tendons=limited_tendons(model),
         closures=closures,
         closure_rows=rows,
         projected=projected,

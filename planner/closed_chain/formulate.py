@@ -60,6 +60,7 @@ def formulate(
         closures=limits.limited_closures,
         singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
         controls=tuple(j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control),
+        tendons=tuple(range(len(mechanism.tendons))),
         sites=tuple(limit.key for limit in limits.site),
     )
     rows = IntervalRows(
@@ -98,8 +99,9 @@ def formulate(
     limited += [("power", j) for j in asked.powers] + [("closure_force", c) for c in asked.closures]
     limited += [("singular_margin", block) for block in range(asked.singular)]
     limited += [("control", j) for j in asked.controls]
+    of_tendons = [("tendon", item) for item in asked.tendons]
     of_sites = [("tube" if limit.is_tube else "site", item) for item, limit in enumerate(limits.site)]
-    limited += of_sites + [("work", j) for j in range(n_u if works else 0)]
+    limited += of_tendons + of_sites + [("work", j) for j in range(n_u if works else 0)]
     path = [
         limits.speed[list(speed_joints)] * scales.time_s,
         np.tile([-1.0, 1.0], (len(motors), 1)),
@@ -107,6 +109,7 @@ def formulate(
         np.tile([-np.inf, 1.0], (len(asked.closures), 1)),
         np.tile([limits.singular_margin, np.inf], (asked.singular, 1)),
         np.array([_control_range(problem, j) for j in asked.controls]),
+        np.array([[tendon.low / tendon.span, tendon.high / tendon.span] for tendon in mechanism.tendons]),
         np.array([site_bounds(mechanism, limit) for limit in limits.site]),
         np.tile([0.0, np.inf], (n_u if works else 0, 1)),
     ]
@@ -148,7 +151,7 @@ def formulate(
         ),
         theta=theta,
         tightening=tightening_over(tightenings, limited, path),
-        position_path=tuple(limited.index(row) for row in of_sites),
+        position_path=tuple(limited.index(row) for row in of_tendons + of_sites),
         endpoint=endpoint,
         endpoint_bounds=np.zeros((len(places), 2)),
         endpoint_parameters=places,

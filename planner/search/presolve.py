@@ -6,6 +6,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import Reach, close_at, follow, reach
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
@@ -115,7 +116,8 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
                     f" {joint.said(min(max(x, low), high), 4)}"
                 )
-    contradiction = _branches_on_the_way(problem) or _singular(problem) or _beyond_ctrl(problem) or _site_beyond(problem)
+    contradiction = _branches_on_the_way(problem) or _singular(problem) or _beyond_ctrl(problem)
+    contradiction = contradiction or _site_beyond(problem)
     if contradiction is not None:
         return contradiction
     if motion.kind == "reach" and motion.duration_s is not None and not motion.goal_is_free:
@@ -152,15 +154,18 @@ def _branches_on_the_way(problem: PlanningProblem) -> str | None:
 
 
 def _site_beyond(problem: PlanningProblem) -> str | None:
-    """Return the sentence on a site that start, goal or a waypoint puts where the limits do not want it, or None."""
+    """Return the sentence on a site or tendon that start, goal or a waypoint puts beyond its limits, or None."""
     motion, limits = problem.motion, problem.limits
     places = [("the start", motion.start), ("the goal", motion.goal)]
     places += [(f"motion.waypoints[{k}]", waypoint.position) for k, waypoint in enumerate(motion.waypoints)]
     for name, s in places:
-        if s is None or np.any(np.isnan(s)) or not limits.site:
+        if s is None or np.any(np.isnan(s)) or not (limits.site or problem.mechanism.tendons):
             continue
         pose = close_at(problem.mechanism, s)[None]
         is_open = name == "the goal" and motion.goal_is_free
+        tendon = None if is_open else _tendon_beyond(problem, pose, f"at {name}")
+        if tendon is not None:
+            return tendon
         for limit in limits.site:
             sentence = None if is_open and not _known(limit, motion) else _beyond(problem, limit, pose, f"at {name}")
             if sentence is not None:
@@ -175,16 +180,33 @@ def _known(limit: SiteLimit, motion: Motion) -> bool:
 
 
 def _on_the_only_way(problem: PlanningProblem) -> str | None:
-    """Return the sentence on a site that leaves its limits between start and goal of a single freedom, or None."""
+    """Return the sentence on a site or tendon that leaves its limits between start and goal of a single freedom."""
     mechanism, motion = problem.mechanism, problem.motion
-    if mechanism.dof != 1 or motion.start is None or motion.goal is None or not problem.limits.site:
+    limited = problem.limits.site or mechanism.tendons
+    if mechanism.dof != 1 or motion.start is None or motion.goal is None or not limited:
         return None
     try:
         poses = follow(mechanism, np.linspace(motion.start, motion.goal, _BETWEEN), close_at(mechanism, motion.start))
     except AssemblyError:  # the way is not open: said elsewhere
         return None
     said = "between start and goal, where every motion of one degree of freedom passes"
-    return next((found for limit in problem.limits.site if (found := _beyond(problem, limit, poses, said))), None)
+    tendon = _tendon_beyond(problem, poses, said)
+    return tendon or next((found for limit in problem.limits.site if (found := _beyond(problem, limit, poses, said))), None)
+
+
+def _tendon_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> str | None:
+    """Return the sentence on a tendon whose range the worst of poses (n, n_q) leaves, or None."""
+    mechanism = problem.mechanism
+    lengths = sampled(mechanism.dynamics.tendon_length, poses)[:, :, 0]
+    for tendon, values in zip(mechanism.tendons, lengths.T, strict=True):
+        off = np.maximum(tendon.low - values, values - tendon.high)
+        k = int(np.argmax(off))
+        if off[k] > SITE_SLACK * tendon.span:
+            return (
+                f"infeasible: the length of tendon {tendon.name} is {values[k]:.6g} {tendon.unit}".rstrip()
+                + f" {when}, {off[k]:.4g} beyond its range of {tendon.low:g} to {tendon.high:g}"
+            )
+    return None
 
 
 def _beyond(problem: PlanningProblem, limit: SiteLimit, poses: np.ndarray, when: str) -> str | None:

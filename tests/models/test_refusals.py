@@ -155,7 +155,6 @@ FALSE = {
         replaced(GRIPPER, 'name="crank_r" stiffness="0.05"', 'name="crank_r" springyield="1" stiffness="0.05"'),
         ["springyield", "crank_r"],
     ),
-    "tendon stop": (replaced(GRIPPER, '<fixed name="split">', '<fixed name="split" range="-1 1">'), ["limit", "split"]),
     "tendon friction": (
         replaced(GRIPPER, '<fixed name="split">', '<fixed name="split" frictionloss="1">'),
         ["frictionloss", "split"],
