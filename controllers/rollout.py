@@ -127,7 +127,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
     try:
         for k in range(n):
             check()
-            poses[k] = mechanism.q_of(data.qpos)
+            poses[k] = mechanism.q_of(data.qpos, reference.pose[k])
             velocities[k] = mechanism.rates_of(poses[k], data.qvel)[independent]
             commanded[k] = tracker.effort(k, poses[k][independent], velocities[k])
             # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.

@@ -61,12 +61,13 @@ def _tendons(model: mujoco.MjModel):
         name = tendon_label(model, tendon)
         beyond = [
             ("frictionloss", model.tendon_frictionloss[tendon] > 0),
-            ("limit", bool(model.tendon_limited[tendon]) and not disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT)),
             ("springyield", model.tendon_springyield[tendon] > 0),
         ]
         yield from (f"{what} of tendon {name}" for what, present in beyond if present)
         if wraps(model, tendon):
+            limited = model.tendon_limited[tendon] and not disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT)
             forces = [
+                ("limit", limited),
                 ("stiffness", model.tendon_stiffness[tendon] or np.any(model.tendon_stiffnesspoly[tendon])),
                 ("damping", model.tendon_damping[tendon] or np.any(model.tendon_dampingpoly[tendon])),
                 ("armature", armatures[tendon] > 0),

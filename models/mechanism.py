@@ -20,7 +20,7 @@ from linkplan.models.closure.locked import refuse_locked
 from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
 from linkplan.models.closure.nearest_pose import nearest_closed_pose
 from linkplan.models.closure.newton import KinematicLoop
-from linkplan.models.closure.passive_freedom import find_passive_dofs
+from linkplan.models.closure.passive_freedom import find_passive_dofs, round_spins
 from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank
 from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
@@ -32,7 +32,7 @@ from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import Inertial, build_tree
 from linkplan.models.tree.joints import Joint, index_of, read_joints
 from linkplan.models.tree.size import extent_m
-from linkplan.models.tree.tendons import is_fixed, tendon_joints
+from linkplan.models.tree.tendons import TendonLimit, is_fixed, limited_tendons, tendon_joints
 
 # A named choice of coordinates is refused where a column of J_z is left with less than this share of itself: the pose
 # is then within some microradians of a dead centre of the choice.
@@ -51,7 +51,7 @@ class Mechanism:
     them. `home` (n_q,) closes the loops; `home_gap_m` is how far they stood open at the model's own reference pose, before
     assembly; `closed_m` is the gap [m] below which they count as closed, more than rounding where the file's own numbers
     leave more. Overconstrained loops are `projected`: closed in the normal equations of all their rows. `passive_dofs` are
-    passive degrees of freedom: coordinates that can move alone while all other bodies rest and
+    passive degrees of freedom: independent coordinates that can move alone while all other bodies rest and
     that no actuator drives, as a rod between two ball joints spins; `notes` are sentences on what is worth knowing of the
     assembly. `source` is what it was loaded from, as the [mechanism] table of a problem file.
     """
@@ -61,6 +61,7 @@ class Mechanism:
     payload: Payload | None
     joints: tuple[Joint, ...]
     actuators: tuple[Actuator, ...]
+    tendons: tuple[TendonLimit, ...]  # whose lengths are limited
     closures: tuple[Closure, ...]
     closure_rows: np.ndarray  # rows of phi that are independent at home
     projected: tuple[ProjectedLoops, ...]
@@ -112,6 +113,11 @@ class Mechanism:
         """The actuators' limits (n_u, 2) [N.m or N]."""
         return np.array([[a.lower, a.upper] for a in self.actuators]).reshape(-1, 2)
 
+    @property
+    def cyclic(self) -> np.ndarray:
+        """Which independent coordinates (n_s,) are passive degrees of freedom of round bodies: nothing depends on them."""
+        return round_spins(self.dynamics, self.home, np.isin(self.independent, self.passive_dofs))
+
     def fingerprint(self, *, payload_apart: bool = False) -> str:
         """Return a hash of all that the reduced dynamics depend on: the compiled model and the choice of coordinates.
 
@@ -129,7 +135,7 @@ class Mechanism:
             raise ModelError(f"mechanism '{self.name}' has no payload to vary")
         pi = ca.SX.sym("payload", len(self.payload.numbers()))
         own = Inertial(mass=pi[0], com=pi[1:4], inertia=ca.diag(pi[4:7]))
-        tree = build_tree(self.model, self.qpos_of(np.zeros(self.n_q)), {self.model.body(BODY_NAME).id: own})
+        tree = build_tree(self.model, self.qpos_of(self.reference), {self.model.body(BODY_NAME).id: own})
         closures = read_closures(self.model, tree)
         matrix = effort_matrix(self.model, tree, self.actuators)
         rows, projected = self.closure_rows, self.projected
@@ -161,9 +167,9 @@ class Mechanism:
         """Return MuJoCo's qpos (..., nq) of poses q (..., n_q)."""
         return self.coordinates.qpos_of(q)
 
-    def q_of(self, qpos: np.ndarray) -> np.ndarray:
-        """Return the poses q (..., n_q) of MuJoCo's qpos (..., nq)."""
-        return self.coordinates.q_of(qpos)
+    def q_of(self, qpos: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
+        """Return the poses q (..., n_q) of MuJoCo's qpos (..., nq); what turns for ever by whole turns `near` a pose."""
+        return self.coordinates.q_of(qpos, near)
 
     def qvel_of(self, q: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Return MuJoCo's qvel (..., nv) of poses and their rates q' (..., n_q)."""
@@ -222,9 +228,11 @@ def load_mechanism(
     payload = payload_from(payload)
     name, model = compile_model(source, payload)
     set_softness(model, solref)
-    joints = read_joints(name, model)
+    if model.njnt == 0:
+        raise ModelError(f"model '{name}' has no joint: there is nothing to move")
     reference_qpos = _reference_qpos(model)
     tree = build_tree(model, reference_qpos)
+    joints = read_joints(name, model, tree.coordinates)
     closures = read_closures(model, tree)
     actuators = read_actuators(model)
     phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
@@ -267,12 +275,8 @@ def load_mechanism(
     long = lengths(model, tree, actuators)
     dynamics = reduce_tree(tree, closures, B, rows, free, dependent, projected=projected, lengths=long)
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
-    weight = ca.Function("weight", [tree.q], [tree.gravity])
-    passive_dofs, notes = find_passive_dofs(
-        model,
-        [jacobian / unit for jacobian in ordinary],
-        [np.array(dynamics.effort_matrix(q)).reshape(len(joints), -1) for q in poses],
-        [np.array(weight(q)).ravel() for q in poses],
+    passive_dofs, notes = (
+        find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent) if closures else ((), [])
     )
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
     at_reference = numerical_rank(loop.residual(reference)[1] * unit, share)
@@ -285,6 +289,7 @@ def load_mechanism(
         payload=payload,
         joints=joints,
         actuators=actuators,
+        tendons=limited_tendons(model),
         closures=closures,
         closure_rows=rows,
         projected=projected,
@@ -336,8 +341,7 @@ def _refuse_beyond_charts(name: str, coordinates: Coordinates, pose: np.ndarray)
     left = coordinates.left(pose)
     if left is not None:
         raise AssemblyError(
-            f"mechanism '{name}' assembles with ball joint '{left}' further from its reference orientation than its"
-            " coordinates go (218 deg about one axis); give the model a keyframe 'home' near the pose meant"
+            f"mechanism '{name}' assembles with {left}; give the model a keyframe 'home' near the pose meant"
         )
 
 

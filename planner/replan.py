@@ -149,6 +149,7 @@ def structure(problem: PlanningProblem) -> tuple:
         problem.mechanism.fingerprint(payload_apart=True),
         payload is None or payload.body,
         motion.kind,
+        problem.adrift.tobytes(),
         terms,
         problem.reference is None,
         problem.solver.name,

@@ -86,6 +86,26 @@ class Actuator:
         return min(max((effort - float(state @ self.biases)) / gain, self.control_lower), self.control_upper)
 
 
+def ranged_control(actuator: Actuator, control, effort, gain, larger):
+    """Return what a servo's ctrlrange bounds: the ctrl c that gives an effort, but where the whole range is beyond a clamp.
+
+    MuJoCo's force is clip(gain clip(ctrl) + bias), the outer one at the clamps of force. Where all of the range asks for
+    more than a clamp, any ctrl gives the clamp, and the effort is that, whatever c is:
+
+        low <= c + max(0, low - c_most) - max(0, c_least - high) <= high,
+
+    c_least and c_most being the ctrls that just reach the clamps. `larger` is np.maximum of numbers, ca.fmax of expressions.
+    """
+    clamps = (actuator.lower, actuator.upper) if actuator.gain > 0 else (actuator.upper, actuator.lower)
+    least, most = (control + (clamp - effort) / gain if np.isfinite(clamp) else None for clamp in clamps)
+    ranged = control
+    if most is not None and np.isfinite(actuator.control_lower):
+        ranged = ranged + larger(0.0, actuator.control_lower - most)
+    if least is not None and np.isfinite(actuator.control_upper):
+        ranged = ranged - larger(0.0, least - actuator.control_upper)
+    return ranged
+
+
 def label(model: mujoco.MjModel, index: int) -> str:
     """Return an actuator's name, or one made of its index."""
     return model.actuator(index).name or f"actuator {index}"

@@ -1,54 +1,88 @@
-"""Passive degrees of freedom: a rod between two ball joints spins about its line independently of everything else."""
+"""Passive degrees of freedom: bodies that spin about a line through their centres, independently of everything else.
+
+A rod between two ball joints, a link pinned on the loop's own pin, a rod that hangs on a hinge along its line: whatever
+joints such a spin is made of, in the kernel of the closure it is the motion in which every body rests or turns about its
+own centre of mass, and on which no actuator and no spring acts.
+"""
+
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
-from linkplan.models.closure.rank import numerical_rank
-from linkplan.models.tree.coordinates import BALL, joint_label
+from linkplan.models.tree.coordinates import Coordinates
+from linkplan.models.tree.joints import Joint
 
-# A column, moment or weight below this share of the largest is rounding.
+# A moment or spring's force below this share of the largest is rounding.
 _NOTHING = 1e-9
+# A body spins about its centre where that moves by less than this share of the mechanism's size a radian: seven digits of a
+# file, and the rounding of its inertias.
+_ON_LINE = 1e-6
+# A body is round where inertias change by less than this share as it spins: a file's digits.
+_ROUND = 1e-6
 
 
 def find_passive_dofs(
-    model: mujoco.MjModel, jacobians: list[np.ndarray], moments: list[np.ndarray], weights: list[np.ndarray]
+    model: mujoco.MjModel,
+    joints: Sequence[Joint],
+    coordinates: Coordinates,
+    dynamics,
+    independent: np.ndarray,
+    poses: Sequence[np.ndarray],
+    extent_m: float,
 ) -> tuple[tuple[int, ...], list[str]]:
-    """Return the passive degrees of freedom, coordinates of bodies that spin in a closed loop, and a sentence on each body.
-
-    A degree of freedom is passive where a body's own joints move while all others rest, the loops stay closed, and neither
-    an actuator nor gravity acts on the motion.
+    """Return the independent coordinates that are passive degrees of freedom, and a sentence on what spins in each.
 
     Args:
         model: whose bodies they are.
-        jacobians: of the closure (n_rows, n_q) at one or more closed poses.
-        moments: the actuators' (n_q, n_u) at the same poses.
-        weights: gravity's generalised force (n_q,) at the same poses.
+        joints: of the mechanism, which has loops.
+        coordinates: of the mechanism.
+        dynamics: its reduced dynamics.
+        independent: coordinates (n_s,).
+        poses: closed poses (n_q,), one or more.
+        extent_m: the mechanism's size [m].
     """
-    passive_dofs: list[int] = []
+    found: list[int] = []
     notes = []
-    for body in range(1, model.nbody):
-        start, n_dofs = int(model.body_dofadr[body]), int(model.body_dofnum[body])
-        own = list(range(start, start + n_dofs))
-        if n_dofs > 1 and all(_spins(own, *pose) for pose in zip(jacobians, moments, weights, strict=True)):
-            passive_dofs += own
-            joint = int(model.body_jntadr[body])
-            ball = int(model.jnt_type[joint]) == BALL
-            name = f"ball joint {joint_label(model, joint)}" if ball else f"body {model.body(body).name or body}"
-            notes.append(
-                f"{name} can spin while all other joints rest: a passive degree of freedom, which no actuator drives"
-            )
-    return tuple(passive_dofs), notes
+    for column, index in enumerate(independent.tolist()):
+        spinning = [_spinning(model, coordinates, dynamics, q, column, extent_m) for q in poses]
+        if not spinning or not all(spinning):
+            continue
+        found.append(index)
+        chart = joints[index].chart
+        ball = chart is not None and len(spinning[0]) == 1 and not any(joint.name == f"{chart}_x" for joint in joints)
+        name = f"ball joint {chart}" if ball else " and ".join(f"body {model.body(b).name or b}" for b in spinning[0])
+        notes.append(f"{name} can spin while all other joints rest: a passive degree of freedom, which no actuator drives")
+    return tuple(found), notes
 
 
-def _spins(own: list[int], jacobian: np.ndarray, moments: np.ndarray, weight: np.ndarray) -> bool:
-    """Return whether a body's coordinates have a motion of their own at a pose on which nothing acts."""
-    block = jacobian[:, own]
-    if np.abs(block).max(initial=0.0) <= _NOTHING * np.abs(jacobian).max(initial=1.0):
-        return False  # the loops do not hold the body at all
-    rank = numerical_rank(block)
-    if rank == len(own):
-        return False
-    spin = np.linalg.svd(block)[2][rank:]
-    driven = np.abs(spin @ moments[own]).max(initial=0.0) > _NOTHING * max(1.0, np.abs(moments).max(initial=0.0))
-    falls = np.abs(spin @ weight[own]).max() > _NOTHING * max(1.0, np.abs(weight).max(initial=0.0))
-    return not driven and not falls
+def _spinning(model, coordinates: Coordinates, dynamics, q: np.ndarray, column: int, extent_m: float) -> list[int]:
+    """Return the bodies that turn about their own centres as one coordinate moves; none where other things move or act."""
+    gamma = np.array(dynamics.velocity_map(q))[:, column]
+    springs = np.array(dynamics.passive(q, np.zeros(len(q)))).reshape(-1, 1)
+    acting = np.hstack([np.array(dynamics.effort_matrix(q)).reshape(len(q), -1), springs])
+    least = _NOTHING * max(1.0, float(np.abs(acting).max())) * np.abs(gamma).max()
+    if np.abs(acting.T @ gamma).max() > least:
+        return []
+    data = mujoco.MjData(model)
+    data.qpos[:] = coordinates.qpos_of(q)
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    qvel = coordinates.qvel_of(q, gamma)
+    linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+    speeds, turns = np.zeros(model.nbody), np.zeros(model.nbody)
+    for body in np.flatnonzero(model.body_mass > 0):
+        mujoco.mj_jacBodyCom(model, data, linear, angular, body)
+        speeds[body], turns[body] = np.linalg.norm(linear @ qvel), np.linalg.norm(angular @ qvel)
+    if speeds.max() > _ON_LINE * extent_m * turns.max():
+        return []
+    return np.flatnonzero(turns > _NOTHING * turns.max()).tolist()
+
+
+def round_spins(dynamics, home: np.ndarray, passive: np.ndarray) -> np.ndarray:
+    """Return which of the `passive` coordinates (n_s,) no inertia depends on, turned by a radian from the home pose."""
+    inertia, found = np.array(dynamics.reduced_inertia(home)), np.array(passive)
+    for column in np.flatnonzero(passive):
+        turned = home + np.array(dynamics.velocity_map(home))[:, column]
+        found[column] = np.abs(np.array(dynamics.reduced_inertia(turned)) - inertia).max() <= _ROUND * inertia.max()
+    return found

@@ -42,10 +42,7 @@ def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = No
         )
     left = mechanism.coordinates.left(poses)
     if left is not None:
-        raise AssemblyError(
-            f"mechanism '{mechanism.name}' turns ball joint '{left}' further from its reference orientation than its"
-            " coordinates go (218 deg about one axis)"
-        )
+        raise AssemblyError(f"mechanism '{mechanism.name}' turns {left}")
     return poses
 
 

@@ -3,6 +3,7 @@
 import mujoco
 import numpy as np
 
+from linkplan.models.actuation.actuators import ranged_control
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
 
@@ -13,7 +14,12 @@ def needed_controls(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.nd
     (u - bias) / gain at MuJoCo's own length and speed of the actuator, not cut at its range; infinite where the gain is
     zero.
     """
-    model, controls = mechanism.model, np.empty((len(q), mechanism.n_u))
+    return _needed(mechanism, q, v, u)[0]
+
+
+def _needed(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ctrls (n, n_u) as `needed_controls`, and the gains there."""
+    model, controls, gains = mechanism.model, np.empty((len(q), mechanism.n_u)), np.empty((len(q), mechanism.n_u))
     data = mujoco.MjData(model)
     rates = joint_rates(mechanism, q, v)
     qpos, qvel = mechanism.qpos_of(q), mechanism.qvel_of(q, rates)
@@ -24,12 +30,18 @@ def needed_controls(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.nd
         for j, actuator in enumerate(mechanism.actuators):
             state = np.array([1.0, data.actuator_length[actuator.output], data.actuator_velocity[actuator.output]])
             gain, bias = float(state @ actuator.gains), float(state @ actuator.biases)
-            controls[k, j] = (u[k, j] - bias) / gain if gain else np.inf
-    return controls
+            controls[k, j], gains[k, j] = (u[k, j] - bias) / gain if gain else np.inf, gain
+    return controls, gains
 
 
 def control_excess(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return how far (n, n_u) the needed ctrl lies beyond its range, in its own unit: positive where it would be cut."""
+    """Return how far (n, n_u) the needed ctrl lies beyond its range, in its own unit: positive where another effort acts.
+
+    Where all of the range is beyond a clamp of the force, it is how far the effort is from that.
+    """
     ranges = np.array([[a.control_lower, a.control_upper] for a in mechanism.actuators]).reshape(-1, 2)
-    controls = needed_controls(mechanism, q, v, u)
+    controls, gains = _needed(mechanism, q, v, u)
+    for j, actuator in enumerate(mechanism.actuators):
+        turning = np.isfinite(controls[:, j])
+        controls[turning, j] = ranged_control(actuator, controls[turning, j], u[turning, j], gains[turning, j], np.maximum)
     return np.maximum(ranges[:, 0] - controls, controls - ranges[:, 1])

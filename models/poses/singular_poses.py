@@ -7,6 +7,7 @@ show either, also where det J_z touches zero without a change of sign, two loops
 """
 
 import numpy as np
+import scipy
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
@@ -18,6 +19,8 @@ _DIP = 0.3
 # Directions of a plane that are looked at, half a degree apart; how far [rad] J is followed along one; and the share of the
 # largest bend below which a direction goes straight on: at a simple zero a degree away from it, a double one's wider.
 _DIRECTIONS, _BEND, _STRAIGHT = 360, 1e-5, 0.02
+# A bend below this share of the largest is what differences and a pose found to 1e-6 leave.
+_FLAT = 1e-3
 
 
 def least_values(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
@@ -72,22 +75,26 @@ def vanishes(mechanism: Mechanism, q: np.ndarray) -> bool:
 
 
 def has_one_way_on(mechanism: Mechanism, q: np.ndarray) -> bool:
-    """Return whether only one motion leads through a pose (n_q,) at which the closure has lost one rank: no branch there.
+    """Return whether only one motion leads through a pose (n_q,) at which the closure has lost rank: no branch there.
 
     Rates x in the kernel of J go on where J x' + (dJ x) x = 0 has a solution x': where u^T (dJ x) x vanishes for all u with
-    u^T J = 0 (second-order analysis; Wohlhart, Degrees of shakiness, 1999). In a kernel of two dimensions that is looked at
-    in every direction; larger ones are left undecided, and so is what vanishes altogether.
+    u^T J = 0 (second-order analysis; Wohlhart, Degrees of shakiness, 1999). One motion alone, of as many freedoms as the
+    mechanism has, is where these quadratic forms vanish on a linear space of that dimension and nowhere else. In a kernel of
+    two dimensions that is looked at in every direction, in larger ones by `common_zeros`, which may leave it undecided.
     """
     unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.joints])
     rank = closure_rank(mechanism, q)
-    if mechanism.n_q - rank != 2:
-        return False
 
     def scaled(pose: np.ndarray) -> np.ndarray:
         return np.array(mechanism.dynamics.closure_jacobian(pose)) * unit
 
     left, _, right = np.linalg.svd(scaled(q))
     apart, kernel = left[:, rank:].T, right[rank:]
+    if len(kernel) != 2:
+        bends = [(scaled(q + _BEND * unit * x) - scaled(q - _BEND * unit * x)) / (2 * _BEND) for x in kernel]
+        forms = np.array([apart @ bend @ kernel.T for bend in bends]).transpose(1, 0, 2)  # u, x, y
+        ways = common_zeros(0.5 * (forms + forms.transpose(0, 2, 1)))
+        return ways is not None and ways.shape[1] == mechanism.dof
     angles = np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS
     bent = []
     for x in np.column_stack([np.cos(angles), np.sin(angles)]) @ kernel:
@@ -98,3 +105,52 @@ def has_one_way_on(mechanism: Mechanism, q: np.ndarray) -> bool:
     # Directions go round: the first follows the last.
     starts = small & ~np.roll(small, 1)
     return size.max() > _RANK_LOST and int(starts.sum()) == 1
+
+
+def common_zeros(forms: np.ndarray) -> np.ndarray | None:
+    """Return a basis (n, k) of the space on which quadratic forms (m, n, n) vanish, where they vanish nowhere else; or None.
+
+    Where a combination of them is semidefinite, all common zeros are in its kernel; there the forms are looked at again,
+    until none is left (facial reduction; Borwein & Wolkowicz, J. Austral. Math. Soc. A 30, 1981). Forms of which none is
+    semidefinite have common zeros off any linear space, as a rule, or that is not known: None.
+    """
+    basis, size = np.eye(forms.shape[1]), float(np.abs(forms).max(initial=0.0))
+    while True:
+        reduced = basis.T @ forms @ basis
+        _, values, spanning = np.linalg.svd(reduced.reshape(len(forms), -1), full_matrices=False)
+        left = spanning[values > max(_RANK_LOST, _FLAT * size)].reshape(-1, *reduced.shape[1:])
+        if not len(left):
+            return basis
+        found = _semidefinite(left)
+        if found is None:
+            return None
+        shares, axes = np.linalg.eigh(found)
+        basis = basis @ axes[:, shares < _FLAT * shares[-1]]
+        if basis.shape[1] == 0:
+            return basis
+
+
+def _semidefinite(forms: np.ndarray) -> np.ndarray | None:
+    """Return a combination (n, n) of forms (m, n, n) without negative eigenvalues, of trace 1; None where none is found.
+
+    The least eigenvalue is a concave function of the combination: its largest is found, and not a local one.
+    """
+    traces = np.trace(forms, axis1=1, axis2=2)
+    if np.abs(traces).max() < _FLAT:
+        return None
+    first, others = traces / (traces @ traces), np.linalg.svd(traces[None])[2][1:]
+
+    def combined(y: np.ndarray) -> np.ndarray:
+        return np.tensordot(first + y @ others, forms, axes=1)
+
+    y = np.zeros(len(others))
+    if len(others):
+        kept = {"xatol": 1e-10, "fatol": 1e-12, "maxiter": 2000 * len(others), "initial_simplex": _simplex(len(others))}
+        y = scipy.optimize.minimize(lambda y: -np.linalg.eigvalsh(combined(y))[0], y, method="Nelder-Mead", options=kept).x
+    found = combined(y)
+    shares = np.linalg.eigvalsh(found)
+    return found if shares[0] > -_FLAT * shares[-1] else None
+
+
+def _simplex(n: int) -> np.ndarray:
+    return np.vstack([np.zeros(n), np.eye(n)])

@@ -28,7 +28,7 @@ def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
     in a moving one is drawn from that body's own pin on; one that is pinned at a single point, as far as its centre of mass.
     """
     model = mechanism.model
-    tree = build_tree(model, mechanism.qpos_of(np.zeros(mechanism.n_q)))
+    tree = build_tree(model, mechanism.qpos_of(mechanism.reference))
     pins: dict[int, list[ca.SX]] = {}
     for body in range(1, model.nbody):
         for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):

@@ -19,6 +19,7 @@ from linkplan.models.closure.redundancy import ProjectedLoops, combination
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.dynamics import Tree
 from linkplan.models.tree.sites import site_places
+from linkplan.models.tree.tendons import limited_tendons
 
 # Below the determinant that rounding leaves of one that vanishes: its root's slope stays finite.
 _TINY = 1e-40
@@ -48,6 +49,7 @@ class ReducedDynamics:
     gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that holds the weight
     effort_matrix: ca.Function  # q -> B (n_q, n_u), each actuator's generalised effort
     actuator_length: ca.Function  # q -> l (n_u,), MuJoCo's, not a number for sites and slider-cranks
+    tendon_length: ca.Function  # q -> l (n_tendons,) of the tendons whose length is limited
     effort_map: ca.Function  # q -> Gamma^T B (n_s, n_u)
     inverse_dynamics: ca.Function  # q, v, a -> Gamma^T B u that the motion needs (n_s,)
     residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
@@ -128,6 +130,7 @@ def reduce_tree(
         whole = {row for loop in projected for row in loop.rows}  # their forces are the least already
         kept = [row for row in range(phi.numel()) if row in whole or row in chosen]
         force = _least_norm(ca.Function("J", [q], [ca.densify(jacobian)]), kept, [c.rows for c in closures]) @ force
+    limited = ca.vertcat(ca.SX(0, 1), *[tree.tendon_lengths[tendon.index] for tendon in limited_tendons(tree.model)])
     kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
     def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
@@ -150,6 +153,7 @@ def reduce_tree(
         gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
         effort_matrix=function("effort_matrix", [q], B),
         actuator_length=function("actuator_length", [q], ca.SX(n_u, 1) if lengths is None else lengths),
+        tendon_length=function("tendon_length", [q], limited),
         effort_map=function("effort_map", [q], effort_map),
         inverse_dynamics=function("inverse_dynamics", [q, v, a], inverse),
         residual=function("residual", [q, v, a, u], inverse - effort_map @ u),

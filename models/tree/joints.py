@@ -8,7 +8,7 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.names import nearest
-from linkplan.models.tree.coordinates import BALL, CHART_RANGE, FREE, HINGE, joint_label
+from linkplan.models.tree.coordinates import BALL, FREE, HINGE, Coordinates, joint_label
 
 # A position [rad or m] below this is zero to people: assembly closes loops to about 1e-12, and nobody sets an angle finer.
 _NOTHING = 1e-9
@@ -19,7 +19,7 @@ class Joint:
     """A coordinate: a hinge [rad] or slide [m] with its range, infinite where the model sets none.
 
     A ball joint `rod` is three of kind "hinge", `rod_rx`, `rod_ry` and `rod_rz`, a free joint has `_x`, `_y` and `_z` before
-    them; `chart` then names it. Their range is that of the chart (see `linkplan.models.tree.coordinates`), not a stop.
+    them; `chart` then names it. Their range is that of the chart (see `linkplan.models.tree.charts`), not a stop.
     """
 
     name: str
@@ -27,6 +27,11 @@ class Joint:
     lower: float
     upper: float
     chart: str | None = None
+
+    @property
+    def turns(self) -> bool:
+        """Whether a whole turn brings it back: a hinge, a rod's azimuth and spin."""
+        return self.kind == "hinge" and (self.chart is None or not np.isfinite([self.lower, self.upper]).any())
 
     @property
     def unit(self) -> str:
@@ -46,10 +51,8 @@ class Joint:
         return float(np.radians(value)) if self.kind == "hinge" else float(value)
 
 
-def read_joints(name: str, model: mujoco.MjModel) -> tuple[Joint, ...]:
-    """Return the coordinates of a model, one for every degree of freedom of its tree, in MuJoCo's order."""
-    if model.njnt == 0:
-        raise ModelError(f"model '{name}' has no joint: there is nothing to move")
+def read_joints(name: str, model: mujoco.MjModel, coordinates: Coordinates) -> tuple[Joint, ...]:
+    """Return the coordinates of a model as joints, one for every degree of freedom of its tree, in MuJoCo's order."""
     joints: list[Joint] = []
     limits_off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
     for index in range(model.njnt):
@@ -59,9 +62,10 @@ def read_joints(name: str, model: mujoco.MjModel) -> tuple[Joint, ...]:
                 joints += [
                     Joint(name=f"{label}_{axis}", kind="slide", lower=-np.inf, upper=np.inf, chart=label) for axis in "xyz"
                 ]
+            (chart,) = [chart for chart in coordinates.charts if chart.joint == index]
             joints += [
-                Joint(name=f"{label}_r{axis}", kind="hinge", lower=-CHART_RANGE, upper=CHART_RANGE, chart=label)
-                for axis in "xyz"
+                Joint(name=f"{label}_r{axis}", kind="hinge", lower=float(low), upper=float(high), chart=label)
+                for axis, (low, high) in zip("xyz", chart.rotation.limits, strict=True)
             ]
             continue
         lower, upper = _free_range(name, label, model, index) if not limits_off else (-np.inf, np.inf)

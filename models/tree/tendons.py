@@ -5,10 +5,14 @@ each branch divided by its pulley's divisor. A path that wraps around a geom has
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import mujoco
 
+from linkplan.models.errors import ModelError
+
+HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 PULLEY = int(mujoco.mjtWrap.mjWRAP_PULLEY)
 SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
@@ -42,6 +46,44 @@ def tendon_joints(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
         dof = int(model.jnt_dofadr[model.wrap_objid[k]])
         found[dof] = found.get(dof, 0.0) + float(model.wrap_prm[k])
     return found
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class TendonLimit:
+    """The range [low, high] of a tendon's length, but for its margin; in `unit`, none where it sums angles.
+
+    `span` is its size, which lengths are measured by.
+    """
+
+    name: str
+    index: int
+    low: float
+    high: float
+    span: float
+    unit: str
+
+
+def limited_tendons(model: mujoco.MjModel) -> tuple[TendonLimit, ...]:
+    """Return the limits of a model on tendons whose length has an expression here."""
+    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT):
+        return ()
+    found = []
+    for tendon in range(model.ntendon):
+        if not model.tendon_limited[tendon] or wraps(model, tendon):
+            continue
+        name, margin = tendon_label(model, tendon), float(model.tendon_margin[tendon])
+        low, high = (float(end) for end in model.tendon_range[tendon])
+        if low + margin >= high - margin:
+            raise ModelError(
+                f"tendon {name} is left no length: its margin of {margin:g} from either end of its range of {low:g} to"
+                f" {high:g} is all of it"
+            )
+        hinges = is_fixed(model, tendon) and any(
+            int(model.jnt_type[model.dof_jntid[dof]]) == HINGE for dof in tendon_joints(model, tendon)
+        )
+        low, high = low + margin, high - margin
+        found.append(TendonLimit(name=name, index=tendon, low=low, high=high, span=high - low, unit="" if hinges else "m"))
+    return tuple(found)
 
 
 def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int) -> ca.SX | None:

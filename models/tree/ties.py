@@ -3,7 +3,12 @@
 import mujoco
 import numpy as np
 
+BALL, FREE, HINGE = (
+    int(kind) for kind in (mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE)
+)
 CONNECT, WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+# Points are in line where the sine of the angle between them is below this.
+_IN_LINE = 1e-6
 
 
 def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray]]:
@@ -26,21 +31,94 @@ def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray
 def rod_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
     """Return the line (3,) about which a body on a ball joint may spin, in its frame, or None where it has none.
 
-    That of a rod: nothing hangs on it, and its connects tie it at one point, or at points in line with the joint.
+    That of a rod: what ties it, connects and the ball joints of bodies that it carries, is at one point, or at points in
+    line with the joint.
+    """
+    points = _held_at(model, joint)
+    if points is None:
+        return None
+    lines = [_unit(point - model.jnt_pos[joint]) for point in points]
+    return lines[0] if lines and _in_line(lines) else None
+
+
+def spin_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
+    """Return the line (3,) that a body on a ball or free joint turns about, in its frame, or None where it has none.
+
+    A rod's; of a floating body, or one that a rod carries, that through the points at which connects hold it.
+    """
+    if int(model.jnt_type[joint]) == BALL and (line := rod_line(model, joint)) is not None:
+        return line
+    carried = int(model.jnt_type[joint]) == BALL and _rod_before(model, joint) is not None
+    points = _held_at(model, joint) if carried or int(model.jnt_type[joint]) == FREE else None
+    if not points:
+        return None
+    lines = [line for point in points[1:] if (line := _unit(point - points[0])) is not None]
+    return lines[0] if lines and _in_line(lines) else None
+
+
+def carrying_axis(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> np.ndarray | None:
+    """Return the axis (3,) about which what carries a body turns, in the body's frame at `reference` (nq,), or None.
+
+    That of the hinge of the body before it, or the line of the rod before it; of a floating body, the hinge of a body that
+    it is tied to.
     """
     body = int(model.jnt_bodyid[joint])
-    if int(model.body_jntnum[body]) != 1 or np.any(model.body_parentid == body):
+    before = [_moving(model, int(model.body_parentid[body]))]
+    if int(model.jnt_type[joint]) == FREE:
+        ties = [[_moving(model, tied) for tied, _ in tied_points(model, index)] for index in range(model.neq)]
+        before = [other for pair in ties if body in pair for other in pair if other != body]
+    data = mujoco.MjData(model)
+    data.qpos[:] = reference
+    mujoco.mj_kinematics(model, data)
+    frame = data.xmat[body].reshape(3, 3)
+    for carrier in before:
+        for k in reversed(range(int(model.body_jntnum[carrier]))):
+            if int(model.jnt_type[int(model.body_jntadr[carrier]) + k]) == HINGE:
+                return frame.T @ data.xaxis[int(model.body_jntadr[carrier]) + k]
+    line = _rod_before(model, joint)
+    return None if line is None else frame.T @ data.xmat[before[0]].reshape(3, 3) @ line
+
+
+def _rod_before(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
+    """Return the line (3,) of the rod that carries a joint's body, in the rod's frame, or None where none does."""
+    carrier = _moving(model, int(model.body_parentid[int(model.jnt_bodyid[joint])]))
+    first = int(model.body_jntadr[carrier])
+    return rod_line(model, first) if first >= 0 and int(model.jnt_type[first]) == BALL else None
+
+
+def _moving(model: mujoco.MjModel, body: int) -> int:
+    """Return the body with joints that a body is welded to, or the body itself."""
+    return int(model.body_weldid[body])
+
+
+def _held_at(model: mujoco.MjModel, joint: int) -> list[np.ndarray] | None:
+    """Return the points (3,) [m] of a joint's body at which connects and carried ball joints hold it, in its frame.
+
+    None where something else does, or it has a second joint.
+    """
+    body, points = int(model.jnt_bodyid[joint]), []
+    if int(model.body_jntnum[body]) != 1:
         return None
-    arms = []
+    for child in np.flatnonzero(model.body_parentid == body).tolist():
+        first = int(model.body_jntadr[child])
+        if int(model.body_jntnum[child]) != 1 or int(model.jnt_type[first]) != BALL:
+            return None
+        turned = np.zeros(3)
+        mujoco.mju_rotVecQuat(turned, model.jnt_pos[first], model.body_quat[child])
+        points.append(model.body_pos[child] + turned)
     for index in range(model.neq):
         ends = [point for tied, point in tied_points(model, index) if tied == body]
         if ends and (not model.eq_active0[index] or int(model.eq_type[index]) == WELD):
             return None
-        arms += [point - model.jnt_pos[joint] for point in ends]
-    lengths = [float(np.linalg.norm(arm)) for arm in arms]
-    if not arms or min(lengths) == 0:
-        return None
-    lines = [arm / length for arm, length in zip(arms, lengths, strict=True)]
-    if any(np.linalg.norm(np.cross(lines[0], line)) > 1e-6 for line in lines):
-        return None
-    return lines[0]
+        points += ends
+    return points
+
+
+def _unit(v: np.ndarray) -> np.ndarray | None:
+    """Return a vector's direction, None of one without."""
+    length = float(np.linalg.norm(v))
+    return v / length if length > 0 else None
+
+
+def _in_line(lines: list) -> bool:
+    return all(line is not None and np.linalg.norm(np.cross(lines[0], line)) <= _IN_LINE for line in lines)

@@ -135,7 +135,9 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     boundary_error = _boundary_error(problem, trajectory, speed)
     if problem.motion.turns is not None:  # the dependent joints must be back too
         gone, span = q[-1] - q[0], max(float(np.ptp(q)), _STILL)
-        boundary_error = max(boundary_error, float(np.abs(gone - whole_turns(mechanism, gone)).max()) / span)
+        moved = np.abs(np.array(mechanism.dynamics.velocity_map(q[0]))[:, problem.goes_on]).max(axis=1, initial=0.0) > 0
+        off = np.where(moved, 0.0, gone - whole_turns(mechanism, gone))
+        boundary_error = max(boundary_error, float(np.abs(off).max()) / span)
     site_error, sites_off = ends_off_m(problem, trajectory, time, q)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     allowed_error = np.where(hinge, np.radians(INTEGRATION_DEG), INTEGRATION_M)
@@ -257,16 +259,14 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
         asked = np.stack([motion.start, motion.goal])
         wanted = np.stack([rest if x is None else x for x in (motion.start_speed, motion.goal_speed)])
         free = np.zeros_like(ends, dtype=bool)
-        free[1] = np.isin(
-            problem.mechanism.independent, problem.mechanism.passive_dofs
-        )  # a passive degree of freedom may end anywhere
-        free[1] |= motion.goal_is_free  # its end is where the sites are asked to be
+        free[1] = problem.adrift | motion.goal_is_free  # its end is where the sites are asked to be
     elif trajectory.periodic:
         gone = np.stack([-1.0 * np.ones(trajectory.n_s), np.ones(trajectory.n_s)]) * motion.advance
-        asked, wanted, free = ends[::-1] + gone, speeds[::-1], np.zeros_like(ends, dtype=bool)
+        asked, wanted, free = ends[::-1] + gone, speeds[::-1], np.tile(problem.goes_on, (2, 1))
     else:
         return 0.0
-    apart = [missed(ends, *exactly(asked, free), span), missed(speeds, *exactly(wanted, free), speed)]
+    still = free & (motion.kind == "reach")  # a spin's speed may be any at the end, and returns with a period
+    apart = [missed(ends, *exactly(asked, free), span), missed(speeds, *exactly(wanted, still), speed)]
     return max(*apart, *(_passed_by(trajectory, waypoint, span, speed) for waypoint in motion.waypoints))
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.models.actuation.actuators import Actuator, ranged_control
 from linkplan.models.poses.along import sampled
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
@@ -11,6 +12,9 @@ from linkplan.planner.transcription.bernstein import bernstein_matrix
 
 # A limit is kept where it is overrun by no more than this share of itself: rounding.
 SLACK = 1e-9
+# Where a servo gives the clamp of its force whatever its ctrl, a planned effort is the clamp to this share of it: a motion
+# enters there between two nodes. Efforts may be off by 200 times as much between nodes (DYNAMICS_SHARE). Measured 4e-5.
+_AT_CLAMP = 1e-4
 # At how many instants of an interval limits are checked: at least, and for each node.
 _SAMPLES, _SAMPLES_A_NODE = 12, 3
 
@@ -20,8 +24,8 @@ class Margin:
     """The worst instant of one limit: `value` against `limit` in `unit`; `left` is negative where it is overrun.
 
     `what` is the limit's key in a problem file ("effort_rate", "power", "closure_force", "singular_margin", "motor"),
-    or "control" for a servo's ctrlrange, "site" and "tube" for limits.site;
-    `item` the actuator, closure or site limit of that name.
+    or "control" for a servo's ctrlrange, "tendon" for a tendon's range, "site" and "tube" for limits.site;
+    `item` the actuator, closure, tendon or site limit of that name.
     """
 
     what: str
@@ -55,6 +59,7 @@ class Margin:
             "motor": f"the torque-speed line of {self.name}",
             "closure_force": f"the closure force of {self.name}",
             "singular_margin": "the distance from a singular pose",
+            "tendon": f"the length of tendon {self.name}",
             "site": self.name,
             "tube": self.name,
         }[self.what]
@@ -62,7 +67,7 @@ class Margin:
     def sentence(self, verb: str = "comes to") -> str:
         """Return what the limit comes to, in words."""
         beyond = "short of" if self.what == "singular_margin" else "beyond"
-        value, limit = (self.value, self.limit) if self.what == "site" else (abs(self.value), abs(self.limit))
+        value, limit = (self.value, self.limit) if self.what in ("site", "tendon") else (abs(self.value), abs(self.limit))
         amount = f"{value:.4g} {self.unit}".rstrip()
         off = f"{abs(self.left):.3g} {self.unit}".rstrip()
         return f"{self.title} {verb} {amount} at t = {self.time_s:.4g} s, {off} {beyond} its limit of {limit:.4g}"
@@ -111,17 +116,30 @@ def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
 
 
 def margin_of(
-    what: str, item: int, name: str, values: np.ndarray, bounds, unit: str, points: np.ndarray, time: np.ndarray, size=None
+    what: str,
+    item: int,
+    name: str,
+    values: np.ndarray,
+    bounds,
+    unit: str,
+    points: np.ndarray,
+    time: np.ndarray,
+    size=None,
+    bent: np.ndarray | None = None,
 ) -> Margin:
     """Return what is left of one limit [low, high] of values (n,) at times (n,), sampled at `points` of each interval.
 
-    `size` is what overruns are shares of, the limit's own by default.
+    `size` is what overruns are shares of, the limit's own by default. Where samples are `bent` (n,), beside a kink, no
+    parabola is laid through those of the interval.
     """
     low, high = bounds
     inside = np.minimum(values - low, high - values)
     at = int(np.argmin(inside))
     limit = high if high - values[at] <= values[at] - low else low
     least = least_between(inside, points)
+    if bent is not None:
+        rows, kinked = inside.reshape(-1, len(points)), bent.reshape(-1, len(points)).any(axis=1)
+        least = np.where(kinked, rows.min(axis=1), least)
     left = float(least.min())
     value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
     return Margin(
@@ -145,8 +163,8 @@ def margins(
     mechanism, limits, found = problem.mechanism, problem.limits, []
     names = [actuator.name for actuator in mechanism.actuators]
 
-    def add(what: str, item: int, name: str, values: np.ndarray, bounds, unit: str) -> None:
-        found.append(margin_of(what, item, name, values, bounds, unit, points, time))
+    def add(what: str, item: int, name: str, values: np.ndarray, bounds, unit: str, bent=None) -> None:
+        found.append(margin_of(what, item, name, values, bounds, unit, points, time, bent=bent))
 
     if np.any(np.isfinite(limits.effort_rate)):
         rate, jumps = _effort_rates(trajectory, time)
@@ -175,11 +193,28 @@ def margins(
             actuator = mechanism.actuators[j]
             b = actuator.biases
             ctrl = (u[:, j] - b[0] - b[1] * length[:, j] - b[2] * w[:, j]) / actuator.gain
-            add("control", j, names[j], ctrl, (actuator.control_lower, actuator.control_upper), "")
+            bounds = (actuator.control_lower, actuator.control_upper)
+            ranged, bent = _ranged(actuator, ctrl, u[:, j], len(points))
+            add("control", j, names[j], ranged, bounds, "", bent=bent)
+    if mechanism.tendons:
+        lengths = sampled(mechanism.dynamics.tendon_length, q)[:, :, 0]
+        for item, (one, values) in enumerate(zip(mechanism.tendons, lengths.T, strict=True)):
+            found.append(margin_of("tendon", item, one.name, values, (one.low, one.high), one.unit, points, time, one.span))
     if limits.singular_margin > 0:
         for block, ratios in enumerate(block_ratios(problem, q).T):
             add("singular_margin", block, mechanism.name, ratios, (limits.singular_margin, np.inf), "")
     return tuple(found)
+
+
+def _ranged(actuator: Actuator, ctrl: np.ndarray, u: np.ndarray, n_points: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return what a servo's ctrlrange bounds (n,), and where (n,) all of its range is beyond a clamp of its force."""
+    ranged = ranged_control(actuator, ctrl, u, actuator.gain, np.maximum)
+    bent = ranged != ctrl
+    beside = np.repeat(bent.reshape(-1, n_points).any(axis=1), n_points)
+    within = np.clip(ranged, actuator.control_lower, actuator.control_upper)
+    clamp = np.abs([end for end in (actuator.lower, actuator.upper) if np.isfinite(end)]).max(initial=0.0)
+    near = np.abs(ranged - within) * abs(actuator.gain) <= _AT_CLAMP * clamp
+    return np.where(beside & near, within, ranged), bent
 
 
 def block_ratios(problem: PlanningProblem, q: np.ndarray) -> np.ndarray:

@@ -60,6 +60,7 @@ def formulate(
         closures=limits.limited_closures,
         singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
         controls=tuple(j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control),
+        tendons=tuple(range(len(mechanism.tendons))),
         sites=tuple(limit.key for limit in limits.site),
     )
     rows = IntervalRows(
@@ -98,8 +99,9 @@ def formulate(
     limited += [("power", j) for j in asked.powers] + [("closure_force", c) for c in asked.closures]
     limited += [("singular_margin", block) for block in range(asked.singular)]
     limited += [("control", j) for j in asked.controls]
+    of_tendons = [("tendon", item) for item in asked.tendons]
     of_sites = [("tube" if limit.is_tube else "site", item) for item, limit in enumerate(limits.site)]
-    limited += of_sites + [("work", j) for j in range(n_u if works else 0)]
+    limited += of_tendons + of_sites + [("work", j) for j in range(n_u if works else 0)]
     path = [
         limits.speed[list(speed_joints)] * scales.time_s,
         np.tile([-1.0, 1.0], (len(motors), 1)),
@@ -107,12 +109,15 @@ def formulate(
         np.tile([-np.inf, 1.0], (len(asked.closures), 1)),
         np.tile([limits.singular_margin, np.inf], (asked.singular, 1)),
         np.array([_control_range(problem, j) for j in asked.controls]),
+        np.array([[tendon.low / tendon.span, tendon.high / tendon.span] for tendon in mechanism.tendons]),
         np.array([site_bounds(mechanism, limit) for limit in limits.site]),
         np.tile([0.0, np.inf], (n_u if works else 0, 1)),
     ]
     path = np.vstack([part.reshape(-1, 2) for part in path])
     state = np.vstack([limits.position[independent] / scales.position[:, None], limits.speed[independent] / rate[:, None]])
     endpoint, places = site_endpoint(problem, scales.position)
+    adrift = tuple(np.flatnonzero(problem.goes_on).tolist())
+    returns = tuple(i for i in range(2 * n_s) if i not in adrift)
     return Formulation(
         build_system=lambda: mechanism_system(mechanism, asked),
         n_s=n_s,
@@ -132,8 +137,9 @@ def formulate(
         path=path,
         own=own,
         boundaries=phase_boundaries_of(problem, scales),
-        returns=tuple(range(2 * n_s)) if problem.motion.kind == "periodic" else (),
-        advance=_advance(problem, scales),
+        returns=returns if problem.motion.kind == "periodic" else (),
+        adrift=adrift if problem.motion.kind == "periodic" else (),
+        advance=_advance(problem, scales, returns),
         smooth=smoothed or objective.has("effort_rate") or bool(rated),
         eta=_eta(
             problem,
@@ -145,18 +151,18 @@ def formulate(
         ),
         theta=theta,
         tightening=tightening_over(tightenings, limited, path),
-        position_path=tuple(limited.index(row) for row in of_sites),
+        position_path=tuple(limited.index(row) for row in of_tendons + of_sites),
         endpoint=endpoint,
         endpoint_bounds=np.zeros((len(places), 2)),
         endpoint_parameters=places,
     )
 
 
-def _advance(problem: PlanningProblem, scales: Scales) -> np.ndarray | float:
-    """Return by how much the states (2 n_s,) of a periodic motion have gone on at its end, scaled; 0 where they return."""
+def _advance(problem: PlanningProblem, scales: Scales, returns: tuple[int, ...]) -> np.ndarray | float:
+    """Return by how much the states `returns` of a periodic motion have gone on at its end, scaled; 0 where they return."""
     if problem.motion.turns is None:
         return 0.0
-    return np.concatenate([problem.motion.advance / scales.position, np.zeros(problem.mechanism.dof)])
+    return np.concatenate([problem.motion.advance / scales.position, np.zeros(problem.mechanism.dof)])[list(returns)]
 
 
 def is_smoothed(objective: Objective) -> bool:
@@ -254,18 +260,15 @@ def _eta(
 
 def phase_boundaries_of(problem: PlanningProblem, scales: Scales) -> tuple[PhaseBoundary, ...]:
     """Return the phase boundaries, scaled: start, the middle of a periodic motion between two poses, waypoints, goal."""
-    motion, mechanism, n_s = problem.motion, problem.mechanism, problem.mechanism.dof
+    motion, n_s = problem.motion, problem.mechanism.dof
     unit = np.concatenate([scales.position, scales.position / scales.time_s])
 
-    # A passive degree of freedom, as of a rod between two balls, is left free: where it ends has no effect.
-    passive = np.isin(mechanism.independent, mechanism.passive_dofs)
-
-    def boundary(s, v, time: tuple[float, float], share: float | None = None) -> PhaseBoundary:
+    def boundary(s, v, time: tuple[float, float], share: float | None = None, adrift=False) -> PhaseBoundary:
         state = np.full((2 * n_s, 2), [-np.inf, np.inf])
         for value, place in ((s, slice(0, n_s)), (v, slice(n_s, None))):
             if value is not None:
                 asked = np.asarray(value, dtype=float) / unit[place]
-                given = ~np.isnan(asked) & ~(passive & (time[1] > 0))
+                given = ~np.isnan(asked) & ~(problem.adrift & adrift)
                 state[place][given] = asked[given, None]
         return PhaseBoundary(state=state, time=(time[0] / scales.time_s, time[1] / scales.time_s), share=share)
 
@@ -280,25 +283,27 @@ def phase_boundaries_of(problem: PlanningProblem, scales: Scales) -> tuple[Phase
     if motion.kind == "reach":
         rest = np.zeros(n_s)
         start = boundary(motion.start, rest if motion.start_speed is None else motion.start_speed, (0.0, 0.0))
-        goal = boundary(
-            None if motion.goal_is_free else motion.goal, rest if motion.goal_speed is None else motion.goal_speed, last
-        )
+        position, speed = (None if motion.goal_is_free else motion.goal), motion.goal_speed
+        goal = boundary(position, rest if speed is None else speed, last, adrift=True)
         return (start, *via, goal)
     start, goal = boundary(_first_position(problem), None, (0.0, 0.0)), boundary(None, None, last)
     if motion.goal is not None and not via:
-        via = [boundary(motion.goal, None, (0.0, np.inf), share=0.5)]
+        via = [boundary(motion.goal, None, (0.0, np.inf), share=0.5, adrift=True)]
     return (start, *via, goal)
 
 
 def _first_position(problem: PlanningProblem) -> np.ndarray | None:
     """Return the positions (n_s,) in which a periodic motion begins, NaN where they are free; None where all are.
 
-    A motion that turns for ever passes every angle, and begun at any of them it is as good: it begins at home's.
+    A motion that turns for ever passes every angle, and begun at any of them it is as good: it begins at home's. So does a
+    spin on which nothing depends.
     """
     motion = problem.motion
-    if motion.turns is None or motion.start is not None or motion.waypoints:
+    home = problem.mechanism.home[problem.mechanism.independent]
+    if motion.start is not None or not (np.any(problem.goes_on) or (motion.turns is not None and not motion.waypoints)):
         return motion.start
-    first = np.full(problem.mechanism.dof, np.nan)
-    column = int(np.flatnonzero(motion.turns)[0])
-    first[column] = problem.mechanism.home[problem.mechanism.independent[column]]
+    first = np.where(problem.goes_on, home, np.nan)
+    if motion.turns is not None and not motion.waypoints:
+        column = int(np.flatnonzero(motion.turns)[0])
+        first[column] = home[column]
     return first

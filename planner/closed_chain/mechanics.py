@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from linkplan.models.actuation.actuators import ranged_control
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.closed_chain.site_rows import TUBE, site_row
 from linkplan.planner.transcription.system import NodeSymbols, System, node_symbols
@@ -58,7 +59,8 @@ class NodeTerms:
     """What is looked at in a node, the structure of its functions: running costs out of `RUNNING`, and path quantities.
 
     `speed_joints` are dependent joints, `motors` and `powers` actuators, `closures` those whose force is limited; `singular`
-    is the number of blocks of J_z whose determinants are; `controls` are servos whose ctrl is; `sites` are `SiteLimit.key`s.
+    is the number of blocks of J_z whose determinants are; `controls` are servos whose ctrl is; `tendons` are places in
+    `Mechanism.tendons`; `sites` are `SiteLimit.key`s.
     """
 
     running: tuple[str, ...] = ()
@@ -68,6 +70,7 @@ class NodeTerms:
     closures: tuple[int, ...] = ()
     singular: int = 0
     controls: tuple[int, ...] = ()
+    tendons: tuple[int, ...] = ()
     sites: tuple[tuple, ...] = ()
 
     @property
@@ -76,7 +79,8 @@ class NodeTerms:
         listed = {"speed": self.speed_joints, "motor": self.motors, "power": self.powers, "closure_force": self.closures}
         named = tuple(kind for kind, items in listed.items() for _ in items)
         of_sites = tuple("tube" if len(key) == TUBE else "site" for key in self.sites)
-        return (*named, *("singular",) * self.singular, *("control",) * len(self.controls), *of_sites)
+        others = {"singular": self.singular, "control": len(self.controls), "tendon": len(self.tendons)}
+        return (*named, *(kind for kind, n in others.items() for _ in range(n)), *of_sites)
 
 
 @functools.lru_cache(maxsize=16)
@@ -153,9 +157,11 @@ def _path(
     if asked.controls:
         length, w = call("actuator_length", q), call("effort_map", q).T @ v
         for j in asked.controls:
-            b = mechanism.actuators[j].biases
-            ctrl = (u[j] - b[0] - b[1] * length[j] - b[2] * w[j]) / mechanism.actuators[j].gain
-            path.append(ctrl / control_unit(mechanism, j))
+            b, gain = mechanism.actuators[j].biases, mechanism.actuators[j].gain
+            ctrl = (u[j] - b[0] - b[1] * length[j] - b[2] * w[j]) / gain
+            path.append(ranged_control(mechanism.actuators[j], ctrl, u[j], gain, ca.fmax) / control_unit(mechanism, j))
+    lengths = call("tendon_length", q) if asked.tendons else ca.SX(0, 1)
+    path += [lengths[item] / mechanism.tendons[item].span for item in asked.tendons]
     return path + [site_row(mechanism, key, q) for key in asked.sites]
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
+from linkplan.models.tree.tendons import TendonLimit
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
@@ -21,7 +22,7 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
 # What may be taken away to see whether it is what forbids a motion, in this order, before the efforts' limits are looked at.
-RELAXABLE = ("speed", "power", "closure_force", "motor", "control", "effort_rate", "singular_margin", "site")
+RELAXABLE = ("speed", "power", "closure_force", "motor", "control", "effort_rate", "singular_margin", "tendon", "site")
 # Efforts that may jump have no rate to speak of: their rates are limited to so many times the limit in place of not at all.
 # So are servos' ctrl ranges.
 _ALL_BUT_FREE = 1e3
@@ -37,6 +38,10 @@ def scaled(problem: PlanningProblem, what: str, factor: float) -> PlanningProble
     if what == "site":
         room = (factor - 1) * problem.mechanism.extent_m
         return replace(problem, limits=replace(limits, site=tuple(_wider(limit, room) for limit in limits.site)))
+    if what == "tendon":
+        return _with_tendons(
+            problem, tuple(_longer(tendon, (factor - 1) * tendon.span) for tendon in problem.mechanism.tendons)
+        )
     if what == "motor":
         lined = [m for m in problem.motors if m is not None and m.has_line]
         wider = {
@@ -58,6 +63,15 @@ def _with_controls(problem: PlanningProblem, factor: float) -> PlanningProblem:
     return replace(problem, mechanism=replace(mechanism, actuators=wider))
 
 
+def _with_tendons(problem: PlanningProblem, tendons: tuple[TendonLimit, ...]) -> PlanningProblem:
+    return replace(problem, mechanism=replace(problem.mechanism, tendons=tendons))
+
+
+def _longer(tendon: TendonLimit, room: float) -> TendonLimit:
+    """Return a tendon's limit that gives it so much more room at either end."""
+    return replace(tendon, low=tendon.low - room, high=tendon.high + room)
+
+
 def _wider(limit: SiteLimit, room_m: float) -> SiteLimit:
     """Return a limit on a site that gives it so much more room on every side."""
     return replace(limit, low=limit.low if limit.is_tube else limit.low - room_m, high=limit.high + room_m)
@@ -74,6 +88,9 @@ def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
     if what == "control":
         limited = any(actuator.limits_control for actuator in problem.mechanism.actuators)
         return _with_controls(problem, _ALL_BUT_FREE) if limited else None
+    if what == "tendon":
+        far = tuple(_longer(tendon, _ALL_BUT_FREE * tendon.span) for tendon in problem.mechanism.tendons)
+        return _with_tendons(problem, far) if far else None
     value = getattr(limits, what)
     if what == "singular_margin":
         return replace(problem, limits=replace(limits, singular_margin=0.0)) if value else None
@@ -140,6 +157,9 @@ def _overrun(problem: PlanningProblem, motion: Trajectory, what: str) -> float |
     over = [m for m in certify(problem, motion).margins if m.key == what and not m.kept and np.isfinite(m.value)]
     if what == "site":
         return 1 + _ROOM * max(-m.left for m in over) / problem.mechanism.extent_m if over else None
+    if what == "tendon":
+        spans = [tendon.span for tendon in problem.mechanism.tendons]
+        return 1 + _ROOM * max(-m.left / spans[m.item] for m in over) if over else None
     over = [m for m in over if m.limit]
     if not over:
         return None

@@ -70,7 +70,13 @@ def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | 
         max_duration_s=_optional(section, "max_duration_s"),
         waypoints=_waypoints(section, mechanism),
         turns=_turns(section, mechanism),
+        goal_named=tuple(np.flatnonzero(np.isin(mechanism.independent, list(_goal_joints(section, mechanism)))).tolist()),
     )
+
+
+def _goal_joints(section: dict, mechanism: Mechanism) -> set[int]:
+    """Return the joints whose position or speed the goal names."""
+    return set().union(*(joint_values(section, key, "motion", mechanism) for key in ("goal", "goal_speed_s")))
 
 
 def _state(section: dict, key: str, mechanism: Mechanism, default: float | None, where="motion") -> np.ndarray | None:

@@ -41,6 +41,7 @@ class Motion:
     `start_at` and `goal_at` are places of sites that start and goal stand for: `start` and `goal` are then poses in which
     the sites are there. Where the places leave freedoms open, any pose with the sites in their places ends the motion, and
     `goal` is the one to guess; `goal_rows` are then those of the sites' coordinates (3 n_sites), in a row, that say it all.
+    `goal_named` are the columns of s that the goal names: a passive degree of freedom that it does not may end anywhere.
     """
 
     kind: str
@@ -56,6 +57,7 @@ class Motion:
     goal_at: tuple[SitePoint, ...] = ()
     goal_rows: tuple[int, ...] = ()
     turns: np.ndarray | None = None
+    goal_named: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:

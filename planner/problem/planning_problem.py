@@ -58,6 +58,18 @@ class PlanningProblem:
     source: dict = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # sentences on what was chosen where the problem says nothing
 
+    @property
+    def adrift(self) -> np.ndarray:
+        """Which independent coordinates (n_s,) end as they will: passive degrees of freedom that the goal does not name."""
+        passive = np.isin(self.mechanism.independent, self.mechanism.passive_dofs)
+        passive[list(self.motion.goal_named)] = False
+        return passive
+
+    @property
+    def goes_on(self) -> np.ndarray:
+        """Which of those (n_s,) a periodic motion need not bring back: spins on whose angle nothing depends."""
+        return self.adrift & self.mechanism.cyclic
+
     def __post_init__(self) -> None:
         object.__setattr__(self, "objective", objective_from(self.objective))
         object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)

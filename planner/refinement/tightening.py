@@ -13,9 +13,9 @@ _FLOOR = 1e-7
 # Bounds are never tightened beyond this share of what lies between them.
 _MOST = 0.45
 # The limits that are rows of nodes, and so can be overrun between them.
-AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin", "control", "site", "tube")
+AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin", "control", "tendon", "site", "tube")
 # Of those, the ones whose rows are the square of what is limited, and those that are tightened in units of their rows.
-SQUARED, IN_UNITS = ("closure_force", "tube"), ("site",)
+SQUARED, IN_UNITS = ("closure_force", "tube"), ("site", "tendon")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -68,7 +68,7 @@ def tightening_over(
     """Return a function from breaks (n + 1,) [s] to how much (n, n_path) the bounds `path` (n_path, 2) are tightened.
 
     `rows` say for each path quantity which limit it is; the row of a closure's force is the force squared, that of a tube
-    the distance. A site's place has no size of its own: its share is one of the row's unit.
+    the distance. A site's place and a tendon's length have no size of their own: their share is one of the row's unit.
     """
     if not tightenings:
         return None

@@ -3,6 +3,7 @@
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
@@ -107,7 +108,8 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {abs(joint.shown(x - min(max(x, low), high))):.4g} {joint.unit} beyond its limit of"
                     f" {joint.said(min(max(x, low), high), 4)}"
                 )
-    contradiction = _branches_on_the_way(problem) or _singular(problem) or _beyond_ctrl(problem) or _site_beyond(problem)
+    contradiction = _branches_on_the_way(problem) or _singular(problem) or _beyond_ctrl(problem)
+    contradiction = contradiction or _site_beyond(problem)
     if contradiction is not None:
         return contradiction
     if motion.kind == "reach" and motion.duration_s is not None and not motion.goal_is_free:
@@ -146,15 +148,18 @@ def _branches_on_the_way(problem: PlanningProblem) -> str | None:
 
 
 def _site_beyond(problem: PlanningProblem) -> str | None:
-    """Return the sentence on a site that start, goal or a waypoint puts where the limits do not want it, or None."""
+    """Return the sentence on a site or tendon that start, goal or a waypoint puts beyond its limits, or None."""
     motion, limits = problem.motion, problem.limits
     places = [("the start", motion.start), ("the goal", motion.goal)]
     places += [(f"motion.waypoints[{k}]", waypoint.position) for k, waypoint in enumerate(motion.waypoints)]
     for name, s in places:
-        if s is None or np.any(np.isnan(s)) or not limits.site:
+        if s is None or np.any(np.isnan(s)) or not (limits.site or problem.mechanism.tendons):
             continue
         pose = close_at(problem.mechanism, s)[None]
         is_open = name == "the goal" and motion.goal_is_free
+        tendon = None if is_open else _tendon_beyond(problem, pose, f"at {name}")
+        if tendon is not None:
+            return tendon
         for limit in limits.site:
             sentence = None if is_open and not _known(limit, motion) else _beyond(problem, limit, pose, f"at {name}")
             if sentence is not None:
@@ -169,16 +174,33 @@ def _known(limit: SiteLimit, motion: Motion) -> bool:
 
 
 def _on_the_only_way(problem: PlanningProblem) -> str | None:
-    """Return the sentence on a site that leaves its limits between start and goal of a single freedom, or None."""
+    """Return the sentence on a site or tendon that leaves its limits between start and goal of a single freedom."""
     mechanism, motion = problem.mechanism, problem.motion
-    if mechanism.dof != 1 or motion.start is None or motion.goal is None or not problem.limits.site:
+    limited = problem.limits.site or mechanism.tendons
+    if mechanism.dof != 1 or motion.start is None or motion.goal is None or not limited:
         return None
     try:
         poses = follow(mechanism, np.linspace(motion.start, motion.goal, _BETWEEN), close_at(mechanism, motion.start))
     except AssemblyError:  # the way is not open: said elsewhere
         return None
     said = "between start and goal, where every motion of one degree of freedom passes"
-    return next((found for limit in problem.limits.site if (found := _beyond(problem, limit, poses, said))), None)
+    tendon = _tendon_beyond(problem, poses, said)
+    return tendon or next((found for limit in problem.limits.site if (found := _beyond(problem, limit, poses, said))), None)
+
+
+def _tendon_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> str | None:
+    """Return the sentence on a tendon whose range the worst of poses (n, n_q) leaves, or None."""
+    mechanism = problem.mechanism
+    lengths = sampled(mechanism.dynamics.tendon_length, poses)[:, :, 0]
+    for tendon, values in zip(mechanism.tendons, lengths.T, strict=True):
+        off = np.maximum(tendon.low - values, values - tendon.high)
+        k = int(np.argmax(off))
+        if off[k] > SITE_SLACK * tendon.span:
+            return (
+                f"infeasible: the length of tendon {tendon.name} is {values[k]:.6g} {tendon.unit}".rstrip()
+                + f" {when}, {off[k]:.4g} beyond its range of {tendon.low:g} to {tendon.high:g}"
+            )
+    return None
 
 
 def _beyond(problem: PlanningProblem, limit: SiteLimit, poses: np.ndarray, when: str) -> str | None:
@@ -204,10 +226,14 @@ def _beyond_ctrl(problem: PlanningProblem) -> str | None:
             continue
         q, v = close_at(mechanism, s)[None], np.zeros((1, mechanism.dof)) if speed is None else speed[None]
         ends = [needed_controls(mechanism, q, v, end[None])[0] for end in problem.limits.effort.T]
-        for actuator, least, most in zip(mechanism.actuators, np.min(ends, axis=0), np.max(ends, axis=0), strict=True):
+        for j, (least, most) in enumerate(zip(np.min(ends, axis=0), np.max(ends, axis=0), strict=True)):
+            actuator = mechanism.actuators[j]
             low, high = actuator.control_lower, actuator.control_upper
             nearest_ctrl = least if least > high else most
-            if actuator.limits_control and (least > high or most < low):
+            # Where all of its range is beyond a clamp of its force, a servo gives the clamp: is that within the limits?
+            clamp = actuator.upper if (most < low) == (actuator.gain > 0) else actuator.lower
+            given = problem.limits.effort[j, 0] <= clamp <= problem.limits.effort[j, 1]
+            if actuator.limits_control and (least > high or most < low) and not given:
                 return (
                     f"infeasible: {actuator.name} on {actuator.target} would need a ctrl of {nearest_ctrl:.4g} at the {name}"
                     f" for any effort within its limits, beyond its ctrlrange of {low:g} to {high:g}"

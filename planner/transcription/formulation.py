@@ -46,9 +46,10 @@ class Formulation:
 
     `build_system` makes the system when it is needed. Bounds are [low, high] rows: `state` (n_state, 2), `algebraic` (n_z,
     2), `effort` (n_u, 2) in its own units, `path` (n_path, 2), `own` by kind of an interval's own rows. `returns` are states
-    that end as they began, but for what they have gone on by, `advance` (n_returns,) or nothing; `smooth` says whether
-    efforts may not jump. `eta` are an interval's own parameters, `theta` maps times (n, m) [s] to those of nodes (n, m,
-    n_theta). `tightening` maps breaks (n + 1,) [s] to how far (n, n_path) path bounds are tightened on each interval.
+    that end as they began, but for what they have gone on by, `advance` (n_returns,) or nothing; `adrift` are those that
+    need not, as nothing depends on them. `smooth` says whether efforts may not jump. `eta` are an interval's own parameters,
+    `theta` maps times (n, m) [s] to those of nodes (n, m, n_theta). `tightening` maps breaks (n + 1,) [s] to how far
+    (n, n_path) path bounds are tightened on each interval.
     `position_path` are path quantities that follow from the positions of the second-order coordinates alone: where a phase
     boundary gives those, nothing is left to bound.
     """
@@ -73,14 +74,15 @@ class Formulation:
     tightening: Callable[[np.ndarray], np.ndarray] | None = None
     position_path: tuple[int, ...] = ()
     advance: np.ndarray | float = 0.0
+    adrift: tuple[int, ...] = ()
     endpoint: Endpoint | None = None
     endpoint_bounds: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     endpoint_parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def periodic(self) -> bool:
-        """Whether every state returns."""
-        return len(self.returns) == len(self.state)
+        """Whether every state returns, but for those that are adrift."""
+        return bool(self.returns) and len(self.returns) + len(self.adrift) == len(self.state)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

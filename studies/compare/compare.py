@@ -159,9 +159,10 @@ def rollout_record(plan: Plan, rollout: Rollout) -> dict:
     """Return a run's figures by name, their units in the names."""
     mechanism = plan.problem.mechanism
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
+    steered = ~np.isin(mechanism.independent, mechanism.passive_dofs)  # no tracker has a hand in a spin
     names = [actuator.name for actuator in mechanism.actuators]
     record = {}
-    for unit, which, factor in (("deg", hinge, 180 / np.pi), ("m", ~hinge, 1.0)):
+    for unit, which, factor in (("deg", hinge & steered, 180 / np.pi), ("m", ~hinge & steered, 1.0)):
         if not np.any(which):
             continue
         error = factor * np.linalg.norm(rollout.error[:, which], axis=1)

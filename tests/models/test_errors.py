@@ -249,7 +249,6 @@ LEFT_OUT = {
     "frictionloss": ('name="ja"', 'name="ja" frictionloss="0.2"', ["frictionloss", "ja"], True),
     "springyield": ('name="ja"', 'name="ja" stiffness="1" springyield="1"', ["springyield", "ja"], True),
     "tendon armature": ('name="cable"', 'name="cable" armature="3"', ["armature", "cable"], True),
-    "tendon limit": ('name="cable"', 'name="cable" range="-1 1"', ["limit", "cable"], True),
     "tendon frictionloss": ('name="cable"', 'name="cable" frictionloss="1"', ["frictionloss", "cable"], True),
     "fluid": ("<worldbody>", '<option density="1.2"/><worldbody>', ["fluid"], True),
     "viscosity": ("<worldbody>", '<option viscosity="1.2"/><worldbody>', ["fluid"], True),

@@ -50,6 +50,9 @@ RSSR = f"""
   <actuator><motor joint="crank" ctrlrange="-2 2"/></actuator>
 </mujoco>"""
 
+# The same with a slide in place of the crank: the rod does not go round with it, and its spin ends with the ball's chart.
+PSSR = replaced(RSSR, '<joint name="crank"/>', '<joint name="crank" type="slide"/>')
+
 # Crank, ball-jointed rod, and a cylinder on the far side: it turns about and slides along its axis.
 RSCR = replaced(
     RSSR,

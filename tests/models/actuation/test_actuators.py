@@ -262,7 +262,6 @@ def test_an_actuator_beside_one_of_many_inputs_keeps_its_own_channel():
     ("element", "words"),
     [
         ('frictionloss="0.1"', ["frictionloss", "belt"]),
-        ('range="-1 1"', ["limit", "belt"]),
         ('stiffness="1" springyield="0.1"', ["springyield", "belt"]),
         ('armature="0.5"', ["armature", "belt", "branches"]),
     ],

@@ -9,7 +9,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.reach import reach
 from linkplan.models.tree.dynamics import build_tree
-from tests.support.linkages import GRIPPER, UNCUT, WELDED, loaded
+from tests.support.linkages import GRIPPER, PSSR, UNCUT, WELDED, loaded
 from tests.support.mechanisms import replaced, simulated
 from tests.support.tolerances import (
     BRANCHING,
@@ -179,4 +179,4 @@ def test_a_grippers_reach_ends_where_both_of_its_parallelograms_lie_flat():
 
 
 def test_a_chart_that_ends_is_not_called_a_range():
-    assert reach(loaded("rssr"), 1).upper.reason == "end of rod_rx's chart"
+    assert reach(load_mechanism(PSSR), 1).upper.reason == "end of rod_rx's chart"

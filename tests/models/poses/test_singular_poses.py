@@ -6,6 +6,7 @@ import pytest
 from linkplan.models.errors import UnassembledError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.reach import reach
+from linkplan.models.poses.singular_poses import common_zeros
 from linkplan.studies.check.inspection import inspect
 from tests.support.mechanisms import replaced, slider_crank
 from tests.support.overconstrained import HEAD, bricard, coupled_cranks, sarrus
@@ -85,6 +86,44 @@ def other_ways(mechanism: Mechanism) -> bool:
             found.append(np.ptp(x[cranks]))
     assert len(found) > 10
     return bool(max(found) > 0.02)
+
+
+ARM = (
+    '<body pos="0.6 0 0"><joint name="extra" axis="0 -1 0"/><geom size="0.01" pos="0.1 0 0" mass="0.1"/></body></worldbody>'
+)
+
+
+@pytest.mark.parametrize(("pivots", "alone"), [(ROW, True), (ROW[:2], False)])
+def test_a_further_freedom_does_not_hide_whether_one_motion_alone_leads_through(pivots, alone):
+    mechanism = load_mechanism(replaced(coupled_cranks(pivots=pivots, drawn=np.pi / 2), "</worldbody>", ARM))
+    assert mechanism.dof == 2
+    (cranks,) = [can for can in (reach(mechanism, k) for k in (0, 1)) if can.singular]
+    assert len(cranks.branching) == 2
+    assert cranks.single == (cranks.singular if alone else ())
+
+
+def symmetric(rng: np.random.Generator, n: int) -> np.ndarray:
+    return (lambda A: A + A.T)(rng.normal(size=(n, n)))
+
+
+def test_quadratic_forms_that_vanish_on_one_space_alone_are_told_from_those_that_do_not():
+    rng = np.random.default_rng(0)
+    for n in (3, 4, 5):
+        turn = np.linalg.qr(rng.normal(size=(n, n)))[0]
+        square, after = np.zeros((n, n)), np.zeros((n, n))
+        square[0, 0], after[0, 1], after[1, 0], after[1, 1] = 1.0, 3.0, 3.0, 1.0  # x0 = 0, and then x1 = 0
+        mixed = turn @ np.array([square - 2 * after, after + square]) @ turn.T
+        zeros = common_zeros(mixed)
+        assert zeros is not None
+        assert zeros.shape == (n, n - 2)
+        assert np.abs(turn[:, :2].T @ zeros).max() < 1e-3
+        crossing = np.diag([1.0, -1.0, *np.zeros(n - 2)])
+        assert common_zeros((turn @ crossing @ turn.T)[None]) is None, "two planes cross"
+        cone = np.diag([1.0, 1.0, -1.0, *np.zeros(n - 3)])
+        assert common_zeros((turn @ cone @ turn.T)[None]) is None, "a cone"
+        one = common_zeros(np.array([np.eye(n) + 0.1 * symmetric(rng, n) / n, symmetric(rng, n)]))
+        assert one is not None
+        assert one.shape[1] == 0, "nothing but zero"
 
 
 def double_four_bar(turned: float, driven: str) -> str:

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.tree.coordinates import CHART_RANGE
+from linkplan.models.tree.charts import CHART_RANGE
 from tests.support.mechanisms import derivative, numbers, random_quaternion, replaced, simulated
 from tests.support.tolerances import (
     CENTRED,

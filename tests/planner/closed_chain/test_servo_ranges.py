@@ -1,5 +1,6 @@
 """Servos' ctrl ranges in the program: a gripper closed as fast, and as gently, as its position servo's range allows."""
 
+import mujoco
 import numpy as np
 import pytest
 import scipy.integrate
@@ -97,3 +98,49 @@ def test_a_quick_motion_of_least_effort_keeps_the_servos_range():
     found = plan(gripper(), "effort", duration_s=0.06)
     assert found.certificate.passed, found.certificate.failures
     assert -1e-3 < overrun(found) < CTRL, "and the range binds"
+
+
+# An arm of 0.02 kg m2 on a position servo of 50 N.m/rad and 1 N.m whose ctrl ends at 0.3 rad: beyond 0.32 rad every ctrl
+# pulls it back with all of the 1 N.m.
+ARM = """<mujoco model="arm"><compiler angle="radian"/><option gravity="0 0 0" timestep="2e-4"/>
+  <worldbody><body name="arm"><joint name="O" axis="0 1 0"/>
+    <inertial pos="0 0 0" mass="1" diaginertia="0.02 0.02 0.02"/></body>
+  </worldbody>
+  <actuator><position name="servo" joint="O" kp="50" ctrlrange="-0.3 0.3" forcerange="-1 1"/></actuator></mujoco>"""
+BEYOND = np.radians(30.0)
+# The arm in MuJoCo [deg]: a switch time between two of its steps.
+CARRIED_DEG = 0.05
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_servo_whose_whole_range_is_beyond_its_clamp_gives_the_clamp(sign):
+    """All the way to 30 deg and back to rest in the least time of 1 N.m either way: 2 sqrt(angle I / 1 N.m)."""
+    mechanism = linkplan.load_mechanism(ARM)
+    found = linkplan.plan(
+        linkplan.Problem.reach(mechanism, start_deg={"O": 0}, goal_deg={"O": sign * np.degrees(BEYOND)}, minimize="time")
+    )
+    assert found.certificate.passed, found.certificate.failures
+    assert abs(found.duration_s / (2 * np.sqrt(BEYOND * 0.02)) - 1) < LEAST_TIME
+    assert overrun(found) < CTRL
+
+
+def test_that_the_clamp_acts_there_is_mujocos_word():
+    mechanism = linkplan.load_mechanism(ARM)
+    model = mechanism.model
+    data = mujoco.MjData(model)
+    for angle, ctrl in ((0.5, 0.3), (0.5, -0.3), (-0.5, 0.0)):
+        data.qpos[0], data.ctrl[0] = angle, ctrl
+        mujoco.mj_forward(model, data)
+        clamp = -np.sign(angle)
+        assert data.actuator_force[0] == clamp
+        q, rest = np.array([[angle]]), np.zeros((1, 1))
+        assert control_excess(mechanism, q, rest, np.array([[clamp]])).max() < CTRL
+        assert control_excess(mechanism, q, rest, np.array([[0.9 * clamp]])).max() > 1e-3, "and nothing less"
+
+
+def test_a_motion_beyond_the_range_is_run_in_mujoco_as_planned():
+    mechanism = linkplan.load_mechanism(ARM)
+    found = linkplan.plan(linkplan.Problem.reach(mechanism, start_deg={"O": 0}, goal_deg={"O": 30.0}, minimize="time"))
+    run = linkplan.track(found, "pd+ff", tracking={"kp": 0.0, "kd": 0.0, "period_s": 2e-4})
+    (rollout,) = run.comparison.nominal.values()
+    assert np.degrees(np.abs(rollout.error).max()) < CARRIED_DEG

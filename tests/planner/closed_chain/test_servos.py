@@ -8,6 +8,8 @@ from tests.support.bodies import body_plan
 SERVO = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0"/>
 <inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
 <actuator><position name="s" joint="J" kp="100" ctrlrange="-{reach} {reach}" forcerange="-20 20"/></actuator></mujoco>"""
+# An effort that is to be the clamp of a servo's force, relative: a motion enters there between two nodes.
+AT_CLAMP = 1e-4
 REACH = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 60.0 }\nduration_s = 0.8\n'
 
 
@@ -16,12 +18,22 @@ def test_a_servo_with_room_is_planned():
     assert plan.status == "optimal", plan.message
 
 
-def test_a_servo_that_cannot_hold_back_at_its_goal_is_said_at_once():
-    """At 60 deg a ctrl of 0.5 pulls back with at least 100 (1.0472 - 0.5) N.m; its forcerange ends at 20."""
-    plan = body_plan(SERVO.format(reach=0.5), REACH)
+def test_a_servo_that_pulls_back_with_all_its_force_at_the_goal_is_planned_with():
+    """At 60 deg any ctrl to 0.5 pulls back with the 20 N.m at which its forcerange ends: so it slows down and arrives."""
+    plan = body_plan(SERVO.format(reach=0.5), REACH.replace("0.8", "0.5"))
+    assert plan.status == "optimal", plan.message
+    end = plan.trajectory.duration_s
+    beyond = plan.trajectory.position_at(np.linspace(0, end, 400))[:, 0] > 0.71
+    assert np.any(beyond)
+    assert np.abs(plan.trajectory.effort_at(np.linspace(0, end, 400))[beyond, 0] + 20).max() < 20 * AT_CLAMP
+
+
+def test_a_servo_that_cannot_hold_back_gently_at_its_goal_is_said_at_once():
+    """At 60 deg a ctrl of 0.5 asks for at least 100 (1.0472 - 0.5) N.m, of which 20 are given; the problem allows 10."""
+    plan = body_plan(SERVO.format(reach=0.5), REACH, "limits.effort.s=[-10,10]")
     assert plan.status == "infeasible"
     assert plan.history == ()
-    assert f"s on joint J would need a ctrl of {np.pi / 3 - 0.2:.4g} at the goal" in plan.message
+    assert f"s on joint J would need a ctrl of {np.pi / 3 - 0.1:.4g} at the goal" in plan.message
     assert "its ctrlrange of -0.5 to 0.5" in plan.message
 
 
