@@ -85,6 +85,7 @@ RUNGS: tuple[Rung, ...] = (
             and all(attempts.unsound(plan) for plan in search.plans[:1])
             and not search.only_time_counts
             and duration_continuation.may_be_lengthened(search)
+            and not waiting.far_beyond(search)
         ),
         climb=duration_continuation.from_continuation,
         budget=PATIENT,
