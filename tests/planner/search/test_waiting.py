@@ -1,4 +1,4 @@
-"""The rung of waiting: a rest, and beside it a motion that passes by itself, where no start leads to one as long as asked."""
+"""The rung of waiting: a rest, and beside it a motion that passes by itself, where no start leads to one long enough."""
 
 from dataclasses import replace
 
