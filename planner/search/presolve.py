@@ -9,6 +9,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import Reach, close_at, follow, reach
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.planner.certificate.certificate import RANGE_SLACK
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.certificate.site_margins import SITE_SLACK, title
 from linkplan.planner.problem.motion import Motion
@@ -18,6 +19,8 @@ from linkplan.planner.search.turning import check_turns
 
 # Poses looked at between start and goal of a single freedom.
 _BETWEEN = 401
+# What is said of them; a share of the margin to singular poses that is rounding.
+_PASSES, _ROUNDING = "between start and goal, where every motion of one degree of freedom passes", 1e-6
 
 
 @functools.lru_cache(maxsize=16)
@@ -116,6 +119,7 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {joint.said(min(max(x, low), high), 4)}"
                 )
     contradiction = _branches_on_the_way(problem) or _singular(problem) or _beyond_ctrl(problem) or _site_beyond(problem)
+    contradiction = contradiction or _range_on_the_only_way(problem)
     if contradiction is not None:
         return contradiction
     if motion.kind == "reach" and motion.duration_s is not None and not motion.goal_is_free:
@@ -176,15 +180,51 @@ def _known(limit: SiteLimit, motion: Motion) -> bool:
 
 def _on_the_only_way(problem: PlanningProblem) -> str | None:
     """Return the sentence on a site that leaves its limits between start and goal of a single freedom, or None."""
+    poses = _only_way(problem) if problem.limits.site else None
+    if poses is None:
+        return None
+    return next((found for limit in problem.limits.site if (found := _beyond(problem, limit, poses, _PASSES))), None)
+
+
+def _only_way(problem: PlanningProblem) -> np.ndarray | None:
+    """Return poses (n, n_q) between start and goal of a single freedom, all of which every motion passes; None elsewhere."""
     mechanism, motion = problem.mechanism, problem.motion
-    if mechanism.dof != 1 or motion.start is None or motion.goal is None or not problem.limits.site:
+    if mechanism.dof != 1 or motion.start is None or motion.goal is None or motion.goal_is_free:
         return None
     try:
-        poses = follow(mechanism, np.linspace(motion.start, motion.goal, _BETWEEN), close_at(mechanism, motion.start))
+        return follow(mechanism, np.linspace(motion.start, motion.goal, _BETWEEN), close_at(mechanism, motion.start))
     except AssemblyError:  # the way is not open: said elsewhere
         return None
-    said = "between start and goal, where every motion of one degree of freedom passes"
-    return next((found for limit in problem.limits.site if (found := _beyond(problem, limit, poses, said))), None)
+
+
+def _range_on_the_only_way(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a joint beyond its range, or a pose too near to a singular one, on the only way; or None."""
+    mechanism, limit, margin = problem.mechanism, problem.limits.position, problem.limits.singular_margin
+    dependent = mechanism.dependent
+    poses = _only_way(problem) if margin or np.any(np.isfinite(limit[dependent])) else None
+    if poses is None:
+        return None
+    (driven,) = mechanism.independent
+    (crank,), joints = mechanism.independent_joints, mechanism.joints
+    nearest = np.clip(poses, limit[:, 0], limit[:, 1])
+    off = np.abs(poses - nearest)
+    k, i = (int(x) for x in np.unravel_index(int(np.argmax(off)), off.shape))
+    if off[k, i] > RANGE_SLACK:
+        at = f"{crank.name} = {crank.said(poses[k, driven], 4)} {crank.unit}"
+        return (
+            f"infeasible: joint {joints[i].name} stands at {joints[i].said(poses[k, i], 5)} {joints[i].unit} where {at},"
+            f" {_PASSES}, {abs(joints[i].shown(off[k, i])):.4g} {joints[i].unit} beyond its limit of"
+            f" {joints[i].said(nearest[k, i], 5)}"
+        )
+    ratios = singularity_ratios(problem, poses) if margin else np.ones(1)
+    k = int(np.argmin(ratios))
+    if ratios[k] >= margin * (1 - _ROUNDING):
+        return None
+    at = f"{crank.name} = {crank.said(poses[k, driven], 4)} {crank.unit}"
+    return (
+        f"infeasible: where {at}, {_PASSES}, the mechanism is at {ratios[k]:.4g} of the distance from a singular pose that"
+        f" the home pose has, {margin - ratios[k]:.3g} short of limits.singular_margin = {margin:g}"
+    )
 
 
 def _beyond(problem: PlanningProblem, limit: SiteLimit, poses: np.ndarray, when: str) -> str | None:
