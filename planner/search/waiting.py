@@ -12,12 +12,10 @@ import numpy as np
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.attempts import certified, refined
+from linkplan.planner.search.attempts import certified, refined, without_solving
 from linkplan.planner.search.duration_continuation import DURATION_FACTOR
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.least_time import shortest_motion
@@ -102,7 +100,7 @@ def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None
             f"motion of {whole.duration_s:.6g} s: {moving.message} and a rest of {wait:.4g} s"
             f" {'before' if end == 'start' else 'after'} it; that longer motions are no better was not shown"
         )
-        plan = finished(problem, whole, certify(problem, whole), objective, search.history, said)
+        plan = without_solving(problem, whole, objective, search.history, said)
         if plan.status == "optimal":
             return plan
     return None
