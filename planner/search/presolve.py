@@ -9,7 +9,6 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import Reach, close_at, follow, reach
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.planner.certificate.certificate import RANGE_SLACK
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.certificate.site_margins import SITE_SLACK, title
 from linkplan.planner.problem.motion import Motion
@@ -19,7 +18,8 @@ from linkplan.planner.search.turning import check_turns
 
 # Poses looked at between start and goal of a single freedom.
 _BETWEEN = 401
-# What is said of them; a share of the margin to singular poses that is rounding.
+# What is said of them; what poses on the way [rad or m] and, as a share, the margin to singular poses may be off by: less
+# than that is left to the solver and the certificate.
 _PASSES, _ROUNDING = "between start and goal, where every motion of one degree of freedom passes", 1e-6
 
 
@@ -209,7 +209,7 @@ def _range_on_the_only_way(problem: PlanningProblem) -> str | None:
     nearest = np.clip(poses, limit[:, 0], limit[:, 1])
     off = np.abs(poses - nearest)
     k, i = (int(x) for x in np.unravel_index(int(np.argmax(off)), off.shape))
-    if off[k, i] > RANGE_SLACK:
+    if off[k, i] > _ROUNDING:
         at = f"{crank.name} = {crank.said(poses[k, driven], 4)} {crank.unit}"
         return (
             f"infeasible: joint {joints[i].name} stands at {joints[i].said(poses[k, i], 5)} {joints[i].unit} where {at},"
