@@ -7,7 +7,8 @@ To add a rung: one function, `(Search, Budget) -> Plan | None`, and one row.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from linkplan.planner.closed_chain.prescribed_plan import plan_prescribed
 from linkplan.planner.diagnosis import reasons
@@ -16,14 +17,29 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import CERTIFYING
 from linkplan.planner.refinement.history import Say, silent
 from linkplan.planner.search import attempts, duration_continuation, last_resorts, margin_continuation, starts, waiting
-from linkplan.planner.search.ladder import HURRIED, PATIENT, Repair, Rung, Search, climb
+from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
 
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
 
 
+# The share of the time left that such a start may take: a swing-up's first start is refined without end.
+_SPARING = 0.25
+Climb = Callable[[Search, Budget], Plan | None]
+
+
 def _one_start(search: Search) -> bool:
     return search.problem.solver.starts == 1 and search.starts_are_worth_it
+
+
+def _sparing(start: Climb) -> Climb:
+    """Return a way of looking for a motion that leaves time for rest, where several driven freedoms may wait."""
+
+    def climb(search: Search, budget: Budget) -> Plan | None:
+        spare = search.problem.mechanism.dof > 1 and waiting.may_wait(search)
+        return start(search, replace(budget, share_of_time=_SPARING) if spare else budget)
+
+    return climb
 
 
 def _nothing_found(search: Search) -> bool:
@@ -46,7 +62,7 @@ RUNGS: tuple[Rung, ...] = (
     Rung(
         name="a smooth path",
         tried=_one_start,
-        climb=starts.from_a_smooth_path,
+        climb=_sparing(starts.from_a_smooth_path),
         budget=PATIENT,
     ),
     Rung(
@@ -58,7 +74,7 @@ RUNGS: tuple[Rung, ...] = (
     Rung(
         name="swings",
         tried=lambda search: _one_start(search) and not starts.no_time(search),
-        climb=starts.from_swings,
+        climb=_sparing(starts.from_swings),
         budget=HURRIED,
     ),
     Rung(
@@ -85,6 +101,7 @@ RUNGS: tuple[Rung, ...] = (
             and all(attempts.unsound(plan) for plan in search.plans[:1])
             and not search.only_time_counts
             and duration_continuation.may_be_lengthened(search)
+            and not waiting.far_beyond(search)
         ),
         climb=duration_continuation.from_continuation,
         budget=PATIENT,
@@ -147,6 +164,7 @@ DIAGNOSES = (
     reasons.efforts,
     reasons.efforts_without_other_limits,
     reasons.ranges,
+    reasons.efforts_by_the_phase_plane,
     reasons.nothing_found,
 )
 

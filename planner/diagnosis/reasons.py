@@ -9,15 +9,16 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.diagnosis.far_too_short import far_too_short, path_effort
-from linkplan.planner.diagnosis.infeasibility import effort_sentence
+from linkplan.planner.diagnosis.infeasibility import effort_sentence, share_sentence
 from linkplan.planner.diagnosis.relaxation import RELAXABLE, least_of, violated_sentence, without
 from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.durations import longest, may_swing
+from linkplan.planner.search.durations import SURELY_LIMITED, longest, may_swing
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Search
 from linkplan.planner.search.least_limit import least_limit_of_starts
+from linkplan.planner.search.phase_plane import least_share
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import enough_time
@@ -104,6 +105,19 @@ def efforts_without_other_limits(search: Search) -> Plan | None:
 def ranges(search: Search) -> Plan | None:
     """Return the plan that names the joint whose range forbids the motion."""
     return _without(search, "position")
+
+
+def efforts_by_the_phase_plane(search: Search) -> Plan | None:
+    """Return the plan that says by what factor efforts are short; of one degree of freedom the phase plane decides that.
+
+    It leaves out all limits but those of effort, speed and range, so that what it forbids is forbidden.
+    """
+    least = least_share(search.problem, search.start_pose, longest(search.problem))
+    if least is None or least[0] <= SURELY_LIMITED:
+        return None
+    sentence = share_sentence(search.problem, *least, at_all=search.quickest is None)
+    details = {"needed_limit_factor": least[0]}
+    return _infeasible(search, f"infeasible: {sentence}", details, shortest=search.quickest is not None)
 
 
 def nothing_found(search: Search) -> Plan:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.collisions import unavoidable
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.case import case_of
@@ -19,6 +20,7 @@ from linkplan.planner.search.first_mesh import PER_SWING, first_mesh, graded_mes
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.smoothing_continuation import unsmoothed
 from linkplan.planner.search.solving import Found, solve_from
+from linkplan.planner.trajectory import Trajectory
 
 # An answer whose objective a finer mesh changes by more than this share is said to move.
 MOVES = 1e-4
@@ -109,6 +111,11 @@ def certified(
     if plan.status == "optimal":
         plan = replace(plan, message=plan.message + said)
     return replace(plan, solved=replace(solution.transcribed, start=solution.x))
+
+
+def without_solving(problem: PlanningProblem, motion: Trajectory, objective: float, history: list[Step], said: str) -> Plan:
+    """Return the plan of a motion that was put together and not solved for."""
+    return finished(problem, motion, certify(problem, motion), objective, history, said)
 
 
 def unsound(plan: Plan) -> bool:

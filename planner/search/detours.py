@@ -10,7 +10,7 @@ import numpy as np
 import scipy
 
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.phase_grid import Plane, plane_of
+from linkplan.planner.search.phase_grid import Plane, grid_of, plane_of
 from linkplan.planner.search.phase_plane import parts_of
 
 # Cells of the grid, and places on it where a motion may rest.
@@ -31,8 +31,11 @@ def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s:
     if motion.kind != "reach" or motion.stays or motion.waypoints or not np.all(np.isfinite(problem.limits.effort)):
         return True
     (part,) = parts_of(motion)
-    plane = plane_of(problem, part.places, start_pose, 1.0, _CELLS, graded=False)
-    if plane is None or any(part.speeds) or min(plane.drag) < 0:
+    grid = None if any(part.speeds) else grid_of(problem, part.places, start_pose, _CELLS, graded=False)
+    if grid is None:
+        return True
+    plane = plane_of(problem, *grid, problem.limits.effort)
+    if min(plane.drag) < 0:
         return True
     start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
     rests = np.linspace(0, len(plane.s) - 1, _PLACES).round().astype(int)

@@ -72,18 +72,18 @@ class Plane:
         return np.array(values)
 
 
-def plane_of(
-    problem: PlanningProblem, places: np.ndarray, start_pose: np.ndarray, share: float, n_cells: int, *, graded: bool = True
-) -> Plane | None:
-    """Return the plane around places (n,) that a motion passes, within the ranges that hold from its start on.
+def grid_of(
+    problem: PlanningProblem, places: np.ndarray, start_pose: np.ndarray, n_cells: int, *, graded: bool = True
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return positions (n,) around places that a motion passes, within the ranges that hold from its start on, and poses.
 
-    None where they are not all within reach on one side of what is out of range.
+    The poses (2 n - 1, n_q) are at and between them. None where not all places are within reach on one side of what is out
+    of range.
 
     Args:
         problem: of one degree of freedom.
         places: positions that are cell ends, the start first.
         start_pose: closed, at the start.
-        share: of the effort limits that legs push with.
         n_cells: cells of the grid over s; two poses a cell.
         graded: whether cells are closer together where joints or the inertia change most.
     """
@@ -111,8 +111,7 @@ def plane_of(
     s, poses = s[first : last + 1], poses[2 * first : 2 * last + 1]
     if len(s) < 3 or not s[0] <= ends[0] <= ends[1] <= s[-1]:
         return None
-    gridded = _followed(problem, _graded(problem, s, poses[::2]), places, start_pose) if graded else (s, poses)
-    return None if gridded is None else _gridded(problem, *gridded, share * limits.effort)
+    return _followed(problem, _graded(problem, s, poses[::2]), places, start_pose) if graded else (s, poses)
 
 
 def _followed(problem: PlanningProblem, s: np.ndarray, places: np.ndarray, start_pose: np.ndarray):
@@ -143,8 +142,8 @@ def _graded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray) -> np.nd
     return np.interp(np.linspace(0.0, progress[-1], len(s)), progress, s)
 
 
-def _gridded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> Plane:
-    """Return the plane over positions (n,) with poses (2 n - 1, n_q) and effort limits (n_u, 2)."""
+def plane_of(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> Plane:
+    """Return the plane over a grid's positions (n,) and poses (2 n - 1, n_q), with effort limits (n_u, 2)."""
     dynamics, n = problem.mechanism.dynamics, len(poses)
 
     def acceleration(v: float, u: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ all that this leaves out.
 
 import heapq
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +19,7 @@ import scipy
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.phase_grid import Plane, plane_of
+from linkplan.planner.search.phase_grid import Plane, grid_of, plane_of
 
 # Legs of a motion at the most.
 _SWINGS = 24
@@ -28,17 +29,53 @@ _CELLS, _PLACES = 1600, 60
 _STILL = 1e-9
 # Shares of the effort limits tried for a motion that may take longer than the least.
 _SHARES = (0.7, 0.4)
+# Factors on the effort limits with which a motion is looked for go up to this, and are halved so often in their logarithm.
+_MOST_SHARE, _HALVINGS = 1024.0, 8
 # Energies that differ by less than this share are the same.
 _SAME = 1e-6
 
 
 def least_time_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
     """Return a reach in the least time that the phase plane knows, whatever duration is asked; None where there is none."""
+    return _planes(problem, start_pose)(1.0) if _applies(problem) else None
+
+
+def _applies(problem: PlanningProblem) -> bool:
     if problem.mechanism.dof != 1 or problem.motion.kind != "reach" or problem.motion.stays:
-        return None
+        return False
     if any(w.time_s is not None or not np.all(np.isfinite(w.position)) for w in problem.motion.waypoints):
+        return False
+    return bool(np.all(np.isfinite(problem.limits.effort)))
+
+
+def least_share(problem: PlanningProblem, start_pose: np.ndarray, duration: float) -> tuple[float, Guess] | None:
+    """Return the least factor on the effort limits with which the phase plane knows of a reach, and that motion.
+
+    None where it knows of none, however large the efforts, or where it does not look.
+
+    Args:
+        problem: of a reach, all its efforts limited.
+        start_pose: closed, at its start.
+        duration: the longest that the motion may take [s].
+    """
+    if not _applies(problem):
         return None
-    return _guess_with(problem, start_pose, 1.0) if np.all(np.isfinite(problem.limits.effort)) else None
+    guess_with = _planes(problem, start_pose)
+
+    def known(share: float) -> Guess | None:
+        guess = guess_with(share)
+        return guess if guess is not None and guess.duration_s <= duration else None
+
+    low, high, best = 1.0, 2.0, None
+    while (best := known(high)) is None:
+        low, high = high, 2.0 * high
+        if high > _MOST_SHARE:
+            return None
+    for _ in range(_HALVINGS):
+        middle = float(np.sqrt(low * high))
+        guess = known(middle)
+        low, high, best = (low, middle, guess) if guess is not None else (middle, high, best)
+    return high, best
 
 
 def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest: Guess) -> Guess:
@@ -52,18 +89,24 @@ def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest
     duration = problem.motion.duration_s
     if duration is None:
         return quickest
-    weaker = (_guess_with(problem, start_pose, share) for share in _SHARES)
-    known = [quickest, *(guess for guess in weaker if guess is not None)]
+    weaker = _planes(problem, start_pose)
+    known = [quickest, *(guess for share in _SHARES if (guess := weaker(share)) is not None)]
     return stretched(min(known, key=lambda guess: abs(np.log(guess.duration_s / duration))), duration)
 
 
-def _guess_with(problem: PlanningProblem, start_pose: np.ndarray, share: float) -> Guess | None:
+def _planes(problem: PlanningProblem, start_pose: np.ndarray) -> Callable[[float], Guess | None]:
+    """Return the function from a share of the effort limits to the quickest motion; its poses are followed once."""
     parts = parts_of(problem.motion)
-    plane = plane_of(problem, np.concatenate([part.places for part in parts]), start_pose, share, _CELLS)
-    if plane is None:
-        return None
-    ways = [_legs(plane, part) for part in parts]
-    return None if any(legs is None for legs in ways) else _guess(plane, parts, ways, start_pose)
+    grid = grid_of(problem, np.concatenate([part.places for part in parts]), start_pose, _CELLS)
+
+    def guess_with(share: float) -> Guess | None:
+        if grid is None:
+            return None
+        plane = plane_of(problem, *grid, share * problem.limits.effort)
+        ways = [_legs(plane, part) for part in parts]
+        return None if any(legs is None for legs in ways) else _guess(plane, parts, ways, start_pose)
+
+    return guess_with
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -17,6 +17,9 @@ from linkplan.planner.search.turning import check_turns
 
 # Poses looked at between start and goal of a single freedom.
 _BETWEEN = 401
+# What is said of them; what poses on the way [rad or m] and, as a share, the margin to singular poses may be off by: less
+# than that is left to the solver and the certificate.
+_PASSES, _ROUNDING = "between start and goal, where every motion of one degree of freedom passes", 1e-6
 
 
 def start_pose_of(problem: PlanningProblem) -> np.ndarray:
@@ -109,7 +112,7 @@ def plain_contradiction(problem: PlanningProblem) -> str | None:
                     f" {joint.said(min(max(x, low), high), 4)}"
                 )
     contradiction = _branches_on_the_way(problem) or _singular(problem) or _beyond_ctrl(problem)
-    contradiction = contradiction or _site_beyond(problem)
+    contradiction = contradiction or _site_beyond(problem) or _range_on_the_only_way(problem)
     if contradiction is not None:
         return contradiction
     if motion.kind == "reach" and motion.duration_s is not None and not motion.goal_is_free:
@@ -175,22 +178,29 @@ def _known(limit: SiteLimit, motion: Motion) -> bool:
 
 def _on_the_only_way(problem: PlanningProblem) -> str | None:
     """Return the sentence on a site or tendon that leaves its limits between start and goal of a single freedom."""
+    poses = _only_way(problem) if problem.limits.site or problem.mechanism.tendons else None
+    if poses is None:
+        return None
+    beyond = (_beyond(problem, limit, poses, _PASSES) for limit in problem.limits.site)
+    return _tendon_beyond(problem, poses, _PASSES) or next((found for found in beyond if found), None)
+
+
+def _only_way(problem: PlanningProblem) -> np.ndarray | None:
+    """Return poses (n, n_q) between start and goal of a single freedom, all of which every motion passes; None elsewhere."""
     mechanism, motion = problem.mechanism, problem.motion
-    limited = problem.limits.site or mechanism.tendons
-    if mechanism.dof != 1 or motion.start is None or motion.goal is None or not limited:
+    if mechanism.dof != 1 or motion.start is None or motion.goal is None or motion.goal_is_free:
         return None
     try:
-        poses = follow(mechanism, np.linspace(motion.start, motion.goal, _BETWEEN), close_at(mechanism, motion.start))
+        return follow(mechanism, np.linspace(motion.start, motion.goal, _BETWEEN), close_at(mechanism, motion.start))
     except AssemblyError:  # the way is not open: said elsewhere
         return None
-    said = "between start and goal, where every motion of one degree of freedom passes"
-    tendon = _tendon_beyond(problem, poses, said)
-    return tendon or next((found for limit in problem.limits.site if (found := _beyond(problem, limit, poses, said))), None)
 
 
 def _tendon_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> str | None:
     """Return the sentence on a tendon whose range the worst of poses (n, n_q) leaves, or None."""
     mechanism = problem.mechanism
+    if not mechanism.tendons:
+        return None
     lengths = sampled(mechanism.dynamics.tendon_length, poses)[:, :, 0]
     for tendon, values in zip(mechanism.tendons, lengths.T, strict=True):
         off = np.maximum(tendon.low - values, values - tendon.high)
@@ -201,6 +211,36 @@ def _tendon_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> st
                 + f" {when}, {off[k]:.4g} beyond its range of {tendon.low:g} to {tendon.high:g}"
             )
     return None
+
+
+def _range_on_the_only_way(problem: PlanningProblem) -> str | None:
+    """Return the sentence on a joint beyond its range, or a pose too near to a singular one, on the only way; or None."""
+    mechanism, limit, margin = problem.mechanism, problem.limits.position, problem.limits.singular_margin
+    dependent = mechanism.dependent
+    poses = _only_way(problem) if margin or np.any(np.isfinite(limit[dependent])) else None
+    if poses is None:
+        return None
+    (driven,) = mechanism.independent
+    (crank,), joints = mechanism.independent_joints, mechanism.joints
+    nearest = np.clip(poses, limit[:, 0], limit[:, 1])
+    off = np.abs(poses - nearest)
+    k, i = (int(x) for x in np.unravel_index(int(np.argmax(off)), off.shape))
+    if off[k, i] > _ROUNDING:
+        at = f"{crank.name} = {crank.said(poses[k, driven], 4)} {crank.unit}"
+        return (
+            f"infeasible: joint {joints[i].name} stands at {joints[i].said(poses[k, i], 5)} {joints[i].unit} where {at},"
+            f" {_PASSES}, {abs(joints[i].shown(off[k, i])):.4g} {joints[i].unit} beyond its limit of"
+            f" {joints[i].said(nearest[k, i], 5)}"
+        )
+    ratios = singularity_ratios(problem, poses) if margin else np.ones(1)
+    k = int(np.argmin(ratios))
+    if ratios[k] >= margin * (1 - _ROUNDING):
+        return None
+    at = f"{crank.name} = {crank.said(poses[k, driven], 4)} {crank.unit}"
+    return (
+        f"infeasible: where {at}, {_PASSES}, the mechanism is at {ratios[k]:.4g} of the distance from a singular pose that"
+        f" the home pose has, {margin - ratios[k]:.3g} short of limits.singular_margin = {margin:g}"
+    )
 
 
 def _beyond(problem: PlanningProblem, limit: SiteLimit, poses: np.ndarray, when: str) -> str | None:

@@ -1,7 +1,8 @@
 """The rung of waiting: the motion of least time, and rest before or after it for as long as is left.
 
 Where a longer motion is asked for and start or goal can be held at rest, that is a motion: no start that the solver could be
-given is nearer to one. It is begun on the least-time motion's own mesh, with one segment more for the rest.
+given is nearer to one. It is begun on the least-time motion's own mesh, with one segment more for the rest, and in the
+transcription that its certificate passed with: a coarser one finds motions that fly through between its nodes.
 """
 
 from collections.abc import Iterator
@@ -14,17 +15,26 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.attempts import refined
+from linkplan.planner.search.attempts import certified, refined, without_solving
+from linkplan.planner.search.duration_continuation import DURATION_FACTOR
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.least_time import shortest_motion
+from linkplan.planner.search.phase_plane import stretched
 from linkplan.planner.search.solving import solve_from
+from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.transcription.schemes import bernstein_value
 
 # Efforts that hold a pose are within their limits and miss no more than this share of the largest; a wait shorter than this
 # share of the duration is none.
 _HELD, _NO_WAIT = 1e-9, 1e-9
 # Intervals of the rest.
 _RESTING = 10
+# Of several driven freedoms, the share of the time left in which a solver may find a better motion than rest and one beside
+# it: the five-bar's swing-up is lost there, however long. By how much the motion beside it is longer than the least time.
+_SHARE, _LITTLE = 0.1, 1.05
+# Terms of an objective that a rest adds to by its effort and its length alone.
+_STILL_TERMS = {"time", "effort", "copper_loss"}
 
 
 def may_wait(search: Search) -> bool:
@@ -35,24 +45,104 @@ def may_wait(search: Search) -> bool:
     return any(_held(search.problem, end) is not None for end in ("start", "goal"))
 
 
+def far_beyond(search: Search) -> bool:
+    """Return whether a motion of several driven freedoms is to be much longer than the least time, and may wait.
+
+    To continue such a one step by step takes minutes and loses it on the way: rest is nearer.
+    """
+    if search.problem.mechanism.dof == 1 or not may_wait(search):
+        return False
+    quick = shortest_motion(search)
+    return quick is not None and search.problem.motion.duration_s > DURATION_FACTOR * quick.trajectory.duration_s
+
+
 def from_waiting(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the least-time motion leads to with a rest before or after it; None where neither passes."""
+    """Return the plan that the least-time motion leads to with a rest before or after it; None where none passes.
+
+    Where the solver is lost from there, a rest and a motion that passes by itself are a motion of the duration asked.
+    """
     quick = shortest_motion(search)
     if quick is None or quick.solved is None or quick.solved.program.mesh.n_phases > 1:
         return None
-    problem = search.within(budget)
+    several = search.problem.mechanism.dof > 1
+    problem = _on_its_scheme(search.within(replace(budget, share_of_time=_SHARE) if several else budget), quick)
     wait = problem.motion.duration_s - quick.trajectory.duration_s
     if wait <= _NO_WAIT * problem.motion.duration_s:
         return None
     for what, guess, mesh, durations in _waits(problem, quick, wait):
         for warm in (True, False):
-            found = solve_from(
-                replace(problem, guess=None), guess, mesh, durations, what, search.history, search.say, warm=warm
-            )
+            found = solve_from(problem, guess, mesh, durations, what, search.history, search.say, warm=warm)
             plan = None if found is None else refined(search, problem, found)
             if plan is not None and plan.status == "optimal":
                 return plan
+    return _rest_and_motion(search, budget, quick)
+
+
+def _on_its_scheme(problem: PlanningProblem, quick: Plan) -> PlanningProblem:
+    """Return a problem in the transcription that the least-time motion's certificate passed with."""
+    return replace(problem, guess=None, mesh=replace(problem.mesh, scheme=quick.solved.scheme.name))
+
+
+def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None:
+    """Return the plan of a rest and the best motion beside it that was found; None where its certificate does not pass."""
+    if not set(search.problem.objective.weights) <= _STILL_TERMS:
+        return None
+    problem = search.within(budget)
+    moving = _a_little_longer(search, budget, quick) or quick
+    wait = problem.motion.duration_s - moving.trajectory.duration_s
+    for end in ("start", "goal"):
+        effort = _held(problem, end)
+        if effort is None:
+            continue
+        whole = _joined(moving.trajectory, wait, effort, first=end == "start")
+        objective = _objective(problem, whole)
+        said = (
+            f"motion of {whole.duration_s:.6g} s: {moving.message} and a rest of {wait:.4g} s"
+            f" {'before' if end == 'start' else 'after'} it; that longer motions are no better was not shown"
+        )
+        plan = without_solving(problem, whole, objective, search.history, said)
+        if plan.status == "optimal":
+            return plan
     return None
+
+
+def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None:
+    """Return the plan of the best motion in little more than the least time; None where it does not pass."""
+    duration = min(_LITTLE * quick.trajectory.duration_s, search.problem.motion.duration_s)
+    problem = _on_its_scheme(search.within(budget), quick)
+    mesh = replace(problem.mesh, refine="intervals")
+    problem = replace(problem, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
+    start, mesh = stretched(motion_of(quick.trajectory), duration), quick.solved.program.mesh
+    lengths = np.bincount(mesh.segment, weights=np.diff(quick.trajectory.breaks_s))
+    durations = lengths * duration / lengths.sum()
+    what = "the least-time motion with a little more time"
+    found = solve_from(problem, start, mesh, durations, what, search.history, search.say, warm=True)
+    plan = None if found is None else certified(problem, found, search.history, search.say, warm=True, kinks=False)
+    return plan if plan is not None and plan.status == "optimal" else None
+
+
+def _joined(motion: Trajectory, wait: float, effort: np.ndarray, *, first: bool) -> Trajectory:
+    """Return a trajectory with a rest before or after it, in which an effort (n_u,) holds it: constants, exactly."""
+    at = motion.position[0, 0] if first else motion.position[-1, -1]
+    rests = (at, np.zeros(motion.n_s), effort)
+    parts = {}
+    for name, value in zip(("position", "velocity", "effort"), rests, strict=True):
+        given = getattr(motion, name)
+        rest = np.broadcast_to(value, (len(given), 1, given.shape[2]))
+        parts[name] = np.concatenate([rest, given] if first else [given, rest], axis=1)
+    breaks = [[0.0], wait + motion.breaks_s] if first else [motion.breaks_s, [motion.duration_s + wait]]
+    return replace(motion, breaks_s=np.concatenate(breaks), **parts)
+
+
+def _objective(problem: PlanningProblem, motion: Trajectory) -> float:
+    """Return the objective of a motion, exact for its efforts' polynomials."""
+    nodes, weights = np.polynomial.legendre.leggauss(len(motion.effort))
+    widths = np.diff(motion.breaks_s)
+    squares = np.array([bernstein_value(motion.effort, (1 + x) / 2) ** 2 for x in nodes])
+    integrals = np.einsum("k,kij,i->j", weights / 2, squares, widths)
+    losses = np.array([0.0 if motor is None else motor.loss for motor in problem.motors])
+    of = {"time": motion.duration_s, "effort": integrals.sum(), "copper_loss": losses @ integrals}
+    return float(sum(weight * of[term] for term, weight in problem.objective.weights.items()))
 
 
 def _waits(problem: PlanningProblem, quick: Plan, wait: float) -> Iterator[tuple[str, Guess, Mesh, np.ndarray]]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
-from linkplan.models.poses.assembly import Reach
+from linkplan.models.poses.reach import Reach
 
 
 def tendon_findings(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[list[str], list[str]]:

@@ -1,0 +1,70 @@
+"""Why a single freedom has no motion: the pose on its only way, and the factor on its efforts by the phase plane."""
+
+import re
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from linkplan.planner.diagnosis import reasons
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.phase_plane import least_share
+from linkplan.planner.search.presolve import start_pose_of
+from tests.support.bodies import LIFT, body_problem
+from tests.support.fourbar import G
+from tests.support.slider_crank import CRANK, ROD
+
+# The cage of 2 kg and its motor, too weak to lift it, which it does not know from below.
+MASS, WEAK, WAY = 2.0, 12.0, 0.4
+TOO_WEAK = LIFT.replace("-30 50", f"-{WEAK} {WEAK}")
+LIFTED = f'kind = "reach"\nstart_deg = {{ J = 0.0 }}\ngoal_deg = {{ J = {WAY} }}\n'.replace("_deg", "_m")
+# The least factor is found to 2^(1 / 256) of itself.
+FACTOR = 5e-3
+# Over the outer dead centre, where the slider is furthest out.
+ACROSS = ("motion.start_deg.O=-60", "motion.goal_deg.O=70")
+
+
+def searching(problem) -> Search:
+    return Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None, deadline=np.inf)
+
+
+@pytest.mark.parametrize(("short", "status"), [(1e-3, "infeasible"), (-1e-6, "optimal")])
+def test_a_range_that_is_left_on_the_only_way_is_named_without_solving(short, status):
+    most = CRANK + ROD - short
+    plan = plan_motion(load_problem("slider-crank-turn", [*ACROSS, f"limits.range_m.B=[0.0, {most!r}]"]))
+    assert plan.status == status, plan.message
+    if status == "infeasible":
+        assert not plan.history
+        said = re.search(r"joint B stands at ([\d.]+) m where O = (-?[\d.]+) deg.*, ([\d.e-]+) m beyond", plan.message)
+        assert float(said[1]) == pytest.approx(CRANK + ROD, rel=1e-4)
+        assert abs(float(said[2])) < 0.5
+        assert float(said[3]) == pytest.approx(short, rel=1e-2)
+
+
+def test_the_least_factor_in_any_time_is_the_weight_over_the_limit():
+    problem = body_problem(TOO_WEAK, LIFTED + 'duration_s = "free"\n', "objective.minimize=time")
+    plan = reasons.efforts_by_the_phase_plane(searching(problem))
+    assert plan.status == "infeasible"
+    assert plan.details["needed_limit_factor"] == pytest.approx(MASS * G / WEAK, rel=FACTOR)
+    assert "in any time: motor on joint J would have to give 19.6" in plan.message
+
+
+@pytest.mark.parametrize("duration", [0.3, 0.6])
+def test_the_least_factor_in_a_duration_is_that_of_the_bang_bang_motion(duration):
+    problem = body_problem(TOO_WEAK, LIFTED + f"duration_s = {duration}\n")
+
+    def over(force: float) -> float:
+        up, down = force / MASS - G, force / MASS + G
+        return np.sqrt(2 * WAY * (1 / up + 1 / down)) - duration
+
+    exact = brentq(over, MASS * G * (1 + 1e-9), 1e4) / WEAK
+    factor, motion = least_share(problem, start_pose_of(problem), duration)
+    assert factor == pytest.approx(exact, rel=FACTOR)
+    assert motion.duration_s <= duration
+
+
+def test_efforts_that_suffice_are_not_blamed():
+    problem = body_problem(LIFT, LIFTED + 'duration_s = "free"\n', "objective.minimize=time")
+    assert reasons.efforts_by_the_phase_plane(searching(problem)) is None

@@ -1,0 +1,73 @@
+"""The rung of waiting: a rest, and beside it a motion that passes by itself, where no start leads to one long enough."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import close_at
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.planning import REPAIRS
+from linkplan.planner.search import waiting
+from linkplan.planner.search.ladder import PATIENT, Search
+from linkplan.planner.search.least_time import shortest_motion
+from linkplan.planner.search.presolve import start_pose_of
+
+DURATION_S = 0.8
+# Efforts that hold a pose, of inverse dynamics and of the plan, relative.
+HELD = 1e-9
+# The objective against adaptive quadrature, relative.
+QUADRATURE = 1e-7
+
+
+@pytest.fixture(scope="module")
+def search() -> Search:
+    problem = load_problem("five-bar-reach", [f"motion.duration_s={DURATION_S}", "objective.minimize=effort"])
+    return Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None, deadline=np.inf, repairs=REPAIRS)
+
+
+@pytest.fixture(scope="module")
+def plan(search):
+    return waiting._rest_and_motion(search, PATIENT, shortest_motion(search))
+
+
+@pytest.mark.slow
+def test_a_rest_and_a_motion_are_a_certified_motion_of_the_duration_asked(search, plan):
+    assert plan is not None
+    assert plan.status == "optimal", plan.message
+    assert plan.certificate.passed
+    assert plan.trajectory.duration_s == pytest.approx(DURATION_S, rel=1e-12)
+    np.testing.assert_allclose(plan.trajectory.position[0, 0], search.problem.motion.start)
+    np.testing.assert_allclose(plan.trajectory.position[-1, -1], search.problem.motion.goal, atol=1e-9)
+    assert "was not shown" in plan.message  # it does not claim to be the best
+
+
+@pytest.mark.slow
+def test_while_it_waits_it_is_held_still_by_the_effort_that_its_weight_asks_for(search, plan):
+    mechanism, trajectory = search.problem.mechanism, plan.trajectory
+    time = np.linspace(0.0, 0.9 * trajectory.breaks_s[1], 5)
+    assert trajectory.breaks_s[1] > 0.1
+    still = np.zeros((1, mechanism.dof))
+    weight, _ = needed_effort(mechanism, close_at(mechanism, search.problem.motion.start)[None], still, still)
+    assert np.abs(weight).max() > 0.1
+    np.testing.assert_array_equal(trajectory.velocity_at(time), 0.0)
+    np.testing.assert_allclose(trajectory.effort_at(time), np.repeat(weight, 5, axis=0), rtol=HELD)
+
+
+@pytest.mark.slow
+def test_the_objective_of_a_rest_and_a_motion_is_the_integral_of_its_efforts_squared(plan):
+    trajectory = plan.trajectory
+
+    def squared(at: float) -> float:
+        return float((trajectory.effort_at(np.array([at])) ** 2).sum())
+
+    ends = zip(trajectory.breaks_s[:-1], trajectory.breaks_s[1:], strict=True)
+    assert plan.objective == pytest.approx(sum(quad(squared, *pair)[0] for pair in ends), rel=QUADRATURE)
+
+
+def test_what_adds_to_an_objective_beyond_effort_and_time_is_not_waited_through(search):
+    tracked = replace(search.problem, objective={"effort": 1.0, "work": 1.0})
+    other = replace(search, problem=tracked)
+    assert waiting._rest_and_motion(other, PATIENT, None) is None
