@@ -12,7 +12,7 @@ from linkplan.planner.closed_chain.mechanics import (
     mechanism_system,
     node_numbers,
 )
-from linkplan.planner.closed_chain.site_rows import site_bounds, site_endpoint
+from linkplan.planner.closed_chain.site_rows import coordinate_key, coordinate_row, site_bounds, site_endpoint
 from linkplan.planner.problem.objective import QUADRATIC, Objective
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.tightening import Tightening, tightening_over
@@ -52,6 +52,7 @@ def formulate(
     smoothed = is_smoothed(objective)
     rated = tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.effort_rate).any(axis=1)))
     costs = () if least_limit else _costs(problem, smoothed)
+    passed = sorted({(site, axis) for w in problem.motion.waypoints for site, axis, _ in w.open_coordinates})
     asked = NodeTerms(
         running=running,
         speed_joints=speed_joints,
@@ -60,7 +61,7 @@ def formulate(
         closures=limits.limited_closures,
         singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
         controls=tuple(j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control),
-        sites=tuple(limit.key for limit in limits.site),
+        sites=(*(limit.key for limit in limits.site), *(coordinate_key(*where) for where in passed)),
     )
     rows = IntervalRows(
         costs=costs,
@@ -99,7 +100,7 @@ def formulate(
     limited += [("singular_margin", block) for block in range(asked.singular)]
     limited += [("control", j) for j in asked.controls]
     of_sites = [("tube" if limit.is_tube else "site", item) for item, limit in enumerate(limits.site)]
-    limited += of_sites + [("work", j) for j in range(n_u if works else 0)]
+    limited += of_sites + [("passed", k) for k in range(len(passed))] + [("work", j) for j in range(n_u if works else 0)]
     path = [
         limits.speed[list(speed_joints)] * scales.time_s,
         np.tile([-1.0, 1.0], (len(motors), 1)),
@@ -108,6 +109,7 @@ def formulate(
         np.tile([limits.singular_margin, np.inf], (asked.singular, 1)),
         np.array([_control_range(problem, j) for j in asked.controls]),
         np.array([site_bounds(mechanism, limit) for limit in limits.site]),
+        np.tile([-np.inf, np.inf], (len(passed), 1)),
         np.tile([0.0, np.inf], (n_u if works else 0, 1)),
     ]
     path = np.vstack([part.reshape(-1, 2) for part in path])
@@ -146,6 +148,11 @@ def formulate(
         theta=theta,
         tightening=tightening_over(tightenings, limited, path),
         position_path=tuple(limited.index(row) for row in of_sites),
+        passed=tuple(
+            (k + 1, limited.index(("passed", passed.index((site, axis)))), coordinate_row(mechanism, site, axis, value))
+            for k, waypoint in enumerate(problem.motion.waypoints)
+            for site, axis, value in waypoint.open_coordinates
+        ),
         endpoint=endpoint,
         endpoint_bounds=np.zeros((len(places), 2)),
         endpoint_parameters=places,
