@@ -1,4 +1,4 @@
-"""Sites in a problem file: where they start, pass and end (start_at, a waypoint's at, goal_at), where they stay (limits.site)."""
+"""Sites in a problem file: where they start, pass and end (start_at, a waypoint's at, goal_at), and stay (limits.site)."""
 
 from dataclasses import dataclass
 from typing import Any
