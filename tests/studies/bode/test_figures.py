@@ -1,4 +1,4 @@
-"""Figures of feedback loops: every pose is seen and told from the others; no legend lies on a curve; dots are named if drawn."""
+"""Figures of feedback loops: every pose is seen and told from the others, and no legend lies on a curve."""
 
 import tempfile
 from functools import cache
@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 
 from linkplan.studies.cli.main import main
 from tests.support.figures import curves, saved_figures
-
 
 pytestmark = pytest.mark.slow
 
