@@ -10,7 +10,7 @@ from linkplan.models.names import nearest
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import resting, sprung_freedoms
 from linkplan.planner.closed_chain.prescribed import is_whole
-from linkplan.planner.files.joint_values import joint_values
+from linkplan.planner.files.joint_values import MOST_TURNS, joint_values
 from linkplan.planner.files.sites_file import points_of, pose_at
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion, Waypoint
@@ -36,8 +36,6 @@ KEYS = (
     "waypoints",
     "turns",
 )
-# More turns than this in one period are a typing error: of a period that repeats, one is enough.
-MOST_TURNS = 100
 WAYPOINT_KEYS = ("at_deg", "at_m", "at", "speed_deg_s", "speed_m_s", "time_s")
 
 

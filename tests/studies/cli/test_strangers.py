@@ -57,6 +57,8 @@ TYPED = [
     (["plan", "leg.toml", "--set", "motion.duration_ms=160"], ["did you mean 'duration_s'?"]),
     (["plan", "leg.toml", "--set", "limits.speed_rad_s.O=3"], ["did you mean 'speed_deg_s'?"]),
     (["plan", "leg.toml", "--set", "motion.duration_s=160ms"], ["motion.duration_s is a positive number", "'160ms'"]),
+    (["plan", "leg.toml", "--set", "motion.goal_deg.O=1e6"], ["motion.goal_deg of joint O", "100 turns", "36000", "1e+06"]),
+    (["plan", "leg.toml", "--set", "motion.start_deg.O=-40000"], ["motion.start_deg of joint O", "got -40000"]),
     (["plan", "leg.toml", "--set", "limits.effort.O=5"], ["actuator in limits.effort 'O'", "act_O"]),  # the name before 5
 ]
 
@@ -81,6 +83,11 @@ def test_it_is_refused_in_a_line_that_says_what_was_meant(argv, words, here, cap
     for word in words:
         assert word in err
     assert sorted(here.rglob("*")) == before
+
+
+def test_a_goal_of_thousands_of_turns_is_no_work_for_check(capsys):
+    assert main(["check", "slider-crank-turn", "--set", "motion.goal_deg.O=1e6"]) == 0
+    assert "the problem cannot be planned: motion.goal_deg of joint O is within 100 turns" in capsys.readouterr().out
 
 
 def test_a_line_that_is_suggested_is_one_that_runs(capsys):
