@@ -31,7 +31,13 @@ def points_of(section: dict, key: str, mechanism: Mechanism, within: str = "moti
     if not isinstance(table, dict):
         raise ProblemError(f"{where} is a table of site = [x, y, z] in metres, got {table!r}")
     found = []
+    names = [joint.name for joint in mechanism.joints]
     for name, value in table.items():
+        if name in names and isinstance(value, int | float):
+            by_joint = f"{within}.{key.removesuffix('_at')}_deg"
+            raise ProblemError(
+                f"{where}.{name} is a site's place, [x, y, z] in metres; joint {name}'s position is {by_joint}"
+            )
         index = site_index(mechanism.model, name, where, ProblemError)
         found.append(SitePoint(site=name, index=index, point=_point(value, f"{where}.{name}")))
     return tuple(found)
