@@ -56,7 +56,9 @@ def nearest_source(source: str, names: Iterable[str]) -> str:
         there = sorted(one.name for one in itertools.islice(path.parent.iterdir(), _MOST_NEIGHBOURS))
     except (OSError, ValueError):
         there = []
-    match = closest(path.name, [*([] if lead else names), *(name for name in there if not name.startswith("."))])
+    match = closest(
+        path.name, [*([] if lead else names), *(name for name in there if name != path.name and not name.startswith("."))]
+    )
     return "" if match is None else f" (did you mean '{lead}{match}'?)"
 
 

@@ -7,6 +7,8 @@ from linkplan.models.errors import ModelError
 
 # Names count as close from this share of common letters on (`difflib`'s ratio): half of them.
 _CLOSE = 0.5
+# What is written in another unit than files have: the key in ours is meant, however many letters are alike.
+_UNITS = {"rad": "deg", "mm": "m", "cm": "m", "ms": "s", "us": "s", "g": "kg", "kw": "w", "khz": "hz", "kn": "n"}
 
 
 def nearest(asked: str, legal: Iterable[str]) -> str:
@@ -16,10 +18,16 @@ def nearest(asked: str, legal: Iterable[str]) -> str:
 
 
 def closest(asked: str, legal: Iterable[str]) -> str | None:
-    """Return the legal name closest to `asked`, capitals not counted; None where none is close."""
+    """Return the legal name closest to `asked`: the same in our units, or by its letters; None where none is close.
+
+    Capitals are not counted.
+    """
     folded: dict[str, str] = {}
     for name in legal:
         folded.setdefault(name.casefold(), name)
+    in_our_units = "_".join(_UNITS.get(part, part) for part in str(asked).casefold().split("_"))
+    if in_our_units in folded:
+        return folded[in_our_units]
     matches = difflib.get_close_matches(str(asked).casefold(), list(folded), n=1, cutoff=_CLOSE)
     return folded[matches[0]] if matches else None
 

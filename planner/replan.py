@@ -15,10 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.models.errors import AssemblyError
-from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.answer import finished
-from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered, trajectory_of
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -32,6 +32,8 @@ from linkplan.planner.transcription.program import Program
 
 # A segment within this share of its bounds counts as stopped by them.
 _ROOM = 1e-6
+# Limits that a warm motion overruns between its nodes are tightened so many times.
+_TIGHTENED = 2
 
 
 class Planner:
@@ -81,25 +83,22 @@ class Planner:
         start_pose_of(problem)  # refuses what is out of reach
         if plain_contradiction(problem) is not None:
             return None
-        try:
-            trajectory = trajectory_of(solution.transcribed, solution.x, problem.limits.effort)
-            certificate = certify(problem, trajectory)
-        except AssemblyError:
-            return None
-        step = Step(
-            what="solved again",
-            scheme=solution.transcribed.scheme.name,
-            intervals=solution.transcribed.program.mesh.n_intervals,
-            segments=solution.transcribed.program.mesh.n_segments,
-            converged=True,
-            solver_status=solution.status,
-            objective=solution.objective,
-            integration_error_deg=certificate.integration_error_deg,
-            build_s=solution.transcribed.build_s,
-            solve_s=solution.solve_s,
-        )
+        case, history = case_of(problem), []
+        while True:
+            trajectory = case.motion(solution)
+            certificate = None if trajectory is None else case.certify(trajectory)
+            if trajectory is None or certificate is None:
+                return None
+            history.append(_step(solution, certificate, "constraints tightened" if history else "solved again"))
+            if not case.findings(certificate).overruns or case.n_tightenings == _TIGHTENED:
+                break
+            # As of a plan from the beginning: the kept program's own tightening belongs to another motion.
+            case = case.tightened(certificate, trajectory)
+            solution = run_solver(self._solver, renumbered(self._last, case.problem, solution.x, case.tightenings))
+            if not solution.converged or _held_back(problem, solution):
+                return None
         objective = own_objective(solution.transcribed, solution.objective, trajectory)
-        plan = finished(problem, trajectory, certificate, objective, [step], None)
+        plan = finished(problem, trajectory, certificate, objective, history, None)
         if plan.status != "optimal":
             return None
         self._last = replace(solution.transcribed, start=solution.x)
@@ -112,6 +111,22 @@ class Planner:
         if solved.program is not self._program:
             self._program = solved.program
             self._solver = build_solver(solved.program, problem.solver, warm=True)
+
+
+def _step(solution: Solution, certificate: Certificate, what: str) -> Step:
+    """Return a warm solve as an entry of a plan's history."""
+    return Step(
+        what=what,
+        scheme=solution.transcribed.scheme.name,
+        intervals=solution.transcribed.program.mesh.n_intervals,
+        segments=solution.transcribed.program.mesh.n_segments,
+        converged=True,
+        solver_status=solution.status,
+        objective=solution.objective,
+        integration_error_deg=certificate.integration_error_deg,
+        build_s=solution.transcribed.build_s,
+        solve_s=solution.solve_s,
+    )
 
 
 def _held_back(problem: PlanningProblem, solution: Solution) -> bool:
@@ -138,7 +153,13 @@ def structure(problem: PlanningProblem) -> tuple:
     finite = (*(np.isfinite(limit).tobytes() for limit in limited), limits.singular_margin > 0)
     given = tuple(x is None for x in (motion.start, motion.goal, motion.duration_s, motion.max_duration_s))
     given += (None if motion.turns is None else tuple(motion.turns.tolist()),)
-    via = tuple((np.isnan(w.position).tobytes(), np.isnan(w.speed).tobytes(), w.time_s is None) for w in motion.waypoints)
+    via = tuple(
+        (
+            *(np.isnan(w.position).tobytes(), np.isnan(w.speed).tobytes(), w.time_s is None),
+            *((site, axis) for site, axis, _ in w.open_coordinates),
+        )
+        for w in motion.waypoints
+    )
     sites = tuple((limit.key, np.isfinite([limit.low, limit.high]).tobytes()) for limit in limits.site)
     ends = (tuple(point.index for point in motion.goal_at), motion.goal_rows)
     lines = tuple(motor is not None and motor.has_line for motor in problem.motors)

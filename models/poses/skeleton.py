@@ -52,13 +52,13 @@ def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
     for body, points in pins.items():
         if len(points) == 1 and body != 0:
             points.append(tree.point(body, np.array(model.body_ipos[body])))
-    right, up = _view(model)
+    right, up = view(model)
     result = []
     for body in sorted(pins):
         function = ca.Function("pins", [tree.q], [ca.densify(ca.horzcat(*pins[body]))])
         points = np.array(function.map(len(poses))(poses.T)).reshape(3, len(poses), -1).transpose(1, 2, 0)
         flat = np.stack([points @ right, points @ up], axis=-1)
-        result.append(Stick(body=_name(model, body), fixed=body == 0, pins=flat))
+        result.append(Stick(body=body_name(model, body), fixed=body == 0, pins=flat))
     return tuple(result)
 
 
@@ -67,11 +67,13 @@ def _solid(model: mujoco.MjModel, body: int) -> int:
     return int(model.body_weldid[body])
 
 
-def _name(model: mujoco.MjModel, body: int) -> str:
+def body_name(model: mujoco.MjModel, body: int) -> str:
+    """Return what the stick is called that a body is part of."""
+    body = _solid(model, body)
     return "ground" if body == 0 else model.body(body).name or f"body {body}"
 
 
-def _view(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
+def view(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
     """Return the drawing's right and up directions: across the hinges' common axis, up against gravity."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -27,7 +27,7 @@ from linkplan.planner.certificate.margins import (
     sample_points,
     singularity_ratios,
 )
-from linkplan.planner.certificate.site_margins import ends_off_m, site_margins
+from linkplan.planner.certificate.site_margins import ends_off_m, site_margins, waypoint_off_m, waypoint_times
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import INTEGRATION_DEG
@@ -65,7 +65,7 @@ class Certificate:
     dynamics_residual: float
     velocity_residual: float  # largest |s' - v|, of the motion's largest speed
     boundary_error: float  # of the states asked at the ends, of the motion's span and largest speed
-    site_error_m: float  # of sites from where start and goal ask them
+    site_error_m: float  # of sites from where start, waypoints and goal ask them
     closure_gap_m: float
     integration_error_deg: float
     integration_error_m: float
@@ -267,13 +267,16 @@ def _boundary_error(problem: PlanningProblem, trajectory: Trajectory, speed: flo
         return 0.0
     still = free & (motion.kind == "reach")  # a spin's speed may be any at the end, and returns with a period
     apart = [missed(ends, *exactly(asked, free), span), missed(speeds, *exactly(wanted, still), speed)]
-    return max(*apart, *(_passed_by(trajectory, waypoint, span, speed) for waypoint in motion.waypoints))
+    return max(*apart, *(_passed_by(problem, trajectory, waypoint, span, speed) for waypoint in motion.waypoints))
 
 
-def _passed_by(trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float) -> float:
-    """Return how far a motion passes a waypoint by, at its instant or at the break that comes nearest."""
-    breaks = trajectory.breaks_s
-    time = breaks if waypoint.time_s is None else breaks[:1] + waypoint.time_s
+def _passed_by(problem: PlanningProblem, trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float) -> float:
+    """Return how far a motion passes a waypoint by, at its instant or at the break that comes nearest.
+
+    Positions by the motion's span, speeds by its largest, sites by the mechanism's extent.
+    """
+    time = waypoint_times(trajectory, waypoint)
     position, rate = exactly(waypoint.position), exactly(waypoint.speed)
-    states = zip(trajectory.position_at(time), trajectory.velocity_at(time), strict=True)
-    return min(max(missed(s, *position, span), missed(v, *rate, speed)) for s, v in states)
+    off = waypoint_off_m(problem, trajectory, waypoint, time).max(axis=1) / problem.mechanism.extent_m
+    states = zip(trajectory.position_at(time), trajectory.velocity_at(time), off, strict=True)
+    return min(max(missed(s, *position, span), missed(v, *rate, speed), x) for s, v, x in states)

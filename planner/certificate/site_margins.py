@@ -7,6 +7,7 @@ import numpy as np
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.margins import Margin, least_between, margin_of
+from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.trajectory import Trajectory
@@ -86,7 +87,7 @@ def _looked_at_closer(
 def ends_off_m(
     problem: PlanningProblem, trajectory: Trajectory, time: np.ndarray, q: np.ndarray
 ) -> tuple[float, tuple[str, ...]]:
-    """Return how far [m] sites are from where start and goal ask them, at the most, and the sentences on those too far off.
+    """Return how far [m] sites are from where start, waypoints and goal ask them, at the most, and sentences on that.
 
     Args:
         problem: with what is asked; of a periodic motion the goal is in its middle.
@@ -106,4 +107,27 @@ def ends_off_m(
             worst = max(worst, off)
             if not off <= ENDS_SHARE * problem.mechanism.extent_m:
                 failures.append(f"site {point.site} is {off:.3g} m away from where motion.{name}_at asks it")
+    for k, waypoint in enumerate(motion.waypoints):
+        if waypoint.at:
+            apart = waypoint_off_m(problem, trajectory, waypoint, waypoint_times(trajectory, waypoint))
+            off, point = float(apart.max(axis=1).min()), waypoint.at[int(apart[apart.max(axis=1).argmin()].argmax())]
+            worst = max(worst, off)
+            if not off <= ENDS_SHARE * problem.mechanism.extent_m:
+                failures.append(f"site {point.site} is {off:.3g} m away from where motion.waypoints[{k}].at asks it")
     return worst, tuple(failures)
+
+
+def waypoint_times(trajectory: Trajectory, waypoint: Waypoint) -> np.ndarray:
+    """Return the instants (n,) [s] at which a motion may pass a waypoint: its own, or all breaks where that is free."""
+    return trajectory.breaks_s if waypoint.time_s is None else trajectory.breaks_s[:1] + waypoint.time_s
+
+
+def waypoint_off_m(problem: PlanningProblem, trajectory: Trajectory, waypoint: Waypoint, time: np.ndarray) -> np.ndarray:
+    """Return how far [m] a waypoint's sites are from their places (n, n_sites) at times (n,) [s]."""
+    if not waypoint.at:
+        return np.zeros((len(time), 1))
+    # Loops are followed from break to break, whatever instant is asked for.
+    along, back = np.unique(np.concatenate([trajectory.breaks_s, time]), return_inverse=True)
+    q = follow(problem.mechanism, trajectory.position_at(along), trajectory.start_pose)[back[len(trajectory.breaks_s) :]]
+    places = [places_of(problem.mechanism, point.index, q) for point in waypoint.at]
+    return np.array([[p.off_m(x) for x in at] for p, at in zip(waypoint.at, places, strict=True)]).T

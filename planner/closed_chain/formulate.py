@@ -12,7 +12,7 @@ from linkplan.planner.closed_chain.mechanics import (
     mechanism_system,
     node_numbers,
 )
-from linkplan.planner.closed_chain.site_rows import site_bounds, site_endpoint
+from linkplan.planner.closed_chain.site_rows import coordinate_key, coordinate_row, site_bounds, site_endpoint
 from linkplan.planner.problem.objective import QUADRATIC, Objective
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.tightening import Tightening, tightening_over
@@ -52,6 +52,7 @@ def formulate(
     smoothed = is_smoothed(objective)
     rated = tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.effort_rate).any(axis=1)))
     costs = () if least_limit else _costs(problem, smoothed)
+    passed = sorted({(site, axis) for w in problem.motion.waypoints for site, axis, _ in w.open_coordinates})
     asked = NodeTerms(
         running=running,
         speed_joints=speed_joints,
@@ -61,7 +62,7 @@ def formulate(
         singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
         controls=tuple(j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control),
         tendons=tuple(range(len(mechanism.tendons))),
-        sites=tuple(limit.key for limit in limits.site),
+        sites=(*(limit.key for limit in limits.site), *(coordinate_key(*where) for where in passed)),
     )
     rows = IntervalRows(
         costs=costs,
@@ -101,7 +102,8 @@ def formulate(
     limited += [("control", j) for j in asked.controls]
     of_tendons = [("tendon", item) for item in asked.tendons]
     of_sites = [("tube" if limit.is_tube else "site", item) for item, limit in enumerate(limits.site)]
-    limited += of_tendons + of_sites + [("work", j) for j in range(n_u if works else 0)]
+    limited += of_tendons + of_sites + [("passed", k) for k in range(len(passed))]
+    limited += [("work", j) for j in range(n_u if works else 0)]
     path = [
         limits.speed[list(speed_joints)] * scales.time_s,
         np.tile([-1.0, 1.0], (len(motors), 1)),
@@ -111,6 +113,7 @@ def formulate(
         np.array([_control_range(problem, j) for j in asked.controls]),
         np.array([[tendon.low / tendon.span, tendon.high / tendon.span] for tendon in mechanism.tendons]),
         np.array([site_bounds(mechanism, limit) for limit in limits.site]),
+        np.tile([-np.inf, np.inf], (len(passed), 1)),
         np.tile([0.0, np.inf], (n_u if works else 0, 1)),
     ]
     path = np.vstack([part.reshape(-1, 2) for part in path])
@@ -152,6 +155,11 @@ def formulate(
         theta=theta,
         tightening=tightening_over(tightenings, limited, path),
         position_path=tuple(limited.index(row) for row in of_tendons + of_sites),
+        passed=tuple(
+            (k + 1, limited.index(("passed", passed.index((site, axis)))), coordinate_row(mechanism, site, axis, value))
+            for k, waypoint in enumerate(problem.motion.waypoints)
+            for site, axis, value in waypoint.open_coordinates
+        ),
         endpoint=endpoint,
         endpoint_bounds=np.zeros((len(places), 2)),
         endpoint_parameters=places,

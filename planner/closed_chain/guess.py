@@ -131,9 +131,9 @@ def _boundary_positions(problem: PlanningProblem) -> np.ndarray:
     motion = problem.motion
     first = motion.start
     if first is None:
-        first = motion.waypoints[0].position if problem.reference is None else problem.reference.derivative(np.zeros(1))[0]
+        first = motion.waypoints[0].guessed if problem.reference is None else problem.reference.derivative(np.zeros(1))[0]
     last = motion.goal if motion.kind == "reach" else first + motion.advance
-    states = np.vstack([first, *(w.position for w in motion.waypoints), last])
+    states = np.vstack([first, *(w.guessed for w in motion.waypoints), last])
     for column in states.T:
         known = ~np.isnan(column)
         column[~known] = np.interp(np.flatnonzero(~known), np.flatnonzero(known), column[known]) if known.any() else 0.0

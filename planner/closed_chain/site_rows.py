@@ -1,4 +1,4 @@
-"""Sites in the program: rows that keep them where they stay, and the end of a motion that leaves its pose open.
+"""Sites in the program: rows that keep them where they stay, waypoints and the end of a motion that leave their pose open.
 
 A slab's row is n . (p - p_home) / L, L the mechanism's extent. A tube's is d^2 / r^2, d the distance from the polyline:
 least over its segments, a kink for a solver. In place of the least stands the mean with the weights exp(-k d_i^2 / r^2),
@@ -38,6 +38,16 @@ def site_bounds(mechanism: Mechanism, limit: SiteLimit) -> tuple[float, float]:
         return -np.inf, (limit.high / limit.scale) ** 2
     off = limit.origin - float(limit.normal @ _home(mechanism, limit.index))
     return (limit.low + off) / mechanism.extent_m, (limit.high + off) / mechanism.extent_m
+
+
+def coordinate_key(site: int, axis: int) -> tuple:
+    """Return the key of the row of a site's coordinate, as of `SiteLimit.key`."""
+    return site, tuple(np.eye(3)[axis].tolist())
+
+
+def coordinate_row(mechanism: Mechanism, site: int, axis: int, value: float) -> float:
+    """Return what the row of a site's coordinate is where that is `value` [m]."""
+    return float(value - _home(mechanism, site)[axis]) / mechanism.extent_m
 
 
 def site_endpoint(problem: PlanningProblem, unit: np.ndarray) -> tuple[Endpoint | None, np.ndarray]:

@@ -124,15 +124,18 @@ def transcribe(
     return replace(transcribed, origin=origin)
 
 
-def renumbered(transcribed: Transcribed, problem: PlanningProblem, x: np.ndarray) -> Transcribed:
+def renumbered(
+    transcribed: Transcribed, problem: PlanningProblem, x: np.ndarray, tightenings: tuple[Tightening, ...] = ()
+) -> Transcribed:
     """Return a program with another problem's numbers in it: nothing is built.
 
     Args:
         transcribed: of a problem with the same mechanism, kind, terms of the objective and mesh, limited in the same places.
         problem: whose numbers to take.
         x: unknowns to start from, as a rule the last solution; a fixed duration is the new problem's.
+        tightenings: as of `transcribe`.
     """
-    again = renumbered_with(transcribed, _with_numbers_of(problem, transcribed), x)
+    again = renumbered_with(transcribed, _with_numbers_of(problem, transcribed, tightenings), x)
     return replace(again, origin=replace(transcribed.origin, mechanism=problem.mechanism))
 
 
@@ -146,10 +149,12 @@ def is_program_of(transcribed: Transcribed, problem: PlanningProblem) -> bool:
     )
 
 
-def _with_numbers_of(problem: PlanningProblem, transcribed: Transcribed) -> Formulation:
+def _with_numbers_of(
+    problem: PlanningProblem, transcribed: Transcribed, tightenings: tuple[Tightening, ...] = ()
+) -> Formulation:
     positions = bool(transcribed.formulation.rows.position_columns)
     origin = transcribed.origin
-    return formulate(problem, origin.scales, position_rows=positions, smoothing=origin.smoothing)
+    return formulate(problem, origin.scales, position_rows=positions, tightenings=tightenings, smoothing=origin.smoothing)
 
 
 def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory) -> float:

@@ -11,12 +11,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from linkplan.models.catalogue import is_there, nearest_source
+from linkplan.models.catalogue import is_folder, is_there, nearest_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
 from linkplan.models.reading import read_toml
 from linkplan.planner.files.problem_file import beside
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.files.tables import refuse_saved_plan
 from linkplan.planner.files.toml_text import inline
 
 KEYS = ("problem", "set", "case", "sweep")
@@ -49,12 +50,15 @@ def read_batch(path: str | Path) -> Batch:
         ProblemError: for anything in the file that cannot be used.
     """
     path = Path(path)
+    legal = "a batch is a TOML file with problem, and [[case]] or [sweep]"
+    refuse_saved_plan(str(path), "batch", legal)
+    if is_folder(path):
+        raise ProblemError(f"batch '{path}' is a folder; {legal}")
     if not is_there(path):
-        raise ProblemError(
-            f"batch '{path}'{nearest_source(str(path), ())} is not a file; a batch is a TOML file with problem, and [[case]]"
-            " or [sweep]"
-        )
+        raise ProblemError(f"batch '{path}'{nearest_source(str(path), ())} is not a file; {legal}")
     tables = read_toml(path, f"batch '{path}'")
+    if "motion" in tables and "problem" not in tables:
+        raise ProblemError(f"batch '{path}' is a problem file, which plan takes; {legal}")
     for key in tables:
         if key not in KEYS:
             raise ProblemError(f"unknown key '{key}' in a batch{nearest(key, KEYS)}; keys are {', '.join(KEYS)}")

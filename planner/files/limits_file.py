@@ -34,9 +34,8 @@ def limits_of(section: dict, mechanism: Mechanism) -> Limits:
         raise ProblemError(f"limits.effort is a table of actuator = [low, high], got {table!r}")
     names = [actuator.name for actuator in mechanism.actuators]
     for name, value in table.items():
-        effort[names.index(choose("actuator in limits.effort", name, names, ProblemError))] = interval(
-            value, f"limits.effort.{name}"
-        )
+        index = names.index(choose("actuator in limits.effort", name, names, ProblemError))
+        effort[index] = interval(value, f"limits.effort.{name}")
     position = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
     for index, value in joint_values(section, "range", "limits", mechanism).items():
         joint = mechanism.joints[index]

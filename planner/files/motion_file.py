@@ -10,7 +10,7 @@ from linkplan.models.names import nearest
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import resting, sprung_freedoms
 from linkplan.planner.closed_chain.prescribed import is_whole
-from linkplan.planner.files.joint_values import joint_values
+from linkplan.planner.files.joint_values import MOST_TURNS, joint_values
 from linkplan.planner.files.sites_file import points_of, pose_at
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion, Waypoint
@@ -36,9 +36,7 @@ KEYS = (
     "waypoints",
     "turns",
 )
-# More turns than this in one period are a typing error: of a period that repeats, one is enough.
-MOST_TURNS = 100
-WAYPOINT_KEYS = ("at_deg", "at_m", "speed_deg_s", "speed_m_s", "time_s")
+WAYPOINT_KEYS = ("at_deg", "at_m", "at", "speed_deg_s", "speed_m_s", "time_s")
 
 
 def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | None, limits: Limits) -> Motion:
@@ -54,7 +52,7 @@ def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | 
             f" {reference.period_s:g} s, got {duration:g}"
         )
     start, start_at, _ = _end(section, "start", kind, mechanism, limits, mechanism.home)
-    begin = mechanism.home if start is None or "goal_at" not in section else _closed(mechanism, start)
+    begin = mechanism.home if start is None else _closed(mechanism, start)
     goal, goal_at, goal_rows = _end(section, "goal", kind, mechanism, limits, begin)
     return Motion(
         kind=kind,
@@ -68,7 +66,7 @@ def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | 
         duration_s=duration,
         min_duration_s=_optional(section, "min_duration_s"),
         max_duration_s=_optional(section, "max_duration_s"),
-        waypoints=_waypoints(section, mechanism),
+        waypoints=_waypoints(section, mechanism, limits, begin),
         turns=_turns(section, mechanism),
         goal_named=tuple(np.flatnonzero(np.isin(mechanism.independent, list(_goal_joints(section, mechanism)))).tolist()),
     )
@@ -128,7 +126,7 @@ def _end(
         raise ProblemError(
             f"motion.{name}_at belongs to motion.kind 'reach' or 'periodic'; 'track' prescribes every instant"
         )
-    s, rows = pose_at(points, f"{name}_at", mechanism, limits, begin)
+    s, rows = pose_at(points, f"motion.{name}_at", mechanism, limits, begin)
     if rows and (name == "start" or kind != "reach"):
         raise ProblemError(
             f"motion.{name}_at leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}; only the end of a"
@@ -196,7 +194,8 @@ def _optional(section: dict, key: str) -> float | None:
     return None if value is None else number(value, f"motion.{key}", positive=True)
 
 
-def _waypoints(section: dict, mechanism: Mechanism) -> tuple[Waypoint, ...]:
+def _waypoints(section: dict, mechanism: Mechanism, limits: Limits, begin: np.ndarray) -> tuple[Waypoint, ...]:
+    """Return the waypoints; places of sites stand for the poses nearest to those before, the first (n_q,) to `begin`."""
     given = section.get("waypoints", [])
     if not isinstance(given, list) or not all(isinstance(item, dict) for item in given):
         raise ProblemError(f"motion.waypoints is a list of tables with keys {', '.join(WAYPOINT_KEYS)}, got {given!r}")
@@ -209,11 +208,24 @@ def _waypoints(section: dict, mechanism: Mechanism) -> tuple[Waypoint, ...]:
                     f"unknown key '{where}.{key}'{nearest(key, WAYPOINT_KEYS)}; keys are {', '.join(WAYPOINT_KEYS)}"
                 )
         nothing = np.full(mechanism.dof, np.nan)
-        states = []
-        for key in ("at", "speed_s"):
-            state = _state(item, key, mechanism, np.nan, where)
-            states.append(nothing if state is None else state)
+        position, speed = (_state(item, key, mechanism, np.nan, where) for key in ("at", "speed_s"))
         time = item.get("time_s", "free")
         time = None if time == "free" else number(time, f"{where}.time_s", positive=True)
-        waypoints.append(Waypoint(position=states[0], speed=states[1], time_s=time))
+        points, rows, guess = points_of(item, "at", mechanism, where), (), None
+        if points:
+            if position is not None:
+                both = next(key for key in ("at_deg", "at_m") if item.get(key))
+                raise ProblemError(f"{where}.at and {where}.{both} both say where it is; keep one")
+            guess, rows = pose_at(points, f"{where}.at", mechanism, limits, begin)
+            begin, position = _closed(mechanism, guess), None if rows else guess
+        waypoints.append(
+            Waypoint(
+                position=nothing if position is None else position,
+                speed=speed,
+                time_s=time,
+                at=points,
+                at_rows=rows,
+                guess=guess if rows else None,
+            )
+        )
     return tuple(waypoints)

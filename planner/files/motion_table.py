@@ -6,8 +6,10 @@ import numpy as np
 
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.plan import Plan
+from linkplan.planner.problem.sites import AXES
 
 # Steps of an interval at which a motion is written down, and between which a loop is followed.
 PER_INTERVAL = 10
@@ -18,9 +20,10 @@ _HAIR = 1e-9
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MotionTable:
-    """A motion at times (n,) [s]: by joint [deg or m, and per second], by actuator [N.m or N].
+    """A motion at times (n,) [s]: by joint [deg or m, and per second], by actuator [N.m or N], by site (n, 3) [m].
 
-    `acceleration` is the independent joints'; `unit` is by joint, of positions, `effort_unit` by actuator.
+    `acceleration` is the independent joints'; `unit` is by joint, of positions, `effort_unit` by actuator; `site` are the
+    sites that the problem names, in the world's frame.
     """
 
     time_s: np.ndarray
@@ -30,6 +33,7 @@ class MotionTable:
     effort: dict[str, np.ndarray]
     unit: dict[str, str]
     effort_unit: dict[str, str]
+    site: dict[str, np.ndarray]
 
     def single(self) -> "MotionTable":
         """Return the first time's row, numbers in place of arrays."""
@@ -44,16 +48,22 @@ class MotionTable:
             speed=first(self.speed),
             acceleration=first(self.acceleration),
             effort=first(self.effort),
+            site={name: place[0] for name, place in self.site.items()},
         )
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return all columns (n,) under heads that carry their units: time_s, O_deg, O_deg_s, ..., act_O_Nm."""
+        """Return all columns (n,) under heads that carry their units: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m."""
         found = {"time_s": self.time_s}
         for name, values in self.position.items():
             found[f"{name}_{self.unit[name]}"] = values
             found[f"{name}_{self.unit[name]}_s"] = self.speed[name]
         found |= {f"{name}_{self.unit[name]}_s2": values for name, values in self.acceleration.items()}
-        return found | {f"{name}_{self.effort_unit[name].replace('.', '')}": values for name, values in self.effort.items()}
+        found |= {f"{name}_{self.effort_unit[name].replace('.', '')}": values for name, values in self.effort.items()}
+        for name, place in self.site.items():
+            heads = [f"{name}_{axis}_m" for axis in AXES]
+            taken = any(head in found for head in heads)  # a slide may have that name
+            found |= {f"site_{head}" if taken else head: place[:, k] for k, head in enumerate(heads)}
+        return found
 
 
 def motion_table(plan: Plan, time_s: np.ndarray | None = None, *, jumps: bool = False) -> MotionTable:
@@ -92,6 +102,7 @@ def motion_table(plan: Plan, time_s: np.ndarray | None = None, *, jumps: bool = 
         effort={actuator.name: u for actuator, u in zip(mechanism.actuators, efforts.T, strict=True)},
         unit={joint.name: joint.unit for joint in mechanism.joints},
         effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},
+        site={name: places_of(mechanism, index, q) for name, index in plan.problem.sites.items()},
     )
 
 

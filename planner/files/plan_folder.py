@@ -20,7 +20,7 @@ from linkplan.planner.certificate.collisions import with_contacts
 from linkplan.planner.certificate.margins import Margin
 from linkplan.planner.certificate.saved import disagreements
 from linkplan.planner.files.folders import plain_record, write_json
-from linkplan.planner.files.motion_table import motion_table
+from linkplan.planner.files.motion_table import MotionTable, motion_table
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
@@ -138,8 +138,11 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     write_json(folder / "plan.json", record(plan) | {"model_from_here": _from(place or folder, plan.problem)})
     trajectory = plan.trajectory
     arrays = {name: getattr(trajectory, name) for name in ARRAYS}
+    table = motion_table(plan, jumps=jumps)
+    if table.site:  # beside the motion: samples, at the times of trajectory.csv
+        arrays |= {"time_s": table.time_s} | {f"site_{name}_m": places for name, places in table.site.items()}
     np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)
-    _write_csv(plan, folder / "trajectory.csv", jumps)
+    _write_csv(table, folder / "trajectory.csv")
 
 
 def _from(place: Path, problem: PlanningProblem) -> str | None:
@@ -153,8 +156,8 @@ def _from(place: Path, problem: PlanningProblem) -> str | None:
         return None
 
 
-def _write_csv(plan: Plan, path: Path, jumps: bool) -> None:
-    columns = motion_table(plan, jumps=jumps).columns()
+def _write_csv(motion: MotionTable, path: Path) -> None:
+    columns = motion.columns()
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         # What begins so is a formula to a spreadsheet.

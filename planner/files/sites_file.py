@@ -1,4 +1,4 @@
-"""Sites in a problem file: where they start and end (motion.start_at, motion.goal_at), and where they stay (limits.site)."""
+"""Sites in a problem file: where they start, pass and end (start_at, a waypoint's at, goal_at), and stay (limits.site)."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -24,14 +24,20 @@ _NO_LENGTH = 1e-9
 _NOTHING_M = 1e-6
 
 
-def points_of(section: dict, key: str, mechanism: Mechanism) -> tuple[SitePoint, ...]:
-    """Return where motion.start_at or motion.goal_at asks sites to be: { foot = [x, y, z] }, or { foot = { z = 0.2 } }."""
-    where = f"motion.{key}"
+def points_of(section: dict, key: str, mechanism: Mechanism, within: str = "motion") -> tuple[SitePoint, ...]:
+    """Return where a start, goal or waypoint asks sites to be: { foot = [x, y, z] }, or { foot = { z = 0.2 } }."""
+    where = f"{within}.{key}"
     table = section.get(key, {})
     if not isinstance(table, dict):
         raise ProblemError(f"{where} is a table of site = [x, y, z] in metres, got {table!r}")
     found = []
+    names = [joint.name for joint in mechanism.joints]
     for name, value in table.items():
+        if name in names and isinstance(value, int | float):
+            by_joint = f"{within}.{key.removesuffix('_at')}_deg"
+            raise ProblemError(
+                f"{where}.{name} is a site's place, [x, y, z] in metres; joint {name}'s position is {by_joint}"
+            )
         index = site_index(mechanism.model, name, where, ProblemError)
         found.append(SitePoint(site=name, index=index, point=_point(value, f"{where}.{name}")))
     return tuple(found)
@@ -59,13 +65,13 @@ def _check_keys(table: dict, legal: tuple[str, ...], where: str) -> None:
 
 
 def pose_at(
-    points: tuple[SitePoint, ...], key: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
+    points: tuple[SitePoint, ...], where: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
 ) -> tuple[np.ndarray, tuple[int, ...]]:
     """Return independent positions (n_s,) with sites at their points, nearest to a closed pose, and `Motion.goal_rows`.
 
     Args:
         points: where sites are to be.
-        key: start_at or goal_at.
+        where: the key that asks for it.
         mechanism: whose sites they are.
         limits: of a problem; ranges are kept, limits on sites where there is a pose that does.
         begin: a closed pose (n_q,) to begin from.
@@ -73,7 +79,6 @@ def pose_at(
     Raises:
         ProblemError: when no such pose is found, with the nearest place and how far away it is.
     """
-    where = f"motion.{key}"
     targets = SiteTargets(sites=np.array([p.index for p in points]), points=np.array([p.point for p in points]))
 
     def within(q: np.ndarray) -> bool:

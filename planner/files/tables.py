@@ -25,6 +25,10 @@ BUILT_IN = (
     "cart-pole-swing-up",
 )
 
+# What tells a saved plan's folder, and what else stands in it.
+PLAN_FILE = "plan.json"
+PLAN_FILES = (PLAN_FILE, "trajectory.npz", "trajectory.csv", "plan.png")
+
 Tables = dict[str, dict]
 
 
@@ -41,6 +45,7 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
     if not text.strip():
         raise ProblemError(f"a problem's name is empty; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
     path, shown = Path(text), text if len(text) < 200 else f"{text[:100]}..."
+    refuse_saved_plan(text, "problem", f"a problem is a TOML file or one of {', '.join(BUILT_IN)}")
     if is_folder(path):
         raise ProblemError(f"problem '{text}' is a folder; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
     if not is_there(path):
@@ -48,7 +53,31 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
             f"unknown problem '{shown}'{nearest_source(text, BUILT_IN)}: neither a built-in name"
             f" ({', '.join(BUILT_IN)}) nor a file"
         )
-    return shown_name(path.stem), read_toml(path, f"problem '{text}'"), path.parent
+    tables = read_toml(path, f"problem '{text}'")
+    if "motion" not in tables and ("sweep" in tables or "case" in tables):
+        raise ProblemError(f"'{shown}' is a batch file, which batch takes; a problem has [mechanism] and [motion]")
+    return shown_name(path.stem), tables, path.parent
+
+
+def refuse_saved_plan(source: str, what: str, legal: str) -> None:
+    """Refuse the folder of a saved plan, or a file in it, where something else is asked for.
+
+    Args:
+        source: a path.
+        what: is asked for, in a word.
+        legal: what that is, in a sentence.
+
+    Raises:
+        ProblemError: saying which commands take a saved plan.
+    """
+    path = Path(source)
+    try:
+        is_plan, in_plan = (path / PLAN_FILE).is_file(), path.name in PLAN_FILES and (path.parent / PLAN_FILE).is_file()
+    except (OSError, ValueError):
+        return
+    if is_plan or in_plan:
+        is_what = "a saved plan" if is_plan else f"a file of the saved plan '{path.parent}'"
+        raise ProblemError(f"{what} '{source}' is {is_what}, which track, compare and view take; {legal}")
 
 
 def apply_override(tables: Tables, override: str) -> None:

@@ -15,17 +15,37 @@ KINDS = ("reach", "periodic", "track")
 class Waypoint:
     """A state on the way: `position` and `speed` (n_s,) [rad or m, and per second], NaN where free.
 
-    `time_s` is its instant, None where that is free.
+    `time_s` is its instant, None where that is free. `at` are places of sites that it stands for: `position` is then a pose
+    in which the sites are there. Where they leave freedoms open, `position` is free, `guess` (n_s,) is such a pose, and
+    `at_rows` are those of the sites' coordinates (3 n_sites), in a row, that say it all.
     """
 
     position: np.ndarray
     speed: np.ndarray | None = None
     time_s: float | None = None
+    at: tuple[SitePoint, ...] = ()
+    at_rows: tuple[int, ...] = ()
+    guess: np.ndarray | None = None
 
     def __post_init__(self) -> None:
+        if bool(self.at_rows) != (self.guess is not None) or (self.at_rows and not self.at):
+            raise ProblemError("a waypoint whose pose is open has places of sites, at_rows of them and a pose to guess")
         object.__setattr__(self, "position", frozen(self.position))
+        object.__setattr__(self, "at", tuple(self.at))
+        if self.guess is not None:
+            object.__setattr__(self, "guess", frozen(self.guess))
         speed = np.full(self.position.shape, np.nan) if self.speed is None else self.speed
         object.__setattr__(self, "speed", frozen(speed))
+
+    @property
+    def guessed(self) -> np.ndarray:
+        """The positions (n_s,) to guess, NaN where nothing is known."""
+        return self.position if self.guess is None else self.guess
+
+    @property
+    def open_coordinates(self) -> tuple[tuple[int, int, float], ...]:
+        """Of an open pose, what the program asks: site by index, axis and coordinate [m]."""
+        return tuple((self.at[row // 3].index, row % 3, float(self.at[row // 3].point[row % 3])) for row in self.at_rows)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -128,7 +148,7 @@ class Motion:
         last = 0.0
         for k, waypoint in enumerate(self.waypoints):
             time = waypoint.time_s
-            if np.all(np.isnan(waypoint.position)) and np.all(np.isnan(waypoint.speed)):
+            if np.all(np.isnan(waypoint.guessed)) and np.all(np.isnan(waypoint.speed)):
                 raise ProblemError(f"motion.waypoints[{k}] names no position and no speed; it needs one of them")
             if time is None:
                 continue

@@ -117,10 +117,14 @@ class PlanningProblem:
             )
         self._check_shapes()
         self._check_periods()
-        if motion.goal_is_free and len(self.mechanism.dependent) and self.mesh.scheme.startswith("gauss"):
+        needs_node = ["motion.goal_at that leaves a loop's pose open"]
+        needs_node = needs_node if motion.goal_is_free and len(self.mechanism.dependent) else []
+        opened = [f"motion.waypoints[{k}].at" for k, waypoint in enumerate(motion.waypoints) if waypoint.at_rows]
+        needs_node += [f"{where} that leaves a pose open" for where in opened]
+        if needs_node and self.mesh.scheme.startswith("gauss"):
             raise ProblemError(
-                "motion.goal_at that leaves a loop's pose open needs a mesh.scheme with a node at the end (radau, trapezoid,"
-                f" hermite-simpson), got {self.mesh.scheme}"
+                f"{needs_node[0]} needs a mesh.scheme with a node at the end (radau, trapezoid, hermite-simpson), got"
+                f" {self.mesh.scheme}"
             )
 
     def _check_periods(self) -> None:
@@ -203,6 +207,13 @@ class PlanningProblem:
             raise ProblemError(f"the guess moves {guessed} joints, '{mechanism.name}' has {n_s} independent ones")
         if len(self.motors) != mechanism.n_u:
             raise ProblemError(f"motors needs one entry for each of {mechanism.n_u} actuators, got {len(self.motors)}")
+
+    @property
+    def sites(self) -> dict[str, int]:
+        """The sites that it names, by name, with their indices in the model: start, waypoints, goal, limits."""
+        motion = self.motion
+        points = [*motion.start_at, *(point for waypoint in motion.waypoints for point in waypoint.at), *motion.goal_at]
+        return {one.site: one.index for one in (*points, *self.limits.site)}
 
     @property
     def not_honoured(self) -> tuple[str, ...]:

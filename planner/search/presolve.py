@@ -10,9 +10,8 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, is_open, is_regular, reach
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.certificate.site_margins import SITE_SLACK, title
-from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.problem.sites import SiteLimit
+from linkplan.planner.problem.sites import SiteLimit, SitePoint
 from linkplan.planner.search.turning import check_turns
 
 # Poses looked at between start and goal of a single freedom.
@@ -153,27 +152,28 @@ def _branches_on_the_way(problem: PlanningProblem) -> str | None:
 def _site_beyond(problem: PlanningProblem) -> str | None:
     """Return the sentence on a site or tendon that start, goal or a waypoint puts beyond its limits, or None."""
     motion, limits = problem.motion, problem.limits
-    places = [("the start", motion.start), ("the goal", motion.goal)]
-    places += [(f"motion.waypoints[{k}]", waypoint.position) for k, waypoint in enumerate(motion.waypoints)]
-    for name, s in places:
+    places = [("the start", motion.start, None), ("the goal", motion.goal, motion.goal_at if motion.goal_is_free else None)]
+    for k, waypoint in enumerate(motion.waypoints):
+        places.append((f"motion.waypoints[{k}]", waypoint.guessed, waypoint.at if waypoint.at_rows else None))
+    for name, s, open_at in places:
         if s is None or np.any(np.isnan(s)) or not (limits.site or problem.mechanism.tendons):
             continue
         pose = close_at(problem.mechanism, s)[None]
-        is_open = name == "the goal" and motion.goal_is_free
-        tendon = None if is_open else _tendon_beyond(problem, pose, f"at {name}")
+        tendon = _tendon_beyond(problem, pose, f"at {name}") if open_at is None else None
         if tendon is not None:
             return tendon
         for limit in limits.site:
-            sentence = None if is_open and not _known(limit, motion) else _beyond(problem, limit, pose, f"at {name}")
+            known = open_at is None or _known(limit, open_at)
+            sentence = _beyond(problem, limit, pose, f"at {name}") if known else None
             if sentence is not None:
                 return sentence
     return _on_the_only_way(problem)
 
 
-def _known(limit: SiteLimit, motion: Motion) -> bool:
-    """Return whether a goal whose pose is open says all that a limit on a site looks at."""
+def _known(limit: SiteLimit, points: tuple[SitePoint, ...]) -> bool:
+    """Return whether the places of sites, of a pose that is open, say all that a limit on a site looks at."""
     looked_at = np.ones(3, dtype=bool) if limit.normal is None else limit.normal != 0
-    return any(p.index == limit.index and not np.any(np.isnan(p.point[looked_at])) for p in motion.goal_at)
+    return any(p.index == limit.index and not np.any(np.isnan(p.point[looked_at])) for p in points)
 
 
 def _on_the_only_way(problem: PlanningProblem) -> str | None:

@@ -194,6 +194,7 @@ def row_bounds(
     meetings: Sequence[tuple[int, int, int, int]] = (),
     node_at_end: bool = False,
     given: np.ndarray | None = None,
+    boundaries: Sequence[int] = (),
 ):
     """Return the bounds of the intervals' rows in turn: an interval's own, each node's, those of open ends.
 
@@ -205,6 +206,7 @@ def row_bounds(
         meetings: places of junctions, as of `junctions.places`.
         node_at_end: whether a node stands at an interval's end.
         given: (n, n_nodes) nodes whose positions are given: there `position_path` is what it is, and out of the way.
+        boundaries: the breaks at which phase boundaries stand; a node is there where `passed` asks something of them.
     """
     n, m = len(breaks_s) - 1, interval.n_nodes
     own = np.zeros((interval.n_own, 2))
@@ -231,6 +233,8 @@ def row_bounds(
     if given is not None and formulation.position_path:
         out_of_the_way = np.array([-_OUT_OF_THE_WAY, _OUT_OF_THE_WAY])
         at_nodes[:, :, list(formulation.position_path)] += given[:, :, None, None] * out_of_the_way
+    for boundary, i, value in formulation.passed:
+        at_nodes[boundaries[boundary] - 1, -1, i] = value
     equations = np.zeros((n, m, interval.n_equations, 2))
     at_nodes = np.concatenate([equations, at_nodes], axis=2).reshape(n, -1, 2)
     at_open_ends = np.concatenate([equations[:, 0], at_open_ends], axis=1)[:, list(interval.open_end_rows)]

@@ -4,16 +4,23 @@ An entry is a library and a record: one line with the hash of the rest, which is
 size. Both are checked before the library is loaded: what was cut short, altered or put there by somebody else counts as not
 there, and is compiled again. Files are moved into place whole, so that processes in parallel at worst compile the same thing
 twice; work folders are locked while they are used, and those that a kill left behind are removed by the next run.
+
+The folder holds $LINKPLAN_CACHE_MB megabytes at the most, 2048 by default: beyond them the entries go that were not used for
+the longest time. A library that another process has loaded stays with it, whatever becomes of its name; one that goes
+between being found and being loaded is compiled again.
 """
 
 import contextlib
 import hashlib
 import json
+import math
 import os
+import re
 import shutil
 import stat
 import tempfile
 import time
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,6 +34,10 @@ _WORK = ".work-"
 _BEGUN_S = 600.0
 # The largest libraries, of legs with thirteen joints, have ten megabytes and a megabyte of record. More is none of ours.
 _LARGEST_LIBRARY, _LARGEST_RECORD = 256 << 20, 32 << 20
+# The name of one of an entry's two files: nothing else in the folder is ever removed.
+_ENTRY = re.compile(r"(k[0-9a-f]{32})\.(so|json)")
+# Some hundred of the largest libraries, or ten thousand of a knee's.
+MOST_MB = 2048
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 _POSIX = hasattr(os, "geteuid")
 
@@ -102,6 +113,53 @@ def find(folder: Path, key: str) -> tuple[Path, dict] | None:
         return (library, said["functions"]) if hash_of(_read(library, _LARGEST_LIBRARY)) == said["library"] else None
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
+
+
+def used(folder: Path, key: str) -> None:
+    """Note that an entry was used now: its record's date says so, where the disk lets it."""
+    with contextlib.suppress(OSError):
+        os.utime(folder / f"{key}.json")
+
+
+def evict(folder: Path, newest: str) -> None:
+    """Remove the entries that were not used for the longest time, as many as are beyond the most that the folder holds.
+
+    Args:
+        folder: the cache's.
+        newest: the key of the entry that was made now, which stays.
+    """
+    sizes: dict[str, int] = {}
+    dates: dict[str, float] = {}
+    for entry in os.scandir(folder):
+        name = _ENTRY.fullmatch(entry.name)
+        with contextlib.suppress(OSError):  # removed by another process meanwhile
+            found = entry.stat(follow_symlinks=False)
+            if name and stat.S_ISREG(found.st_mode):
+                sizes[name[1]] = sizes.get(name[1], 0) + found.st_size
+                dates[name[1]] = max(dates.get(name[1], 0.0), found.st_mtime)
+    over = sum(sizes.values()) - most_bytes()
+    for key in sorted(sizes, key=dates.__getitem__):
+        if over <= 0:
+            return
+        if key != newest:
+            for suffix in ("json", "so"):  # without its record a library is none
+                with contextlib.suppress(OSError):
+                    (folder / f"{key}.{suffix}").unlink()
+            over -= sizes[key]
+
+
+def most_bytes() -> float:
+    """Return how much the cache holds at the most: $LINKPLAN_CACHE_MB megabytes, MOST_MB where that is no such number."""
+    given = os.environ.get("LINKPLAN_CACHE_MB", "").strip()
+    try:
+        most = float(given or MOST_MB)
+    except ValueError:
+        most = math.nan
+    if not most >= 0:
+        said = f"LINKPLAN_CACHE_MB is a number of megabytes of at least 0, got '{given}'; {MOST_MB} are kept"
+        warnings.warn(said, RuntimeWarning, stacklevel=2)
+        most = MOST_MB
+    return most * 2**20
 
 
 def keep(built: Path, said: dict, folder: Path, key: str) -> Path:

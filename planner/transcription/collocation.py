@@ -209,7 +209,16 @@ def _row_bounds(
     of_intervals = None if constrained_paths is None else constrained_paths[mesh.segment]
     given = given_nodes(formulation, mesh, np.asarray(chosen.nodes, dtype=float))
     meetings, node_at_end = tuple(places(junctions, mesh)), 1 not in chosen.open_ends
-    return row_bounds(formulation, interval, breaks, of_intervals, meetings=meetings, node_at_end=node_at_end, given=given)
+    return row_bounds(
+        formulation,
+        interval,
+        breaks,
+        of_intervals,
+        meetings=meetings,
+        node_at_end=node_at_end,
+        given=given,
+        boundaries=mesh.boundaries(),
+    )
 
 
 def _parameters(formulation: Formulation, chosen: Scheme, n_open_ends: int, mesh: Mesh, breaks: np.ndarray) -> np.ndarray:

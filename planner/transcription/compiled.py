@@ -28,7 +28,17 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import one_line
-from linkplan.planner.transcription.cache import find, handed_over, keep, sweep, trusted_folder, wanted_again, work_folder
+from linkplan.planner.transcription.cache import (
+    evict,
+    find,
+    handed_over,
+    keep,
+    sweep,
+    trusted_folder,
+    used,
+    wanted_again,
+    work_folder,
+)  # fmt: skip
 from linkplan.planner.transcription.interval import NAMES, OPEN_END_NAMES, IntervalFunctions, IntervalRows
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import System
@@ -89,6 +99,7 @@ def cached(key: str) -> IntervalFunctions | None:
         entry = find(folder, key)
         if entry is None:
             return None
+        used(folder, key)
         library, said = entry
         names = (*NAMES, *OPEN_END_NAMES) if said["n_open_ends"] else NAMES
         functions = dict.fromkeys(OPEN_END_NAMES) | {name: ca.external(name, str(library)) for name in names}
@@ -125,6 +136,7 @@ def compiled(key: str, build: Callable[[], IntervalFunctions]) -> IntervalFuncti
             said, command = _written(functions, work, key)
             _run(command, work)
             library = keep(work / f"{key}.so", said, folder, key)
+        evict(folder, key)
         return replace(functions, **{name: ca.external(name, str(library)) for name in _names(functions)})
     except (OSError, subprocess.SubprocessError, RuntimeError) as error:
         # A full disk or a broken compiler costs speed and nothing else, but it is said.

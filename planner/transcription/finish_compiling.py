@@ -14,7 +14,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from linkplan.planner.transcription.cache import keep
+from linkplan.planner.transcription.cache import evict, keep
 
 # Added to the priority number: the planner goes first.
 _NICER = 10
@@ -37,6 +37,7 @@ def main(folder: Path, work: Path, key: str, timeout_s: float, command: list[str
                 raise
         if code == 0:
             keep(work / f"{key}.so", json.loads((work / f"{key}.said").read_text(encoding="utf-8")), folder, key)
+            evict(folder, key)
         return int(code != 0)
     except (OSError, ValueError, subprocess.SubprocessError):
         return 1

@@ -51,7 +51,8 @@ class Formulation:
     `theta` maps times (n, m) [s] to those of nodes (n, m, n_theta). `tightening` maps breaks (n + 1,) [s] to how far
     (n, n_path) path bounds are tightened on each interval.
     `position_path` are path quantities that follow from the positions of the second-order coordinates alone: where a phase
-    boundary gives those, nothing is left to bound.
+    boundary gives those, nothing is left to bound. `passed` are values that path quantities have at phase boundaries on the
+    way: (boundary, quantity, value).
     """
 
     build_system: Callable[[], System]
@@ -73,6 +74,7 @@ class Formulation:
     theta: Callable[[np.ndarray], np.ndarray]
     tightening: Callable[[np.ndarray], np.ndarray] | None = None
     position_path: tuple[int, ...] = ()
+    passed: tuple[tuple[int, int, float], ...] = ()
     advance: np.ndarray | float = 0.0
     adrift: tuple[int, ...] = ()
     endpoint: Endpoint | None = None

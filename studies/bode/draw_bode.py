@@ -11,12 +11,26 @@ from linkplan.studies.bode.scan import Scan
 from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.response import Response
-from linkplan.studies.output.drawing import BLACK, BLUE, GREY, ORANGE, RED, SERIES, page
+from linkplan.studies.output.drawing import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    RED,
+    SERIES,
+    STYLES,
+    bottom_legend,
+    outside_legend,
+    page,
+)
 
+# Margins have so many times their largest as their axis.
+_ROOM = 1.08
 # Curves begin this many times below the lowest frequency measured.
 _BELOW = 5.0
-# What is drawn of a Nyquist curve: the square about the origin, in units of the critical point's distance.
-_NYQUIST, _FAR = 2.5, 30.0
+# What is drawn of a Nyquist curve: the square about the origin, in units of the critical point's distance, or so many times
+# as far as the nearest point of a curve that stays outside of it.
+_NYQUIST, _FAR, _SEEN = 2.5, 30.0, 1.3
 
 
 def save_bode(study: BodeStudy, place: Path) -> None:
@@ -45,44 +59,54 @@ def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | Non
     with page(path, rows=rows, columns=2, size=(11.0, 9.0 if measured else 6.5), sharex=True, gridspec_kw=ratios) as axes:
         for column, (quantity, title) in enumerate(titles.items()):
             axes[0, column].set_title(title)
-            for colour, entry in zip(SERIES * len(entries), entries, strict=False):
-                draw_response(axes[:2, column], entry, quantity, colour)
+            for (colour, style), entry in zip(_looks(entries), entries, strict=True):
+                draw_response(axes[:2, column], entry, quantity, colour, style)
                 if measured:
                     draw_difference(axes[2:, column], entry, quantity, colour)
             axes[-1, column].set_xlabel("frequency [Hz]")
             axes[0, column].axhline(0.0 if column == 0 else -3.0, color=GREY, linewidth=1.0, linestyle=":")
         axes[1, 0].axhline(-180.0, color=GREY, linewidth=1.0, linestyle=":")
         axes[0, 1].set_ylim(-40, 20)
-        for row, label in enumerate(["gain [dB]", "phase [deg]", "measured less\npredicted [dB]", "[deg]"][:rows]):
+        for row, label in enumerate(
+            ["gain [dB]", "phase [deg]", "measured less\npredicted [dB]", "measured less\npredicted [deg]"][:rows]
+        ):
             axes[row, 0].set_ylabel(label)
-        handles, labels = axes[0, 0].get_legend_handles_labels()
         figure = axes[0, 0].figure
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(handles)), frameon=False)
+        bottom_legend(axes[0, 0])
         how = "line: predicted, sampled; dotted: continuous" + (f"; dots: MuJoCo, {study.method}" if measured else "")
         figure.suptitle(f"{study.mechanism.name}, {study.law}: {study.message}\n{how}", fontsize=10.5, wrap=True)
     return figure
 
 
-def draw_response(axes, entry: BodePoint, quantity: str, colour: str) -> None:
+def draw_response(axes, entry: BodePoint, quantity: str, colour: str, style: str = "-") -> None:
     """Draw gain (axes[0]) and phase (axes[1]) of a quantity at a pose."""
-    name = entry.point.name + ("" if entry.margins.stable else " (unstable)")
+    name = _name(entry)
     lowest = _lowest(entry)
     phases = {}
-    for loop, style, width in ((entry.sampled, "-", 1.3), (entry.continuous, ":", 0.9)):
+    for loop, look, width in ((entry.sampled, style, 1.3), (entry.continuous, ":", 0.9)):
         curve = response_curves(loop, entry.channel, [quantity])[quantity]
         shown = curve.frequency_hz >= lowest
         frequency, phase = curve.frequency_hz[shown], _turned(curve.phase_deg[shown], curve.gain[shown], quantity)
-        label = name if style == "-" else None
-        axes[0].semilogx(frequency, curve.db[shown], color=colour, linestyle=style, linewidth=width, label=label)
-        axes[1].semilogx(frequency, phase, color=colour, linestyle=style, linewidth=width)
-        phases[style] = frequency, phase
+        label = name if loop is entry.sampled else None
+        axes[0].semilogx(frequency, curve.db[shown], color=colour, linestyle=look, linewidth=width, label=label)
+        axes[1].semilogx(frequency, phase, color=colour, linestyle=look, linewidth=width)
+        phases[look] = frequency, phase
     if quantity in entry.measured:
         response = entry.measured[quantity]
-        near = np.interp(np.log(response.frequency_hz), np.log(phases["-"][0]), phases["-"][1])
+        near = np.interp(np.log(response.frequency_hz), np.log(phases[style][0]), phases[style][1])
         phase = np.degrees(np.angle(response.gain))
         phase += 360.0 * np.round((near - phase) / 360.0)
         axes[0].semilogx(response.frequency_hz, response.db, "o", color=colour, markersize=3.5)
         axes[1].semilogx(response.frequency_hz, phase, "o", color=colour, markersize=3.5)
+
+
+def _looks(entries: Sequence[BodePoint]) -> list[tuple[str, str]]:
+    """Return a colour and a line style for each pose: where the colours begin again, the next style."""
+    return [(SERIES[k % len(SERIES)], STYLES[k // len(SERIES) % len(STYLES)]) for k in range(len(entries))]
+
+
+def _name(entry: BodePoint) -> str:
+    return entry.point.name + ("" if entry.margins.stable else " (unstable)")
 
 
 def draw_difference(axes, entry: BodePoint, quantity: str, colour: str) -> None:
@@ -103,15 +127,20 @@ def nyquist_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -
         turn = np.exp(1j * np.linspace(0, 2 * np.pi, 361))
         cell.plot(turn.real, turn.imag, color=GREY, linestyle=":", linewidth=1.0)
         cell.plot([-1], [0], "+", color=BLACK, markersize=11, markeredgewidth=2)
-        for colour, entry in zip(SERIES * len(entries), entries, strict=False):
+        side = _NYQUIST
+        for (colour, style), entry in zip(_looks(entries), entries, strict=True):
             gain = entry.sampled.gains("loop", frequency_grid(study.timing.period_s), entry.channel)
+            side = max(side, _SEEN * min(float(np.abs(gain).min()), _FAR))  # of every curve the part next to the origin
             gain = np.where(np.abs(gain) < _FAR, gain, np.nan)  # no chord across a resonance
-            cell.plot(gain.real, gain.imag, color=colour, linewidth=1.2, label=entry.point.name)
+            cell.plot(gain.real, gain.imag, color=colour, linestyle=style, linewidth=1.2, label=_name(entry))
             if "loop" in entry.measured:
                 points = entry.measured["loop"].gain
                 cell.plot(points.real, points.imag, "o", color=colour, markersize=3.5)
         known = [entry for entry in entries if entry.margins.disk_margin is not None]
-        if known:
+        dots = "; dots: MuJoCo" if any("loop" in entry.measured for entry in entries) else ""
+        if not known:
+            cell.set_title(f"{study.mechanism.name}, {study.law}: unstable, no disk margin{dots}", fontsize=10)
+        else:
             least = min(known, key=lambda entry: entry.margins.disk_margin)
             alpha = least.margins.disk_margin
             disk = _disk(alpha, turn)
@@ -120,15 +149,15 @@ def nyquist_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path) -
             cell.set_title(
                 f"{study.mechanism.name}, {study.law}: least disk margin {alpha:.3g} at {least.point.name}\n"
                 f"(gain +-{bounds.disk_gain_margin_db or np.inf:.3g} dB or phase {bounds.disk_phase_margin_deg:.3g} deg)"
-                f"; dots: MuJoCo",
+                f"{dots}",
                 fontsize=10,
             )
-        cell.set_xlim(-_NYQUIST, _NYQUIST)
-        cell.set_ylim(-_NYQUIST, _NYQUIST)
+        cell.set_xlim(-side, side)
+        cell.set_ylim(-side, side)
         cell.set_aspect("equal")
         cell.set_xlabel("real part of L")
         cell.set_ylabel("imaginary part of L")
-        cell.legend(loc="upper right", fontsize=8)
+        bottom_legend(cell)
 
 
 def _disk(alpha: float, turn: np.ndarray) -> np.ndarray:
@@ -144,13 +173,12 @@ def sensitivity_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Pat
     with page(path, rows=1, columns=3, size=(13.0, 4.3), sharex=True) as axes:
         for cell, (quantity, label) in zip(axes[0], titles.items(), strict=True):
             unit = ""
-            for colour, entry in zip(SERIES * len(entries), entries, strict=False):
+            for (colour, style), entry in zip(_looks(entries), entries, strict=True):
                 curve = response_curves(entry.sampled, entry.channel, [quantity])[quantity]
                 unit = curve.unit
                 shown = curve.frequency_hz >= _lowest(entry)
-                cell.semilogx(
-                    curve.frequency_hz[shown], curve.db[shown], color=colour, linewidth=1.3, label=entry.point.name
-                )
+                look = {"color": colour, "linestyle": style, "linewidth": 1.3, "label": _name(entry)}
+                cell.semilogx(curve.frequency_hz[shown], curve.db[shown], **look)
                 _mark_peak(cell, curve, quantity, colour)
                 if quantity in entry.measured:
                     response = entry.measured[quantity]
@@ -164,12 +192,9 @@ def sensitivity_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Pat
         axes[0, 1].set_title("complementary sensitivity")
         axes[0, 2].set_title("control sensitivity")
         axes[0, 2].set_ylim(bottom=axes[0, 2].get_ylim()[1] - 80)
-        figure = axes[0, 0].figure
-        handles, labels = axes[0, 0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(5, len(handles)), frameon=False)
-        figure.suptitle(
-            f"{study.mechanism.name}, {study.law}: {study.loop_name}; lines predicted, dots MuJoCo", fontsize=10.5
-        )
+        bottom_legend(axes[0, 0])
+        how = "lines predicted, dots MuJoCo" if any(entry.measured for entry in entries) else "predicted"
+        axes[0, 0].figure.suptitle(f"{study.mechanism.name}, {study.law}: {study.loop_name}; {how}", fontsize=10.5)
 
 
 def _mark_peak(cell, curve: Response, quantity: str, colour: str) -> None:
@@ -202,12 +227,15 @@ def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
         crossover = scan.column("crossover_hz")
         if np.any(np.isfinite(crossover)):
             upper.plot(positions, crossover, color=BLACK, linewidth=1.2, label="crossover")
-            upper.legend(loc="lower left")
+            outside_legend(upper)
+        highest = 0.0
         for name, label, colour in (
             ("phase_margin_deg", "phase margin", BLUE),
             ("disk_phase_margin_deg", "disk phase margin", ORANGE),
         ):
-            lower.plot(positions, scan.column(name), color=colour, label=label)
+            values = scan.column(name)
+            highest = max(highest, float(np.max(values[np.isfinite(values)], initial=0.0)))
+            lower.plot(positions, values, color=colour, label=label)
         worst = scan.worst
         lower.axvline(
             positions[worst], color=RED, linestyle="--", linewidth=1.0, label=f"worst: {positions[worst]:.4g} {line.unit}"
@@ -215,12 +243,12 @@ def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
         lost = positions[[not bounds.stable for bounds in scan.margins]]
         if lost.size:
             lower.plot(lost, np.zeros(lost.size), "x", color=RED, label="unstable", clip_on=False)
-        lower.set_ylim(0.0, max(10.0, lower.get_ylim()[1]))
+        lower.set_ylim(0.0, max(10.0, _ROOM * highest))
         lower.set_ylabel("margin [deg]")
         lower.set_xlabel(f"{line.name} [{line.unit}]")
-        lower.legend(loc="best")
+        outside_legend(lower)
         of = "" if study.mechanism.dof == 1 else f", loop of {joint.name}"
-        upper.set_title(f"{study.mechanism.name}, {study.law}{of}: {study.loop_name}")
+        upper.figure.suptitle(f"{study.mechanism.name}, {study.law}{of}: {study.loop_name}")
 
 
 def _lowest(entry: BodePoint) -> float:

@@ -10,7 +10,9 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
+from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach
+from linkplan.models.tree.sites import site_names
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import AT_THE_END, NO_ARM, feeble_drives, pressed_stops, pushed_one_way, undriven
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
@@ -312,8 +314,15 @@ def inspection_record(found: Inspection) -> dict:
         ],
         "problems": list(found.problems),
         "notes": list(found.notes),
+        "sites_at_home_m": sites_at_home(mechanism),
         "points": [_point_record(mechanism, point) for point in found.points],
     }
+
+
+def sites_at_home(mechanism: Mechanism) -> dict[str, np.ndarray]:
+    """Return where a model's named sites are at home (3,) [m], in the world's frame."""
+    index = {name: mechanism.model.site(name).id for name in site_names(mechanism.model)}
+    return {name: places_of(mechanism, int(site), mechanism.home)[0] for name, site in index.items()}
 
 
 def _point_record(mechanism: Mechanism, point: PoseReport) -> dict:

@@ -2,11 +2,13 @@
 
 import numpy as np
 
-from linkplan.studies.check.inspection import Inspection, branch
+from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
 from linkplan.studies.output.tables import table
 
 # Digits that leave a number as it is.
 _EXACT = 17
+# A coordinate below this share of the mechanism's extent is shown as none.
+_ROUNDING = 1e-12
 
 
 def inspection_text(found: Inspection) -> str:
@@ -29,6 +31,12 @@ def inspection_text(found: Inspection) -> str:
             f" to {joint.said(can.upper.position, 5)} {joint.unit} ({can.upper.reason})"
         )
     lines += [f"actuator: {a.name} on {a.target}, {a.lower:g} to {a.upper:g} {a.unit}" for a in mechanism.actuators]
+    places = {
+        name: np.where(np.abs(place) < _ROUNDING * mechanism.extent_m, 0.0, place)
+        for name, place in sites_at_home(mechanism).items()
+    }
+    shown = [f"{name} [{', '.join(f'{x:.6g}' for x in place)}]" for name, place in places.items()]
+    lines += [f"sites at home [m]: {', '.join(shown)}"] if shown else []
     lines += [f"note: {note}" for note in found.notes]
     if found.points:
         lines += ["", _points_table(found)]

@@ -13,9 +13,19 @@ class RefusedModel:
     name: str
     error: LockedError | UnassembledError
 
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is wrong, in a sentence."""
+        return (str(self.error),)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """None: what there is to know is said beside the problem."""
+        return ()
+
     def record(self) -> dict:
         """Return the findings by name."""
-        said: dict = {"name": self.name, "problems": [str(self.error)]}
+        said: dict = {"name": self.name, "problems": list(self.problems)}
         if isinstance(self.error, LockedError):
             return said | {"locked": True, "dof": 0, "dof_gained_without": self.error.freed}
         return said | {

@@ -19,6 +19,21 @@ class WholeCheck:
     found: Inspection
     paths: tuple[KinematicLoopPath, ...]
 
+    @property
+    def name(self) -> str:
+        """The mechanism's."""
+        return self.found.mechanism.name
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """What is wrong, each in a sentence."""
+        return self.found.problems
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is worth knowing but no fault, each in a sentence."""
+        return self.found.notes
+
     def record(self) -> dict:
         """Return the findings by name, units in the names."""
         return inspection_record(self.found) | {"along": [path_record(path) for path in self.paths]}

@@ -13,7 +13,7 @@ from linkplan.planner.files.folders import check_target
 from linkplan.planner.files.plan_folder import read_plan, record, unchecked
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.files.tables import Tables, apply_override, read_tables
+from linkplan.planner.files.tables import Tables, apply_override, read_tables, refuse_saved_plan
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.exit_codes import NO
@@ -74,6 +74,8 @@ def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None
     if is_problem:
         name, tables, folder = read_tables(source)
     else:
+        if source not in MODELS:
+            refuse_saved_plan(source, "model", "a model is an MJCF file, or a built-in name (linkplan list)")
         if source not in MODELS and not path.exists():
             names = [*MODELS, *PROBLEMS]
             raise ModelError(
@@ -89,6 +91,8 @@ def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
     """Return the plan that an argument means: a saved one, or one made of a problem now."""
     source, overrides = arguments.plan, arguments.set
     path = Path(source)
+    if path.is_file():
+        refuse_saved_plan(source, "plan", "name its folder")
     if source in PROBLEMS or path.is_file() or not path.exists():
         if source not in PROBLEMS and not path.is_file():
             raise ProblemError(

@@ -222,7 +222,9 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
     parser = build_parser()
     try:
         parser.refuse_misspelled(sys.argv[1:] if argv is None else argv)
-        arguments = parser.parse_args(argv)
+        arguments, extra = parser.parse_known_args(argv)
+        if extra and arguments.command is not None:
+            parser.refuse_extra(arguments.command, extra, sets=bool(getattr(arguments, "set", None)))
     except SystemExit as leave:
         return int(leave.code or 0)
     if arguments.version:

@@ -12,6 +12,8 @@ from linkplan.studies.output.drawing import BLUE, GREY, ORANGE, SERIES, TRACKER_
 
 # Pages of more rows than this have lower ones.
 _TALL = 4
+# Widths of the first tracker's lines and of the last one's, in points.
+_WIDEST, _THINNEST = 3.2, 1.1
 
 
 def comparison_figure(comparison: Comparison, path: Path | None = None) -> Figure:
@@ -50,11 +52,17 @@ def _colour(runs: Mapping[str, Rollout], name: str) -> str:
     return TRACKER_COLOURS[name] if name in TRACKER_COLOURS else left[others.index(name) % len(left)]
 
 
+def _look(runs: Mapping[str, Rollout], name: str) -> dict:
+    """Return a tracker's colour and width: the later ones are thinner, and leave to be seen what they lie upon."""
+    place = list(runs).index(name) / max(1, len(runs) - 1)
+    return {"color": _colour(runs, name), "linewidth": _WIDEST + place * (_THINNEST - _WIDEST)}
+
+
 def draw_tracking(axes, runs: Mapping[str, Rollout], joint, k: int = 0) -> None:
     """Draw the k-th independent joint's motion: desired dashed, actual solid."""
     factor = joint.shown(1.0)
     for name, rollout in runs.items():
-        axes.plot(rollout.time_s, factor * rollout.position[:, k], color=_colour(runs, name), label=name)
+        axes.plot(rollout.time_s, factor * rollout.position[:, k], **_look(runs, name), label=name)
     longest = max(runs.values(), key=lambda rollout: len(rollout.time_s))
     axes.plot(
         longest.time_s, factor * longest.reference[:, k], color="black", linestyle="--", linewidth=1.0, label="desired"
@@ -65,7 +73,7 @@ def draw_tracking(axes, runs: Mapping[str, Rollout], joint, k: int = 0) -> None:
 def draw_following(axes, runs: Mapping[str, Rollout], joint, index: int) -> None:
     """Draw a dependent joint's motion, by its index among all joints."""
     for name, rollout in runs.items():
-        axes.plot(rollout.time_s, joint.shown(1.0) * rollout.pose[:, index], color=_colour(runs, name), linewidth=1.1)
+        axes.plot(rollout.time_s, joint.shown(1.0) * rollout.pose[:, index], **_look(runs, name))
     axes.set_ylabel(f"{joint.name} [{joint.unit}]")
 
 
@@ -74,7 +82,7 @@ def draw_tracking_error(axes, runs: Mapping[str, Rollout], joint, k: int = 0) ->
     factor = joint.shown(1.0)
     for name, rollout in runs.items():
         error = np.maximum(np.abs(factor * rollout.error[:, k]), 1e-7)
-        axes.semilogy(rollout.time_s, error, color=_colour(runs, name), linewidth=1.1)
+        axes.semilogy(rollout.time_s, error, color=_colour(runs, name), linewidth=_THINNEST)
     axes.set_ylim(bottom=1e-5)
     axes.set_ylabel(f"|error of {joint.name}| [{joint.unit}]")
 
@@ -83,7 +91,7 @@ def draw_applied_effort(axes, runs: Mapping[str, Rollout], actuator, k: int = 0)
     """Draw the k-th actuator's applied effort, and its limits where it comes near them."""
     peak = 0.0
     for name, rollout in runs.items():
-        axes.plot(rollout.time_s, rollout.applied[:, k], color=_colour(runs, name), linewidth=1.1)
+        axes.plot(rollout.time_s, rollout.applied[:, k], **_look(runs, name))
         peak = max(peak, float(np.abs(rollout.applied[:, k]).max()))
     for bound in next(iter(runs.values())).effort_limit[k]:
         if np.isfinite(bound) and abs(bound) < 2 * peak:

@@ -1,4 +1,4 @@
-"""Figures of a plan: motion and effort over time, limits where they bind."""
+"""Figures of a plan: motion and effort over time, limits where they bind, the paths of sites that its problem names."""
 
 from pathlib import Path
 
@@ -6,17 +6,24 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from linkplan.planner.plan import Plan
+from linkplan.studies.output.draw_sites import draw_sites
 from linkplan.studies.output.drawing import BLACK, GREY, SERIES, STYLES, level_zeros, outside_legend, page, sides_by_unit
 
 
 def plan_figure(plan: Plan, path: Path | None = None) -> Figure:
     """Return the figure of a plan's positions, speeds and efforts, saved at `path` where one is given."""
-    with page(path, rows=3, size=(7.5, 7.5), sharex=True) as axes:
+    sites = bool(plan.problem.sites)
+    with page(path, rows=3, columns=1 + sites, size=(7.5 + 6.0 * sites, 7.5), sharex="col") as axes:
         draw_position(axes[0, 0], plan)
         draw_velocity(axes[1, 0], plan)
         draw_effort(axes[2, 0], plan)
         axes[0, 0].figure.suptitle(f"{plan.problem.name}: {plan.message}", fontsize=10, wrap=True)
         axes[2, 0].set_xlabel(_time_label(plan))
+        if sites:
+            figure, grid = axes[0, 1].figure, axes[0, 1].get_gridspec()
+            for side in axes[:, 1]:
+                side.remove()
+            draw_sites(figure.add_subplot(grid[:, 1]), plan)
     return axes[0, 0].figure
 
 

@@ -18,6 +18,7 @@ STYLES = ("-", "--", ":", "-.")
 # A legend's row holds about so many letters over half of a wide page's width, or over a narrow page; what is longer goes
 # on in a further row.
 _LETTERS_A_ROW, _LETTERS_A_PAGE = 56, 76
+_LETTERS_AN_INCH = 12
 # What a legend's line and gaps take beside its text, in letters.
 _LETTERS_BESIDE = 8
 
@@ -57,6 +58,18 @@ def outside_legend(axes, *, narrow: bool = False, **options) -> None:
     if sum(len(label) + _LETTERS_BESIDE for label in labels) > room:
         columns = max(1, room // (max(map(len, labels)) + _LETTERS_BESIDE))
     axes.legend(handles, labels, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=columns, frameon=False, **options)
+
+
+def bottom_legend(axes) -> None:
+    """Put one panel's legend below the whole page, where it hides no data and makes no page wider."""
+    handles, labels = axes.get_legend_handles_labels()
+    if not labels:
+        return
+    room = _LETTERS_AN_INCH * axes.figure.get_figwidth()
+    most = max(1, int(room // (max(map(len, labels)) + _LETTERS_BESIDE)))
+    rows = -(-len(labels) // most)
+    columns = -(-len(labels) // rows)
+    axes.figure.legend(handles, labels, loc="outside lower center", ncols=columns, frameon=False)
 
 
 def sides_by_unit(axes, what: str, units: Sequence[str]) -> dict:

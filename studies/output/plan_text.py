@@ -48,8 +48,8 @@ def plan_text(plan: Plan) -> str:
     for joint, margin in zip(problem.mechanism.joints, certificate.speed_margin, strict=True):
         if np.isfinite(margin):
             rows.append([f"margin to the speed limit of {joint.name}", joint.shown(margin), f"{joint.unit}/s"])
-    if problem.motion.start_at or problem.motion.goal_at:
-        rows.append(["sites from where start and goal ask them", certificate.site_error_m, "m"])
+    if problem.motion.start_at or problem.motion.goal_at or any(waypoint.at for waypoint in problem.motion.waypoints):
+        rows.append(["sites from where start, waypoints and goal ask them", certificate.site_error_m, "m"])
     rows.append(["least det J_z, relative to home", certificate.singularity_ratio, "1"])
     rows += [[f"margin to the limit on {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
     forces = zip(problem.mechanism.closure_names, certificate.peak_closure_force, strict=True)

@@ -15,8 +15,8 @@ with one sentence: what was asked, what is legal, what was got. Progress is logg
 """
 
 import importlib
-from typing import TYPE_CHECKING
 
+TYPE_CHECKING = False  # as typing's, which takes as long to load as all the rest here: a signal in that time is not heard
 if TYPE_CHECKING:  # what editors and type checkers read; `_HOMES` below says the same when the program runs
     from linkplan.controllers.trackers.tracker import Tracker
     from linkplan.loops import bode, tune

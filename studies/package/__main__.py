@@ -1,8 +1,36 @@
-"""`python -m linkplan`: the command line."""
+"""`python -m linkplan` and the script `linkplan`: the command line.
 
+Signals are heard from the first line on, before anything is loaded: what ends a command so early ends it as later on, with
+exit code 130, 143 or 129 and a line. Before this file Python itself starts, for some hundredths of a second.
+"""
+
+import os
+import signal
 import sys
+from types import FrameType
 
-from linkplan.studies.cli.main import main
+
+def main() -> int:
+    """Run the command of this process and return its exit code."""
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)
+        # What was ignored stays ignored, as under nohup.
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _end)
+    from linkplan.studies.cli.main import main as run  # the time that this takes is what the handlers are for
+
+    return run()
+
+
+def _end(number: int, frame: FrameType | None) -> None:
+    """End at once: nothing was begun. `listening` takes over from here."""
+    del frame
+    try:  # noqa: SIM105 (contextlib takes as long to load as all that is done before the handlers stand)
+        os.write(2, b"linkplan: interrupted; nothing was written\n")
+    except OSError:  # nobody reads it
+        pass
+    os._exit(128 + number)
+
 
 if __name__ == "__main__":
     sys.exit(main())

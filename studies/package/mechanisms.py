@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkplan.models.errors import LinkplanError, LockedError, UnassembledError
 from linkplan.models.mechanism import Mechanism
 from linkplan.plain import plain
 from linkplan.planner.files.problem_file import mechanism_from_tables
@@ -15,6 +16,7 @@ from linkplan.subjects import Subject, poses_of, subject_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from linkplan.studies.check.refused_model import RefusedModel
     from linkplan.studies.check.whole_check import WholeCheck
 
 
@@ -57,6 +59,8 @@ def check(
 ) -> CheckResult:
     """Return what is to be known of a mechanism before planning, along a problem's motion where one is given.
 
+    A model that is no mechanism as it stands, locked or not assembled, is reported on too: `problems` says why.
+
     Args:
         subject: a mechanism, a `Problem`, or the name or path of either.
         at_deg: poses to report on besides, each independent hinges' angles [deg] by joint name.
@@ -65,9 +69,14 @@ def check(
     Raises:
         LinkplanError: for a pose that is beyond reach, or a subject that cannot be read.
     """
+    from linkplan.studies.check.refused_model import RefusedModel
     from linkplan.studies.check.whole_check import check_whole
 
-    mechanism, problem = subject_of(subject)
+    try:
+        mechanism, problem = subject_of(subject)
+    except (LockedError, UnassembledError) as error:
+        text = str(subject)
+        return CheckResult(found=RefusedModel(name="the model" if "<" in text else Path(text).stem, error=error))
     planning = None if problem is None else problem.planning
     return CheckResult(found=check_whole(mechanism, planning, poses_of(mechanism, at_deg, at_m)))
 
@@ -76,17 +85,17 @@ def check(
 class CheckResult:
     """What `check` found. `str(result)` is the report; `to_dict()` has every figure, its unit in its name."""
 
-    found: WholeCheck
+    found: WholeCheck | RefusedModel
 
     @property
     def problems(self) -> tuple[str, ...]:
         """What is wrong, each in a sentence; empty for a mechanism that is fit to plan with."""
-        return self.found.found.problems
+        return self.found.problems
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What is worth knowing but no fault, each in a sentence."""
-        return self.found.found.notes
+        return self.found.notes
 
     def to_dict(self) -> dict:
         """Return all figures by name, in JSON's own types."""
@@ -95,13 +104,20 @@ class CheckResult:
         return plain_record(self.found.record())
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of the mechanism over its reach; it is saved at `path` where one is given."""
-        from linkplan.studies.check.draw_mechanism import inspection_figure
+        """Return the figure of the mechanism over its reach; it is saved at `path` where one is given.
 
+        Raises:
+            LinkplanError: when the model is no mechanism as it stands.
+        """
+        from linkplan.studies.check.draw_mechanism import inspection_figure
+        from linkplan.studies.check.refused_model import RefusedModel
+
+        if isinstance(self.found, RefusedModel):
+            raise LinkplanError(f"nothing to draw: {self.found.error}")
         return inspection_figure(self.found.found, path)
 
     def __str__(self) -> str:
         return self.found.text()
 
     def __repr__(self) -> str:
-        return f"CheckResult({self.found.found.mechanism.name!r}, {len(self.problems)} problems, {len(self.notes)} notes)"
+        return f"CheckResult({self.found.name!r}, {len(self.problems)} problems, {len(self.notes)} notes)"

@@ -162,7 +162,8 @@ class Plan:
         Returns:
             `time_s`; `position` [deg or m], dependent joints too, and `speed`, by joint; `acceleration` of the independent
             joints; `effort` [N.m or N] by actuator: arrays (n,), or numbers of a single time. `unit` and `effort_unit` say
-            which. `columns()` has all under heads with units.
+            which; `site` are the sites that the problem names, (n, 3) or (3,) [m] in the world. `columns()` has all under
+            heads with units.
 
         Raises:
             LinkplanError: when the plan has no motion, or a time is no finite number.

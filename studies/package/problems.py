@@ -41,7 +41,8 @@ class Problem:
             kinematics, the nearest to the start; the end of a reach may leave it open.
         start_speed_deg_s, goal_speed_deg_s: independent speeds [deg/s]; `..._m_s` [m/s] on slides. At rest by default.
         duration_s: a number of seconds, or "free", then within `min_duration_s` and `max_duration_s` where they are given.
-        waypoints: tables in order, with `at_deg`, `at_m`, `speed_deg_s`, `speed_m_s`, `time_s`, whichever are known.
+        waypoints: tables in order, with `at_deg`, `at_m` or `at` (places of sites), `speed_deg_s`, `speed_m_s`, `time_s`,
+            whichever are known.
         turns: whole turns by joint that a periodic motion goes on by in a period, {"O": 1}; their sign is the direction.
         minimize: effort, time, tracking, work, copper_loss, effort_rate or closure_force, or a table of weights.
         reference: a sinusoid: `amplitude_deg`, `bias_deg`, `phase_deg` by joint, and `frequency_hz`.

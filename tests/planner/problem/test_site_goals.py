@@ -135,6 +135,7 @@ REFUSED = [
     ({**UP, "goal_at": {"foot": {"x": "far"}}}, ["goal_at.foot.x", "a number", "'far'"]),
     ({**UP, "goal_at": {"foot": {"w": 0.1}}}, ["goal_at.foot.w", "x, y, z"]),
     ({**UP, "goal_at": {"foot": {}}}, ["goal_at.foot", "[x, y, z]"]),
+    ({**UP, "goal_at": {"J1": 30.0}}, ["goal_at.J1 is a site's place", "joint J1's position is motion.goal_deg"]),
     ({**UP, "goal_at": {"foot": 0.3}}, ["goal_at.foot", "[x, y, z]", "0.3"]),
     ({**UP, "goal_at": [0.3, 0, 0]}, ["motion.goal_at", "table of site"]),
     ({**UP, "goal_at": {"foot": BELOW}, "goal_deg": {"J1": 3, "J2": 4}}, ["goal_at", "goal_deg", "keep one"]),

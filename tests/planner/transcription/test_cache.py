@@ -8,13 +8,14 @@ import tempfile
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.transcription import cache
 from linkplan.planner.transcription import compiled as module
-from linkplan.planner.transcription.cache import cache_folder, find, keep, trusted_folder, work_folder
+from linkplan.planner.transcription.cache import cache_folder, evict, find, keep, trusted_folder, used, work_folder
 from linkplan.planner.transcription.compiled import cached, compiled, compiler
 from linkplan.planner.transcription.interval import IntervalRows, build_interval
 from linkplan.planner.transcription.schemes import scheme
@@ -35,6 +36,69 @@ def kept(folder: Path, key: str = "k1") -> Path:
     with work_folder(folder) as work:
         (work / f"{key}.so").write_bytes(LIBRARY)
         return keep(work / f"{key}.so", {"n": 3}, folder, key)
+
+
+def key_of(number: int) -> str:
+    return f"k{number:032x}"
+
+
+def entries(folder: Path, count: int) -> int:
+    """Put entries into the cache, the first the one that was not used for the longest time; return the bytes of one."""
+    for number in range(count):
+        kept(folder, key_of(number))
+        for path in folder.glob(f"{key_of(number)}.*"):
+            os.utime(path, (1000.0 + number, 1000.0 + number))
+    return sum(path.stat().st_size for path in folder.glob(f"{key_of(0)}.*"))
+
+
+def left(folder: Path, count: int) -> list[int]:
+    return [number for number in range(count) if find(folder, key_of(number)) is not None]
+
+
+def test_beyond_its_bound_the_cache_loses_what_was_not_used_for_the_longest_time(folder, monkeypatch):
+    one = entries(folder, 6)
+    others = [folder / "notes.json", folder / "kernel.so", folder / "k1.so"]
+    for path in others:
+        path.write_bytes(LIBRARY)
+    evict(folder, key_of(5))
+    assert left(folder, 6) == [0, 1, 2, 3, 4, 5]  # six small ones are none too many
+    used(folder, key_of(0))
+    monkeypatch.setenv("LINKPLAN_CACHE_MB", str(3.5 * one / 2**20))
+    evict(folder, key_of(5))
+    assert left(folder, 6) == [0, 4, 5]
+    assert len(list(folder.iterdir())) == 6 + len(others)  # both files of an entry go, and nothing that is none
+
+
+def test_the_entry_that_was_made_now_stays_however_small_the_bound(folder, monkeypatch):
+    entries(folder, 3)
+    monkeypatch.setenv("LINKPLAN_CACHE_MB", "0")
+    evict(folder, key_of(1))
+    assert left(folder, 3) == [1]
+
+
+@pytest.mark.parametrize("given", ["many", "-1", "nan"])
+def test_a_bound_that_is_none_is_said_and_the_default_holds(given, folder, monkeypatch):
+    entries(folder, 2)
+    monkeypatch.setenv("LINKPLAN_CACHE_MB", given)
+    with pytest.warns(RuntimeWarning, match=f"at least 0, got '{given}'; 2048 are kept"):
+        evict(folder, key_of(1))
+    assert left(folder, 2) == [0, 1]
+
+
+@needs_compiler
+def test_functions_that_are_loaded_outlive_their_entry(folder, monkeypatch):
+    functions = compiled(key_of(1), built)
+    size = functions.own.size1_in(0), functions.own.size1_in(1), functions.own.size1_in(2)
+    before = np.array(functions.own(*(np.full(n, 0.3) for n in size))[0])
+    os.utime(folder / f"{key_of(1)}.json", (1000.0, 1000.0))
+    os.utime(folder / f"{key_of(1)}.so", (1000.0, 1000.0))
+    assert cached(key_of(1)) is not None
+    assert (folder / f"{key_of(1)}.json").stat().st_mtime > 1e6  # use is noted
+    monkeypatch.setenv("LINKPLAN_CACHE_MB", "0")
+    compiled(key_of(2), built)
+    assert cached(key_of(1)) is None
+    assert cached(key_of(2)) is not None
+    assert np.array(functions.own(*(np.full(n, 0.3) for n in size))[0]) == pytest.approx(before, nan_ok=True)
 
 
 def built():

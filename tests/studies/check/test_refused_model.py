@@ -6,6 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import linkplan
+from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.inspection_text import inspection_text
@@ -62,6 +64,25 @@ def test_a_locked_mechanism_is_a_report_with_exit_code_one_that_names_what_locks
     said = json.loads((tmp_path / "checked" / "check.json").read_text(encoding="utf-8"))
     assert said["dof_gained_without"] == {"B": 2, "brake": 1}
     assert (said["locked"], said["dof"], len(said["problems"])) == (True, 0, 1)
+
+
+@pytest.mark.parametrize("text", [BAR % BRAKE, OPEN], ids=["locked", "open"])
+def test_python_reports_as_the_command_line_does(text, check, tmp_path):
+    said = json.loads(check(text, "--json")[1])
+    path = tmp_path / "mine.xml"
+    found = linkplan.check(path)
+    assert json.loads(json.dumps(found.to_dict())) == said
+    assert found.problems == tuple(said["problems"])
+    assert not found.notes
+    assert f"PROBLEM: {said['problems'][0]}" in str(found)
+    assert repr(found) == "CheckResult('mine', 1 problems, 0 notes)"
+    with pytest.raises(LinkplanError, match="nothing to draw"):
+        found.plot()
+    assert linkplan.check(text).problems
+    problem = tmp_path / "reach.toml"
+    motion = '[motion]\nkind = "reach"\nstart_deg = { O = 0 }\ngoal_deg = { O = 9 }\n'
+    problem.write_text(f'[mechanism]\nmodel = "mine.xml"\n{motion}', encoding="utf-8")
+    assert linkplan.check(problem).problems
 
 
 def test_a_locked_mechanism_in_a_problem_is_reported_too_and_refused_by_plan(check, tmp_path, capsys):

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from functools import cache
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -230,6 +231,18 @@ def test_an_actuator_without_limits_gives_any_effort_where_it_acts_and_none_wher
     path = measure(mechanism, mechanism.home[None], "home")
     assert path.available_effort[0].tolist() == [[-np.inf, np.inf], [0.0, 0.0]]
     json.dumps(plain(path_record(path)), allow_nan=False)
+
+
+def test_a_models_sites_are_listed_where_mujoco_has_them_at_home(capsys):
+    assert main(["check", "five-bar", "--json"]) == 0
+    places = json.loads(capsys.readouterr().out)["sites_at_home_m"]
+    mechanism = load_mechanism("five-bar")
+    data = mujoco.MjData(mechanism.model)
+    data.qpos[:] = mechanism.qpos_of(mechanism.home[None])[0]
+    mujoco.mj_kinematics(mechanism.model, data)
+    assert places["P"] == pytest.approx(data.site("P").xpos, abs=1e-12)
+    assert main(["check", "five-bar"]) == 0
+    assert f"P [{places['P'][0]:.6g}, 0, {places['P'][2]:.6g}]" in capsys.readouterr().out
 
 
 def test_a_problem_is_reported_on_along_its_reference_with_its_own_limits():

@@ -2,6 +2,10 @@
 
 import os
 import signal
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
@@ -52,6 +56,42 @@ def test_what_a_library_makes_of_an_interrupt_is_an_interrupt(ask, monkeypatch):
     code, _, err = ask("plan", "knee-reach")
     assert code == 130
     assert err == "linkplan plan: interrupted; nothing was written\n"
+
+
+EARLY = """
+import os, sys
+import linkplan.__main__ as entry
+assert "linkplan.studies.cli.main" not in sys.modules  # nothing that takes time is loaded before signals are heard
+
+class Sends:
+    def find_spec(self, name, *_):
+        if name == "linkplan.studies.cli.main":
+            os.kill(os.getpid(), {number})
+
+sys.meta_path.insert(0, Sends())
+sys.argv = ["linkplan", "list"]
+sys.exit(entry.main())
+"""
+
+
+@pytest.mark.parametrize("number", [*CODES, signal.SIGHUP])
+def test_a_signal_while_the_program_is_loaded_is_heard(number):
+    run = [sys.executable, "-c", EARLY.format(number=int(number))]
+    ended = subprocess.run(run, capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stdout) == (128 + number, "")
+    assert ended.stderr == "linkplan: interrupted; nothing was written\n"
+
+
+def test_a_signal_that_is_ignored_while_the_program_is_loaded_stays_ignored():
+    ignoring = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN)\n" + EARLY.format(number=int(signal.SIGTERM))
+    ended = subprocess.run([sys.executable, "-c", ignoring], capture_output=True, text=True, timeout=60, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
+    assert "optimus-knee" in ended.stdout
+
+
+def test_the_script_and_the_module_are_the_same_entry():
+    said = tomllib.loads((Path(__file__).resolve().parents[3] / "pyproject.toml").read_text(encoding="utf-8"))
+    assert said["project"]["scripts"] == {"linkplan": "linkplan.__main__:main"}
 
 
 def test_handlers_are_as_they_were_after_a_command(ask):

@@ -1,6 +1,7 @@
 """The figure of a plan with many coordinates, of hinges and slides: every one is drawn, units apart."""
 
 import numpy as np
+import pytest
 from matplotlib.figure import Figure
 
 from linkplan.models.mechanism import load_mechanism
@@ -9,7 +10,9 @@ from linkplan.planner.problem.limits import Limits, free
 from linkplan.planner.problem.planning_problem import Motion, PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.output.draw_plan import draw_effort, draw_position, plan_figure
+from tests.support.arms import LOWER, UPPER
 from tests.support.figures import saved_figures
+from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of
 
 # A line's points against the cubics that it shows, relative to the largest: rounding of Bernstein polynomials.
 DRAWN = 1e-12
@@ -42,6 +45,27 @@ def many() -> Plan:
         periodic=False,
     )
     return Plan(problem=problem, status="optimal", message="cubics", trajectory=trajectory)
+
+
+def test_a_plan_s_page_shows_the_path_of_a_site_and_what_is_forbidden_to_it():
+    motion = {"start_at": {"foot": ABOVE}, "goal_at": {"foot": BELOW}, "duration_s": 0.6}
+    waypoints = [{"at": {"foot": {"x": 0.45}}, "time_s": 0.3}]
+    limits = {"foot": {"x": [0.1, 0.5]}}
+    plan = plan_of(arm_of(UPPER, LOWER), motion | {"waypoints": waypoints}, limits)
+    axes = plan_figure(plan).axes[-1]
+    lines = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
+    path = places_along(plan, per_interval=10)[:, [0, 2]]
+    assert lines["path of foot"] == pytest.approx(path, abs=1e-9)
+    assert lines["foot at the end"] == pytest.approx(np.array([[0.3, -0.35]]), abs=1e-8)
+    assert lines["waypoints of foot"][0, 0] == pytest.approx(0.45)
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "z [m]")
+    shaded = next(one for one in axes.collections if one.get_facecolor().size and len(one.get_paths()[0].vertices))
+    inside = [any(path.contains_point(at) for path in shaded.get_paths()) for at in ((0.05, 0.0), (0.3, 0.0), (0.51, 0.0))]
+    assert inside == [True, False, True]
+
+
+def test_a_plan_without_sites_has_no_panel_of_them():
+    assert len(plan_figure(many()).axes) == 6  # three panels, each with a side for slides
 
 
 def test_a_plan_s_page_has_every_coordinate_s_position_speed_and_effort_in_its_unit(tmp_path, monkeypatch):

@@ -1,0 +1,191 @@
+"""Waypoints by places of sites: passed there, by MuJoCo; what a place leaves open stands where that costs least."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+import linkplan
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.replan import Planner, structure
+from tests.support.arms import LOWER, UPPER, arm, foot_of
+from tests.support.refusals import assert_names, refusal
+from tests.support.sites import ABOVE, BELOW, arm_of, plan_of, site_problem
+from tests.support.tolerances_planner import SAME_FIGURE
+
+PAST = {"start_at": {"foot": ABOVE}, "goal_at": {"foot": BELOW}, "duration_s": 0.6}
+VIA = [0.4, 0.0, 0.1]
+
+
+def arm_by_way_of(*waypoints: dict, mechanism: Mechanism | None = None, **tables: dict) -> Plan:
+    return plan_of(mechanism or arm_of(UPPER, LOWER), PAST | {"waypoints": list(waypoints)}, **tables)
+
+
+def place_at(plan: Plan, time_s: float, site: str = "foot") -> np.ndarray:
+    """Return where MuJoCo has a site (3,) [m] at an instant of a plan."""
+    mechanism, motion = plan.problem.mechanism, plan.trajectory
+    q = follow(mechanism, motion.position_at(np.linspace(0.0, time_s, 50)), motion.start_pose)[-1]
+    data = mujoco.MjData(mechanism.model)
+    data.qpos[:] = mechanism.qpos_of(q[None])[0]
+    mujoco.mj_kinematics(mechanism.model, data)
+    return np.array(data.site_xpos[mechanism.model.site(site).id])
+
+
+def passed_m(plan: Plan, x: float) -> float:
+    """Return how near the foot comes to a height over x at a break of the plan's mesh."""
+    return float(np.abs(foot_of(plan.trajectory.position_at(plan.trajectory.breaks_s))[:, 0] - x).min())
+
+
+def test_a_place_is_passed_at_its_instant():
+    plan = arm_by_way_of({"at": {"foot": VIA}, "time_s": 0.3})
+    assert plan.problem.motion.waypoints[0].at_rows == ()  # it gives the whole pose
+    assert place_at(plan, 0.3) == pytest.approx(VIA, abs=1e-8)
+    assert np.abs(place_at(arm_by_way_of(), 0.3) - VIA).max() > 0.05  # it is no accident
+    assert plan.certificate.site_error_m < 1e-8
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{}, {"mesh": {"scheme": "hermite-simpson"}}, {"mesh": {"scheme": "trapezoid"}}, {"solver": {"name": "fatrop"}}],
+    ids=str,
+)
+def test_what_a_place_leaves_open_stands_where_that_costs_least(settings):
+    plan = arm_by_way_of({"at": {"foot": {"x": VIA[0]}}, "time_s": 0.3}, **settings)
+    found = place_at(plan, 0.3)
+    assert found[0] == pytest.approx(VIA[0], abs=1e-8)
+    again = arm_by_way_of({"at": {"foot": found.tolist()}, "time_s": 0.3}, **settings)
+    assert plan.objective == pytest.approx(again.objective, rel=1e-5)
+    higher = arm_by_way_of({"at": {"foot": [found[0], 0.0, found[2] + 0.05]}, "time_s": 0.3}, **settings)
+    assert plan.objective < 0.999 * higher.objective
+
+
+def test_a_place_at_a_free_instant_costs_less_than_at_a_given_one():
+    free, given = (arm_by_way_of({"at": {"foot": {"x": VIA[0]}}} | time) for time in ({}, {"time_s": 0.3}))
+    assert passed_m(free, VIA[0]) < 1e-8
+    assert free.objective < 0.95 * given.objective
+
+
+def test_a_leg_of_three_links_passes_a_point_in_the_best_pose():
+    motion = {"start_deg": {"J1": 60.0, "J2": 40.0, "J3": 20.0}, "goal_at": {"foot": [0.2, 0.0, -0.3]}, "duration_s": 0.6}
+    plan = plan_of(arm_of(0.25, 0.2, 0.15), motion | {"waypoints": [{"at": {"foot": VIA}, "time_s": 0.3}]})
+    assert plan.problem.motion.waypoints[0].at_rows == (0, 2)
+    assert place_at(plan, 0.3) == pytest.approx(VIA, abs=1e-8)
+
+
+@pytest.mark.slow
+def test_a_closed_loop_passes_a_coordinate():
+    motion = {"start_deg": {"O1": -90.0, "O2": -90.0}, "goal_at": {"P": {"z": -0.25}}, "duration_s": 0.5}
+    plan = plan_of(load_mechanism("five-bar"), motion | {"waypoints": [{"at": {"P": {"x": 0.07}}, "time_s": 0.25}]})
+    assert place_at(plan, 0.25, "P")[0] == pytest.approx(0.07, abs=1e-8)
+    assert plan.certificate.closure_gap_m < 1e-9
+
+
+def test_a_periodic_motion_may_have_its_only_places_on_the_way():
+    motion = {"kind": "periodic", "duration_s": 1.0}
+    via = [{"at": {"foot": {"z": 0.3}}, "time_s": 0.25}, {"at": {"foot": {"z": -0.3}}, "time_s": 0.75}]
+    plan = plan_of(arm_of(UPPER, LOWER), motion | {"waypoints": via})
+    assert [place_at(plan, time)[2] for time in (0.25, 0.75)] == pytest.approx([0.3, -0.3], abs=1e-8)
+
+
+def test_a_certificate_sees_a_waypoint_that_is_missed():
+    plan = arm_by_way_of({"at": {"foot": {"x": VIA[0]}}, "time_s": 0.3})
+    motion = plan.problem.motion
+    moved = replace(motion.waypoints[0].at[0], point=motion.waypoints[0].at[0].point + 1e-4)
+    waypoint = replace(motion.waypoints[0], at=(moved,))
+    found = certify(replace(plan.problem, motion=replace(motion, waypoints=(waypoint,))), plan.trajectory)
+    assert not found.passed
+    assert found.site_error_m == pytest.approx(1e-4, rel=1e-6)
+    assert any("site foot is 0.0001 m away from where motion.waypoints[0].at asks it" in said for said in found.failures)
+    assert any("misses its boundary conditions" in said for said in found.failures)
+
+
+def test_places_on_the_way_are_numbers_of_a_built_program():
+    def asked(at: object) -> dict:
+        return PAST | {"waypoints": [{"at": {"foot": at}, "time_s": 0.3}]}
+
+    planner, mechanism = Planner(), arm_of(UPPER, LOWER)
+    planner.plan(site_problem(mechanism, asked({"x": 0.4})))
+    again = planner.plan(site_problem(mechanism, asked({"x": 0.38})))
+    assert again.solved_again
+    assert place_at(again, 0.3)[0] == pytest.approx(0.38, abs=1e-8)
+    assert again.objective == pytest.approx(plan_motion(again.problem).objective, rel=SAME_FIGURE)
+    kinds = [structure(site_problem(mechanism, asked(at))) for at in ({"x": 0.4}, {"x": 0.3}, {"z": 0.1}, VIA)]
+    assert kinds[0] == kinds[1]
+    assert len({repr(kind) for kind in kinds}) == 3
+
+
+def test_a_place_outside_of_a_limit_is_named_without_solving():
+    waypoints = [{"at": {"foot": {"x": VIA[0]}}, "time_s": 0.3}]
+    plan = plan_motion(site_problem(arm_of(UPPER, LOWER), PAST | {"waypoints": waypoints}, {"foot": {"x": [0.0, 0.35]}}))
+    assert plan.status == "infeasible"
+    assert not plan.history
+    assert_names(plan.message, "x of site foot is 0.4 m at motion.waypoints[0]", "0.05 m beyond its limit of 0.35")
+
+
+REFUSED = [
+    ({"at": {"fot": VIA}}, ["'fot'", "motion.waypoints[0].at", "did you mean 'foot'"]),
+    ({"at": {"foot": [2.0, 0.0, 0.0]}}, ["motion.waypoints[0].at.foot", "out of reach", "comes no nearer than"]),
+    ({"at": {"foot": [0.4, 0.1]}}, ["motion.waypoints[0].at.foot", "[x, y, z]"]),
+    ({"at": {"foot": VIA}, "at_deg": {"J1": 3.0}}, ["waypoints[0].at and", "waypoints[0].at_deg", "keep one"]),
+    ({"at": {"base": [0.0, 0.0, 0.0]}}, ["waypoints[0].at", "does not move"]),
+    ({"at": [0.4, 0.0, 0.1]}, ["motion.waypoints[0].at is a table of site"]),
+    ({"at_foot": VIA}, ["unknown key 'motion.waypoints[0].at_foot'", "at_deg, at_m, at,"]),
+]
+
+
+@pytest.mark.parametrize(("waypoint", "words"), REFUSED, ids=lambda item: str(item)[:60])
+def test_what_cannot_be_meant_is_refused_in_one_line(waypoint, words):
+    said = refusal(lambda: site_problem(arm_of(UPPER, LOWER), PAST | {"waypoints": [waypoint]}), ProblemError)
+    assert_names(said, *words)
+
+
+def test_an_open_place_needs_a_node_where_it_is_passed():
+    waypoints = [{"at": {"foot": {"x": 0.4}}}]
+    said = refusal(
+        lambda: site_problem(arm_of(UPPER, LOWER), PAST | {"waypoints": waypoints}, mesh={"scheme": "gauss-3"}), ProblemError
+    )
+    assert_names(said, "motion.waypoints[0].at", "gauss-3", "radau")
+
+
+def test_a_problem_is_written_and_read_with_its_places(tmp_path):
+    waypoints = [{"at": {"foot": {"x": 0.4}}, "time_s": 0.3}]
+    problem = linkplan.Problem.reach(arm(UPPER, LOWER), **PAST, waypoints=waypoints)
+    (tmp_path / "arm.toml").write_text(problem.to_toml(), encoding="utf-8")
+    again = linkplan.Problem.from_file(tmp_path / "arm.toml")
+    assert again.to_dict() == problem.to_dict()
+    assert again.planning.motion.waypoints[0].at_rows == (0,)
+
+
+def test_a_motion_tells_where_the_sites_are_that_its_problem_names(tmp_path):
+    problem = linkplan.Problem.reach(arm(UPPER, LOWER), **PAST, waypoints=[{"at": {"foot": VIA}, "time_s": 0.3}])
+    plan = linkplan.plan(problem)
+    assert plan.sample(0.3).site["foot"] == pytest.approx(VIA, abs=1e-8)
+    rows = plan.sample(np.array([0.0, 0.6]))
+    assert rows.site["foot"] == pytest.approx(np.array([ABOVE, BELOW]), abs=1e-8)
+    assert list(rows.columns())[-3:] == ["foot_x_m", "foot_y_m", "foot_z_m"]
+    plan.save(tmp_path / "saved")
+    table = np.genfromtxt(tmp_path / "saved" / "trajectory.csv", delimiter=",", names=True)
+    assert table["foot_z_m"][[0, -1]] == pytest.approx([0.35, -0.35], abs=1e-8)
+    with np.load(tmp_path / "saved" / "trajectory.npz") as arrays:
+        assert arrays["site_foot_m"][:, 2] == pytest.approx(table["foot_z_m"], abs=1e-9)
+        assert arrays["time_s"] == pytest.approx(table["time_s"], abs=1e-9)
+    again = linkplan.read_plan(tmp_path / "saved")
+    assert again.sample(0.3).site["foot"] == pytest.approx(VIA, abs=1e-8)
+    joints = {"start_deg": {"J1": 0, "J2": 0}, "goal_deg": {"J1": 9, "J2": 9}}
+    by_joints = linkplan.Problem.reach(arm(UPPER, LOWER), **joints, duration_s=0.5)
+    assert linkplan.plan(by_joints).sample(0.0).site == {}
+
+
+def test_a_slide_that_has_the_name_of_a_sites_column_keeps_it():
+    slide = arm(UPPER, LOWER).replace('name="J2"', 'name="foot_x" type="slide"').replace('joint="J2"', 'joint="foot_x"')
+    motion = {"start_deg": {"J1": 10.0}, "start_m": {"foot_x": 0.0}, "goal_deg": {"J1": 40.0}, "goal_m": {"foot_x": 0.02}}
+    problem = linkplan.Problem.reach(slide, **motion, duration_s=0.5, limits={"site": {"foot": {"z": [-1.0, 1.0]}}})
+    columns = linkplan.plan(problem).require().sample(np.array([0.0])).columns()
+    assert columns["foot_x_m"] == pytest.approx(0.0, abs=1e-12)
+    assert columns["site_foot_x_m"][0] > 0.1

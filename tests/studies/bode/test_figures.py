@@ -1,0 +1,71 @@
+"""Figures of feedback loops: every pose is seen and told from the others, and no legend lies on a curve."""
+
+import tempfile
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from linkplan.studies.cli.main import main
+from tests.support.figures import curves, saved_figures
+
+pytestmark = pytest.mark.slow
+
+
+@cache
+def drawn(what: str, *options: str) -> dict[str, Figure]:
+    """Return the figures of `bode` without measurements by name."""
+    with pytest.MonkeyPatch.context() as patch, tempfile.TemporaryDirectory() as place:
+        figures = saved_figures(patch)
+        assert main(["bode", what, "--measure", "none", "-o", str(Path(place) / "drawn"), *options]) in (0, 1)
+    return figures
+
+
+# Poses asked for are not scanned between: no margins.png, and quick.
+POSES = [f"--at-deg=O={angle}" for angle in (-80, -60, -40, -20, 0, 20, 40, 76)]
+
+
+def test_the_open_loop_of_an_unstable_gain_is_in_its_frame_and_named():
+    figures = drawn("optimus-knee", "--kp", "200", "--kd", "10", *POSES)
+    (axes,) = figures["nyquist.png"].axes
+    lines = {name: data for name, data in curves(axes).items() if name.startswith("O =")}
+    assert len(lines) > 6
+    looks = {(line.get_color(), line.get_linestyle()) for line in axes.lines if line.get_label() in lines}
+    assert len(looks) == len(lines)  # more poses than colours
+    assert sum(name.endswith("(unstable)") for name in lines) > 5
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    for name, (x, y) in lines.items():
+        assert np.any((x > left) & (x < right) & (y > low) & (y < high)), name
+    assert max(abs(x[np.nanargmin(np.hypot(x, y))]) for x, y in lines.values()) > 2.5  # beyond the frame as it was
+
+
+@pytest.mark.parametrize("name", ["optimus-knee", "five-bar-reach"])
+def test_no_legend_lies_on_an_axes_and_no_page_grows_wider_for_one(name):
+    figures = drawn(name)
+    assert len(figures) >= 4
+    for file, figure in figures.items():
+        FigureCanvasAgg(figure).draw()
+        legends = [*figure.legends, *(axes.get_legend() for axes in figure.axes if axes.get_legend())]
+        assert legends, file
+        for legend in legends:
+            box = legend.get_window_extent()
+            assert box.x0 > -1 and box.x1 < figure.bbox.width + 1, file  # noqa: PT018
+            for axes in figure.axes:
+                assert not axes.bbox.shrunk(0.99, 0.99).overlaps(box), (file, axes.get_ylabel())
+
+
+def test_dots_are_named_only_where_there_are_some():
+    figures = drawn("optimus-knee", *POSES)
+    said = [text.get_text() for figure in figures.values() for text in figure.findobj(lambda one: hasattr(one, "get_text"))]
+    assert any("disk margin" in text for text in said)
+    assert not any("MuJoCo" in text for text in said)
+
+
+def test_the_highest_margin_is_below_the_top_of_its_axes():
+    figures = drawn("five-bar-reach")
+    axes = figures["margins-O2.png"].axes[1]
+    highest = max(float(np.nanmax(y)) for name, (_, y) in curves(axes).items() if "margin" in name)
+    assert axes.get_ylim()[1] > 1.05 * highest

@@ -1,0 +1,97 @@
+"""What somebody types who has not read the manual: one line that says what was meant, exit code 2, and nothing lost."""
+
+import pytest
+
+from linkplan.studies.cli.main import main
+
+PROBLEM = """[mechanism]
+model = "optimus-knee"
+[motion]
+kind = "reach"
+start_deg = { O = -49.07 }
+goal_deg = { O = 56.27 }
+duration_s = 0.16
+"""
+SAVED = ("plan.json", "trajectory.npz", "trajectory.csv", "plan.png")
+# command line, words that its one line must hold
+TYPED = [
+    # in the wrong order
+    (["--json", "plan", "leg.toml"], ["'--json' comes after the command: linkplan plan leg.toml --json"]),
+    (["-o", "out", "plan", "leg.toml"], ["'-o' comes after the command: linkplan plan leg.toml -o out"]),
+    (
+        ["--set", "mesh.scheme=gauss-3", "plan", "leg.toml"],
+        ["'--set' comes after the command: linkplan plan leg.toml --set"],
+    ),
+    (["--json"], ["'--json' is an option of a command and comes after it"]),
+    (["leg.toml", "plan"], ["comes after the command: linkplan plan leg.toml"]),
+    (["leg.toml"], ["did you mean 'linkplan plan leg.toml'?"]),
+    (["mine.xml"], ["did you mean 'linkplan check mine.xml'?"]),
+    (["help", "plan"], ["did you mean '--help'?"]),
+    (["version"], ["did you mean '--version'?"]),
+    (["-v"], ["unknown option '-v'"]),
+    (["plan", "leg.toml", "-q"], ["unknown option '-q'", "--output"]),
+    (["plan", "leg.toml", "--verbose"], ["unknown option '--verbose'; options are"]),  # near to none, and not to --set
+    # without quotes
+    (
+        ["plan", "leg.toml", "--set", "motion.duration_s", "=", "0.2"],
+        ["linkplan plan: 2 words too many, '= 0.2'", "in quotes"],
+    ),
+    (
+        ["plan", "leg.toml", "--set", "motion.goal_deg={", "O", "=", "10", "}"],
+        ["4 words too many", "--set 'motion.goal_deg ="],
+    ),
+    (["plan", "my", "leg.toml"], ["1 word too many, 'leg.toml'; a name with spaces stands in quotes"]),
+    # a plan's folder where a problem or a model belongs, and the reverse
+    (["plan", "planned"], ["problem 'planned' is a saved plan, which track, compare and view take"]),
+    (["plan", "planned/plan.json"], ["a file of the saved plan 'planned'", "TOML"]),
+    (["plan", "planned/trajectory.csv"], ["a file of the saved plan 'planned'"]),
+    (["check", "planned"], ["model 'planned' is a saved plan", "MJCF"]),
+    (["bode", "planned"], ["model 'planned' is a saved plan"]),
+    (["batch", "planned"], ["batch 'planned' is a saved plan", "[sweep]"]),
+    (["batch", "."], ["batch '.' is a folder; a batch is a TOML file"]),
+    (["track", "planned/plan.json"], ["a file of the saved plan 'planned'", "name its folder"]),
+    (["batch", "leg.toml"], ["batch 'leg.toml' is a problem file, which plan takes"]),
+    (["plan", "sweep.toml"], ["'sweep.toml' is a batch file, which batch takes"]),
+    # units
+    (["plan", "leg.toml", "--set", "motion.goal_rad.O=1"], ["did you mean 'goal_deg'?"]),
+    (["plan", "leg.toml", "--set", "motion.duration_ms=160"], ["did you mean 'duration_s'?"]),
+    (["plan", "leg.toml", "--set", "limits.speed_rad_s.O=3"], ["did you mean 'speed_deg_s'?"]),
+    (["plan", "leg.toml", "--set", "motion.duration_s=160ms"], ["motion.duration_s is a positive number", "'160ms'"]),
+    (["plan", "leg.toml", "--set", "motion.goal_deg.O=1e6"], ["motion.goal_deg of joint O", "100 turns", "36000", "1e+06"]),
+    (["plan", "leg.toml", "--set", "motion.start_deg.O=-40000"], ["motion.start_deg of joint O", "got -40000"]),
+    (["plan", "leg.toml", "--set", "limits.effort.O=5"], ["actuator in limits.effort 'O'", "act_O"]),  # the name before 5
+]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    (tmp_path / "leg.toml").write_text(PROBLEM, encoding="utf-8")
+    (tmp_path / "sweep.toml").write_text('problem = "leg.toml"\n[sweep]\n"motion.goal_deg.O" = [45, 50]\n', encoding="utf-8")
+    (tmp_path / "planned").mkdir()
+    for name in SAVED:
+        (tmp_path / "planned" / name).write_text("{}", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(("argv", "words"), TYPED, ids=[" ".join(argv) for argv, _ in TYPED])
+def test_it_is_refused_in_a_line_that_says_what_was_meant(argv, words, here, capsys):
+    before = sorted(here.rglob("*"))
+    code = main(argv)
+    out, err = capsys.readouterr()
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    for word in words:
+        assert word in err
+    assert sorted(here.rglob("*")) == before
+
+
+def test_a_goal_of_thousands_of_turns_is_no_work_for_check(capsys):
+    assert main(["check", "slider-crank-turn", "--set", "motion.goal_deg.O=1e6"]) == 0
+    assert "the problem cannot be planned: motion.goal_deg of joint O is within 100 turns" in capsys.readouterr().out
+
+
+def test_a_line_that_is_suggested_is_one_that_runs(capsys):
+    assert main(["--json", "list"]) == 2
+    line = capsys.readouterr().err.partition("command: linkplan ")[2].partition(" (")[0]
+    assert main(line.split()) == 0
+    assert capsys.readouterr().out.startswith("{")
