@@ -22,8 +22,8 @@ from linkplan.planner.search.least_time import shortest_motion
 from linkplan.planner.search.phase_plane import stretched
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.bernstein import bernstein_value
 from linkplan.planner.transcription.mesh import Mesh
-from linkplan.planner.transcription.schemes import bernstein_value
 
 # Efforts that hold a pose are within their limits and miss no more than this share of the largest; a wait shorter than this
 # share of the duration is none.

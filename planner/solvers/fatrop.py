@@ -8,7 +8,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.interrupts import asked
@@ -18,6 +17,7 @@ from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.program import Program, build_program
 from linkplan.planner.transcription.system import Endpoint
+from linkplan.planner.transcription.triplets import Triplets, no_rows, pattern, scatter
 
 # FATROP relaxes every bound by this share of its size, and of one where that is larger; no option of its own stops it.
 _RELAXED = 1e-8
@@ -170,7 +170,7 @@ def _staged(
     # Every interval reads its duration in its own stage: a segment for each.
     inner = replace(layout, n_segments=n, n_extra=0)
     mesh = Mesh(fraction=np.ones(n), segment=np.arange(n))
-    base = build_program(inner, mesh, interval, sp.csr_matrix((0, inner.size)), np.zeros(inner.size))
+    base = build_program(inner, mesh, interval, no_rows(inner.size), np.zeros(inner.size))
     durations = [stages.at(layout.durations()[j], k) for k, j in enumerate(program.mesh.segment)]
     into = np.concatenate([stages.home[: inner.size - n], durations])  # (inner.size,) the y of each unknown of `base`
     n_y, n_p = len(stages.source), base.functions["nlp"].size1_in(1)
@@ -196,21 +196,21 @@ def _staged(
 
     f, own_rows = base.functions["nlp"](x, q)
     f += ca.sum1(timed[extra]) + (ends["cost"](*at_end) if ends else 0)
-    flat = _sparse(linear) @ timed
+    flat = linear.dm() @ timed
     end_rows = [ends["rows"](*at_end)] if ends else []
     rows = ca.vertcat(own_rows, flat[:n_linear], *end_rows, flat[n_linear:])[order.tolist()]
 
     J = base.functions["jac_g"]
     i, j = _places(J, 1)
-    at_rows = [i, np.where(linear.row < n_linear, base.n_rows + linear.row, base.n_rows + n_ends + linear.row)]
-    at_columns, values = [into[j], linear.col], [_nonzeros(J(x, q)[1]), ca.DM(linear.data)]
-    gradient = _scatter(into, n_y) @ base.functions["grad_f"](x, q)[1]
+    at_rows = [i, np.where(linear.rows < n_linear, base.n_rows + linear.rows, base.n_rows + n_ends + linear.rows)]
+    at_columns, values = [into[j], linear.columns], [_nonzeros(J(x, q)[1]), ca.DM(linear.values)]
+    gradient = scatter(into, n_y) @ base.functions["grad_f"](x, q)[1]
     gradient += ca.DM(np.bincount(np.array(extra, dtype=int), minlength=n_y).astype(float))
     if ends:
         i, j = _places(ends["jacobian"], 0)
         at_rows, at_columns = [*at_rows, base.n_rows + n_linear + i], [*at_columns, last[j]]
         values.append(_nonzeros(ends["jacobian"](*at_end)))
-        gradient += _scatter(last, n_y) @ ends["gradient"](*at_end)
+        gradient += scatter(last, n_y) @ ends["gradient"](*at_end)
     jacobian = _assembled(values, place[np.concatenate(at_rows)], np.concatenate(at_columns), (len(order), n_y))
 
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", len(order))
@@ -254,14 +254,14 @@ def _staged(
     return functions, order, np.bincount(stage[rank == 2], minlength=n + 1).tolist()
 
 
-def _linear(program: Program, stages: Stages, pairs: np.ndarray) -> sp.coo_matrix:
+def _linear(program: Program, stages: Stages, pairs: np.ndarray) -> Triplets:
     """Return the linear rows in y, each in its stage, then a row (copy - what it copies) for each pair."""
-    given, n = sp.coo_matrix(program.linear), program.linear.shape[0]
-    columns = [stages.at(unknown, stages.linear[row]) for row, unknown in zip(given.row, given.col, strict=True)]
-    rows = np.concatenate([given.row, np.repeat(n + np.arange(len(pairs)), 2)])
-    values = np.concatenate([given.data, np.tile([1.0, -1.0], len(pairs))])
+    given, n = program.linear, program.linear.shape[0]
+    columns = [stages.at(unknown, stages.linear[row]) for row, unknown in zip(given.rows, given.columns, strict=True)]
+    rows = np.concatenate([given.rows, np.repeat(n + np.arange(len(pairs)), 2)])
+    values = np.concatenate([given.values, np.tile([1.0, -1.0], len(pairs))])
     columns = np.concatenate([np.array(columns, dtype=int), pairs.ravel()])
-    return sp.coo_matrix((values, (rows, columns)), shape=(n + len(pairs), len(stages.source)))
+    return Triplets(rows=rows, columns=columns, values=values, shape=(n + len(pairs), len(stages.source)))
 
 
 def _ends(endpoint: Endpoint, layout: Layout, stages: Stages, last: np.ndarray) -> dict[str, ca.Function]:
@@ -306,20 +306,7 @@ def _nonzeros(matrix: ca.MX) -> ca.MX:
     return ca.vec(matrix.nz[:])
 
 
-def _sparse(matrix: sp.spmatrix) -> ca.DM:
-    csc = sp.csc_matrix(matrix)
-    csc.sort_indices()
-    return ca.DM(ca.Sparsity(csc.shape[0], csc.shape[1], csc.indptr.tolist(), csc.indices.tolist()), csc.data)
-
-
-def _scatter(target: np.ndarray, size: int) -> ca.DM:
-    """Return the matrix (size, n) that adds value i to place target[i]."""
-    return _sparse(sp.coo_matrix((np.ones(len(target)), (target, np.arange(len(target)))), shape=(size, len(target))))
-
-
 def _assembled(values: list, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> ca.MX:
     """Return the sparse matrix of triplets at places that all differ."""
     order = np.lexsort((rows, columns))
-    begins = np.searchsorted(columns[order], np.arange(shape[1] + 1))
-    pattern = ca.Sparsity(shape[0], shape[1], begins.tolist(), rows[order].tolist())
-    return ca.MX(pattern, ca.vertcat(*values)[order.tolist()])
+    return ca.MX(pattern(rows[order], columns[order], shape), ca.vertcat(*values)[order.tolist()])

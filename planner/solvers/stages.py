@@ -10,10 +10,10 @@ state, copied unchanged, for as far as rows ask for it. So every program of `pla
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from linkplan.planner.transcription.program import Program
 from linkplan.planner.transcription.system import Endpoint
+from linkplan.planner.transcription.triplets import Triplets
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -94,11 +94,11 @@ def stages_of(program: Program, endpoint: Endpoint | None) -> Stages:
     )
 
 
-def _stages_of_rows(linear: sp.csr_matrix, begins: np.ndarray, last: np.ndarray) -> np.ndarray:
+def _stages_of_rows(linear: Triplets, begins: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Return each row's stage, that of its latest unknown; unknowns that it needs there then last until there."""
     stages = np.zeros(linear.shape[0], dtype=int)
     for row in range(linear.shape[0]):
-        columns = linear.indices[linear.indptr[row] : linear.indptr[row + 1]]
+        columns = linear.columns[linear.rows == row]
         stages[row] = begins[columns].max()
         np.maximum.at(last, columns, stages[row])
     return stages

@@ -4,13 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.sparse as sp
 
 from linkplan.planner.transcription.formulation import Formulation
 from linkplan.planner.transcription.interval import IntervalFunctions
 from linkplan.planner.transcription.junctions import ROOM, places
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.transcription.triplets import Triplets, no_rows
 
 # Free segments may shrink to this share of their guessed duration, or grow by that factor of the whole, and no further.
 _SHORTEST_SEGMENT = 0.02
@@ -47,12 +47,20 @@ class _Rows:
 
     def stacked(self, size: int):
         if not self.columns:
-            return sp.csr_matrix((0, size)), np.zeros(0), np.zeros(0)
-        matrices = []
-        for columns, values in zip(self.columns, self.values, strict=True):
-            row = np.repeat(np.arange(len(columns)), columns.shape[1])
-            matrices.append(sp.csr_matrix((values.ravel(), (row, columns.ravel())), shape=(len(columns), size)))
-        return sp.vstack(matrices).tocsr(), np.concatenate(self.lower), np.concatenate(self.upper)
+            return no_rows(size), np.zeros(0), np.zeros(0)
+        counts = [len(columns) for columns in self.columns]
+        firsts = np.cumsum([0, *counts])
+        rows = [
+            first + np.repeat(np.arange(n), columns.shape[1])
+            for first, n, columns in zip(firsts, counts, self.columns, strict=False)
+        ]
+        linear = Triplets(
+            rows=np.concatenate(rows),
+            columns=np.concatenate([columns.ravel() for columns in self.columns]),
+            values=np.concatenate([values.ravel() for values in self.values]),
+            shape=(int(firsts[-1]), size),
+        )
+        return linear, np.concatenate(self.lower), np.concatenate(self.upper)
 
 
 def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, bang: np.ndarray | None):

@@ -11,12 +11,12 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import scipy.sparse as sp
 
 from linkplan.planner.transcription.interval import IntervalFunctions
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.system import Endpoint
+from linkplan.planner.transcription.triplets import Triplets, pattern, scatter
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -31,14 +31,14 @@ class Program:
     mesh: Mesh
     functions: dict[str, ca.Function]  # "nlp", "grad_f", "jac_g", "hess_lag"
     n_rows: int
-    linear: sp.csr_matrix
+    linear: Triplets
 
 
 def build_program(
     layout: Layout,
     mesh: Mesh,
     interval: IntervalFunctions,
-    linear: sp.spmatrix,
+    linear: Triplets,
     cost: np.ndarray,
     endpoint: Endpoint | None = None,
 ) -> Program:
@@ -63,8 +63,7 @@ def build_program(
     P = ca.reshape(p[:size], size // n, n)
     share, eta, theta = P[0, :], P[1 : 1 + n_eta, :], P[1 + n_eta :, :]
     ends = _Ends(endpoint, layout, x, p[size:]) if endpoint else None
-    linear = sp.csr_matrix(linear)
-    A, c = _casadi_sparse(linear), ca.DM(cost)
+    A, c = linear.dm(), ca.DM(cost)
     points = ca.reshape(interval.nodes.map(n)(w, share), (m + n_open_ends) * n_xi, n)
     xi, theta_nodes = ca.reshape(points[: m * n_xi, :], n_xi, m * n), ca.reshape(theta[: m * n_theta, :], n_theta, m * n)
     open_ends = _OpenEnds(interval, points[m * n_xi :, :], theta[m * n_theta :, :])
@@ -82,12 +81,11 @@ def build_program(
     node_jacobian, running_gradient = interval.node_jacobian.map(m * n)(xi, theta_nodes)
     values = interval.chain_jacobian.map(n)(w, share, eta, node_jacobian, open_ends.jacobian)
     rows, columns = interval.jacobian_pattern
-    extra = sp.coo_matrix(linear)
     global_rows = (rows[None, :] + interval.n_rows * np.arange(n)[:, None]).ravel()
-    global_rows = np.concatenate([global_rows, extra.row + n * interval.n_rows])
-    global_columns = np.concatenate([gather[:, columns].ravel(), extra.col])
+    global_rows = np.concatenate([global_rows, linear.rows + n * interval.n_rows])
+    global_columns = np.concatenate([gather[:, columns].ravel(), linear.columns])
     n_rows = n * interval.n_rows + linear.shape[0]
-    nonzeros = ca.vertcat(ca.vec(values), ca.DM(extra.data))
+    nonzeros = ca.vertcat(ca.vec(values), ca.DM(linear.values))
     if ends:
         nonzeros = ca.vertcat(nonzeros, ends.jacobian)
         global_rows = np.concatenate([global_rows, n_rows + ends.jacobian_places[0]])
@@ -96,9 +94,9 @@ def build_program(
     jacobian = _assemble(nonzeros, global_rows, global_columns, (n_rows, layout.size))
 
     gradients = interval.chain_gradient.map(n)(w, share, eta, node_rows[n_f, :], running_gradient)
-    gradient = _scatter(gather.ravel(), layout.size) @ ca.vec(gradients) + c
+    gradient = scatter(gather.ravel(), layout.size) @ ca.vec(gradients) + c
     if ends:
-        gradient += _scatter(ends.gradient_places, layout.size) @ ends.gradient
+        gradient += scatter(ends.gradient_places, layout.size) @ ends.gradient
 
     lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)
     lam = ca.reshape(lam_g[: n * interval.n_rows], interval.n_rows, n)
@@ -225,28 +223,13 @@ def _gather(layout: Layout, mesh: Mesh) -> np.ndarray:
     return np.hstack([block, layout.durations()[mesh.segment][:, None]])
 
 
-def _casadi_sparse(matrix: sp.spmatrix) -> ca.DM:
-    csc = sp.csc_matrix(matrix)
-    csc.sort_indices()
-    sparsity = ca.Sparsity(csc.shape[0], csc.shape[1], csc.indptr.tolist(), csc.indices.tolist())
-    return ca.DM(sparsity, csc.data)
-
-
-def _scatter(target: np.ndarray, size: int) -> ca.DM:
-    """Return the matrix (size, n) that adds value i to place target[i]."""
-    n = len(target)
-    return _casadi_sparse(sp.coo_matrix((np.ones(n), (target, np.arange(n))), shape=(size, n)))
-
-
 def _assemble(values: ca.MX, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]) -> ca.MX:
     """Return the sparse matrix of triplets, equal places added."""
     key = columns * shape[0] + rows
     places, inverse = np.unique(key, return_inverse=True)
-    pattern = sp.csc_matrix((np.ones(len(places)), (places % shape[0], places // shape[0])), shape=shape)
-    pattern.sort_indices()
-    sparsity = ca.Sparsity(shape[0], shape[1], pattern.indptr.tolist(), pattern.indices.tolist())
+    sparsity = pattern(places % shape[0], places // shape[0], shape)
     if len(places) == len(key):
         order = np.empty(len(key), dtype=int)
         order[inverse] = np.arange(len(key))
         return ca.MX(sparsity, values[order.tolist()])
-    return ca.MX(sparsity, _scatter(inverse, len(places)) @ values)
+    return ca.MX(sparsity, scatter(inverse, len(places)) @ values)

@@ -148,7 +148,7 @@ def test_the_last_rows_are_the_linear_ones(case):
     rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()
     n_linear = program.linear.shape[0]
     assert len(rows) == program.n_rows == program.mesh.n_intervals * program.interval.n_rows + n_linear
-    np.testing.assert_allclose(rows[len(rows) - n_linear :], program.linear @ x, atol=DERIVATIVE)
+    np.testing.assert_allclose(rows[len(rows) - n_linear :], np.array(program.linear.dm() @ x).ravel(), atol=DERIVATIVE)
 
 
 @every_case
