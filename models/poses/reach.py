@@ -11,7 +11,6 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import advance, led, step_sizes
 from linkplan.models.poses.singular_poses import (
-    all_regular,
     closure_rank,
     dips,
     has_one_way_on,
@@ -100,12 +99,6 @@ def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
         return False
     kept = (poses >= ranges[:, 0] - _RANGE_SLACK) & (poses <= ranges[:, 1] + _RANGE_SLACK)
     return bool(np.all(kept))
-
-
-def is_regular(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> bool:
-    """Return whether no pose on the straight way from a pose `start` (n_q,) to s (n_s,) is near a singular one."""
-    poses = _way(mechanism, start, s)
-    return poses is not None and all_regular(mechanism, poses)
 
 
 def _way(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> np.ndarray | None:

@@ -1,5 +1,7 @@
 """Before any solving: is the problem within what the mechanism can do at all, and is there a plain contradiction in it?"""
 
+import functools
+
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
@@ -7,15 +9,16 @@ from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.poses.reach import Reach, is_open, is_regular, reach
+from linkplan.models.poses.reach import Reach, is_open, reach
+from linkplan.models.poses.singular_poses import all_regular
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.certificate.site_margins import SITE_SLACK, title
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.sites import SiteLimit, SitePoint
 from linkplan.planner.search.turning import check_turns
 
-# Poses looked at between start and goal of a single freedom.
-_BETWEEN = 401
+# Poses looked at between start and goal of a single freedom; for singular ones, each so many-th.
+_BETWEEN, _EVERY = 401, 4
 # What is said of them; what poses on the way [rad or m] and, as a share, the margin to singular poses may be off by: less
 # than that is left to the solver and the certificate.
 _PASSES, _ROUNDING = "between start and goal, where every motion of one degree of freedom passes", 1e-6
@@ -134,7 +137,8 @@ def _branches_on_the_way(problem: PlanningProblem) -> str | None:
     mechanism, motion = problem.mechanism, problem.motion
     if mechanism.dof != 1 or motion.start is None or motion.goal is None:
         return None
-    if is_regular(mechanism, close_at(mechanism, motion.start), motion.goal):
+    way = _only_way(problem)
+    if way is not None and all_regular(mechanism, way[::_EVERY]):
         return None
     low, high = sorted((float(motion.start[0]), float(motion.goal[0])))
     (joint,) = mechanism.independent_joints
@@ -185,6 +189,7 @@ def _on_the_only_way(problem: PlanningProblem) -> str | None:
     return _tendon_beyond(problem, poses, _PASSES) or next((found for found in beyond if found), None)
 
 
+@functools.lru_cache(maxsize=4)
 def _only_way(problem: PlanningProblem) -> np.ndarray | None:
     """Return poses (n, n_q) between start and goal of a single freedom, all of which every motion passes; None elsewhere."""
     mechanism, motion = problem.mechanism, problem.motion

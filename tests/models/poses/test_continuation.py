@@ -9,7 +9,8 @@ from linkplan.models.poses import assembly
 from linkplan.models.poses.along import evaluated
 from linkplan.models.poses.assembly import advance, follow, led, step_sizes
 from linkplan.models.poses.continuation import stride_along
-from linkplan.models.poses.reach import is_open, is_regular, reach
+from linkplan.models.poses.reach import is_open, reach
+from linkplan.models.poses.singular_poses import all_regular
 
 # Rounding of poses [rad or m].
 ASSEMBLY = 1e-12
@@ -85,8 +86,8 @@ def test_a_way_is_open_as_far_as_the_reach_goes():
         assert not is_open(mechanism, np.array([end - inwards * 0.02]))
 
 
-def test_a_way_past_a_nearly_singular_pose_is_not_regular():
+def test_poses_past_a_nearly_singular_one_are_not_all_regular():
     mechanism = load_mechanism("optimus-knee")
     end = reach(mechanism).upper.position
-    assert is_regular(mechanism, mechanism.home, np.array([0.2]))
-    assert not is_regular(mechanism, mechanism.home, np.array([end - 1e-4]))
+    assert all_regular(mechanism, follow(mechanism, np.linspace([0.0], [0.2], 20)))
+    assert not all_regular(mechanism, follow(mechanism, np.linspace([0.0], [end - 1e-4], 20)))
