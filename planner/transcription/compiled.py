@@ -164,7 +164,8 @@ def compile_beside(key: str, functions: IntervalFunctions) -> subprocess.Popen |
         try:
             said, command = _written(functions, work, key)
             (work / f"{key}.said").write_text(json.dumps(said), encoding="utf-8")
-            finish = [sys.executable, "-m", "linkplan.planner.transcription.finish_compiling"]
+            # -P: nothing in the folder where the planner runs is imported.
+            finish = [sys.executable, "-P", "-m", "linkplan.planner.transcription.finish_compiling"]
             nothing, passed = subprocess.DEVNULL, () if lock is None else (lock,)
             # Its own session: an interrupt that ends the planner does not end it. It holds the folder's lock.
             return subprocess.Popen(
