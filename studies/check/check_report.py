@@ -70,8 +70,11 @@ def ratio_unit(joint: Joint, actuator_unit: str) -> str:
     return "m" if joint.kind == "hinge" else "1/m"
 
 
-def path_text(path: KinematicLoopPath) -> str:
-    """Return the table of a path, the quantities that stay the same, and where its weight cannot be held."""
+def path_text(path: KinematicLoopPath, *, brief: bool = False) -> str:
+    """Return the table of a path, the quantities that stay the same, and where its weight cannot be held.
+
+    A brief one of a reach is the table of the coordinate's own quantities, its actuators' and the closures'; empty without.
+    """
     mechanism = path.mechanism
     at = np.unique(np.linspace(0, len(path.poses) - 1, _ROWS).astype(int))
     where = [
@@ -80,9 +83,14 @@ def path_text(path: KinematicLoopPath) -> str:
         if path.coordinate in (None, column)
         for shown in [np.array([float(joint.said(x, _EXACT)) for x in s])]
     ]
-    columns = quantities(path)
+    columns = [column for column in quantities(path) if not brief or _concerns(path, column)]
     varying = [*where, *(column for column in columns if not column.is_constant)]
     constant = [column.said() for column in columns if column.is_constant]
+    if brief:
+        lines = [f"along {path.title}:", table([c.title for c in varying], [[c.cell(k) for c in varying] for k in at])]
+        said = [*weight_sentences(path), *unheld_sentences(path)]
+        changes = len(varying) > len(where)
+        return "\n".join([*lines[: 1 + changes], *said]) if said or changes else ""
     lines = [f"along {path.title}, at rest ({len(at)} of {len(path.poses)} poses):"]
     if len(varying) > len(where):
         lines.append(table([column.title for column in varying], [[column.cell(k) for column in varying] for k in at]))
@@ -93,6 +101,15 @@ def path_text(path: KinematicLoopPath) -> str:
     if constant:
         lines.append(f"the same at every pose: {', '.join(constant)}")
     return "\n".join([*lines, *weight_sentences(path), *unheld_sentences(path)])
+
+
+def _concerns(path: KinematicLoopPath, column: Column) -> bool:
+    """Return whether a quantity is the leading coordinate's own, one of its actuators', or a closure's."""
+    if path.coordinate is None or column.head.startswith(("det", "force")):
+        return True
+    of = np.flatnonzero(acts(path)[path.coordinate])
+    names = [path.mechanism.independent_joints[path.coordinate].name, *(path.mechanism.actuators[j].name for j in of)]
+    return any(column.head.endswith(f" {name}") for name in names)
 
 
 def _scale(values: np.ndarray) -> float:

@@ -11,6 +11,9 @@ from linkplan.studies.check.inspection import Inspection, inspect, inspection_re
 from linkplan.studies.check.inspection_text import inspection_text
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, motion_path, path_record, reach_paths
 
+# Tables of more coordinates than this, each with the quantities of all of them, are read by nobody: half a megabyte of 42.
+_MANY = 6
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class WholeCheck:
@@ -40,7 +43,13 @@ class WholeCheck:
 
     def text(self) -> str:
         """Return the findings for people."""
-        return "\n\n".join([inspection_text(self.found), *(path_text(path) for path in self.paths)])
+        brief = len(self.paths) > _MANY
+        paths = [text for path in self.paths if (text := path_text(path, brief=brief))]
+        left_out = [
+            f"of {len(self.paths)} coordinates each has its own quantities above, at rest, where they change along its"
+            " reach; --json has all of them"
+        ]
+        return "\n\n".join([inspection_text(self.found), *paths, *(left_out if brief else [])])
 
 
 def check_whole(

@@ -1,0 +1,48 @@
+"""The report on a mechanism of many coordinates: each with its own quantities, in a length that is read."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.studies.check.whole_check import check_whole
+
+
+def chain(n):
+    joints = range(n)
+    opened = "".join(
+        f"<body name='b{i}' pos='0 0 -0.2'><joint name='j{i}' axis='{1 - i % 2} {i % 2} 0' range='-60 60'/>"
+        "<geom type='capsule' fromto='0 0 0 0 0 -0.2' size='0.02' contype='0' conaffinity='0'/>"
+        for i in joints
+    )
+    motors = "".join(f"<motor name='m{i}' joint='j{i}' ctrlrange='-50 50'/>" for i in joints)
+    return f"<mujoco><worldbody>{opened}{'</body>' * n}</worldbody><actuator>{motors}</actuator></mujoco>"
+
+
+@pytest.fixture(scope="module")
+def wholes():
+    return {n: check_whole(load_mechanism(chain(n)), None) for n in (3, 8)}
+
+
+def test_of_few_coordinates_all_quantities_are_said(wholes):
+    text = wholes[3].text()
+    assert text.count("the same at every pose") == 3
+    assert "--json has all of them" not in text
+
+
+def test_of_many_each_has_its_own(wholes):
+    text = wholes[8].text()
+    assert "the same at every pose" not in text
+    assert "of 8 coordinates each has its own quantities above" in text
+    own = next(part for part in text.split("\n\n") if part.startswith("along the reach of j7"))
+    head = own.splitlines()[1]
+    assert "weight alone j7 [N.m]" in head
+    assert "hold m7 [N.m]" in head
+    assert "j6" not in head
+    assert "m6" not in head
+
+
+def test_what_it_says_is_what_the_whole_record_has(wholes):
+    path = next(p for p in wholes[8].paths if p.coordinate == 7)
+    own = wholes[8].text().split("along the reach of j7")[1].splitlines()
+    assert f"{path.holding_effort[0, 7]:.4g}" in next(line for line in own if line.startswith("-60 "))
+    assert np.abs(path.holding_effort[0, 7]) > 0
