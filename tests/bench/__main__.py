@@ -1,5 +1,4 @@
-"""`make bench`: what plans cost and what is exact for it, beside programs written by hand and
-in other packages; eight minutes in all.
+"""`make bench`: what plans cost and how exact they are, beside other people's programs; eight minutes in all.
 
 Only ratios within one run mean anything on a shared machine; the medians beside them say what they are ratios of. Parts can
 be named: `python -m tests.bench peer shares`. Tables are printed, figures and CSV go to bench-results/, progress to stderr.

@@ -3,8 +3,8 @@
 Separated Hermite-Simpson (Kelly, SIAM Review 59, 2017, sec. 4) on the closed-form four-bar, typed in, with IPOPT. Torques
 are bounded at nodes and midpoints, which is all that such a program does: between them the quadratic goes where it likes.
 
-Used well: a program that is solved once is not expanded (`expand` halves a solve or better, and takes 2 s to build), one that
-is solved again is, and begins from the last answer with its multipliers, without Opti's own checks around it.
+Used well: a program that is solved once is not expanded (`expand` halves a solve or better, and takes 2 s to build), one
+that is solved again is, and begins from the last answer with its multipliers, without Opti's own checks around it.
 """
 
 from collections.abc import Callable

@@ -48,7 +48,7 @@ def by_rockit(duration: float | None) -> Answer:
     ocp.set_der(v, acceleration_function()(q, v, u))
     for condition in (ocp.at_t0(q) == START, ocp.at_t0(v) == 0, ocp.at_tf(q) == goal, ocp.at_tf(v) == 0):
         ocp.subject_to(condition)
-    ocp.subject_to(-LIMIT <= (u <= LIMIT), include_last=False)
+    ocp.subject_to((u <= LIMIT) >= -LIMIT, include_last=False)
     ocp.add_objective(ocp.T if duration is None else ocp.integral(u**2))
     guessed = _GUESSED if duration is None else duration
     ocp.set_initial(q, START + (GOAL - START) * ocp.t / guessed)

@@ -1,4 +1,4 @@
-"""The part of `make bench` on whole plans: the time of each, of first solves and re-solves beside other people's programs."""
+"""The part of `make bench` on whole plans: the time of each, and beside other people's programs, first and again."""
 
 import itertools
 import os
@@ -19,7 +19,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.replan import Planner
 from linkplan.studies.output.tables import table
-from tests.bench.packages import INTERVALS, installed
+from tests.bench.packages import installed
 from tests.bench.shares import timed_solves
 from tests.bench.timing import EXACT_TIME, GOAL, REPEATS, first_solve, medians_s, over, own_cache, say
 
