@@ -137,8 +137,8 @@ def _again(name: str, duration: float | None, held: list[list[object]]) -> str:
 
 
 def _in_turn(solve: Callable[[float], object]) -> Callable[[], object]:
-    """Return what solves for two goals in turn."""
-    goals = itertools.cycle([np.radians(55.0), GOAL])
+    """Return what solves for two goals in turn, each time a hundredth of a degree nearer: none is ever asked for twice."""
+    goals = (goal - np.radians(0.01) * k for k in itertools.count() for goal in (np.radians(55.0), GOAL))
     return lambda: solve(next(goals))
 
 
