@@ -84,15 +84,15 @@ def _first(name: str, duration: float | None, most: float, held: list[list[objec
     plan_motion(problem)  # what is compiled once
     spent_in_solver = []
 
-    def whole() -> None:
+    def whole(goal: float) -> None:
         with timed_solves() as solves:
-            plan_motion(problem)
+            plan_motion(_to(problem, goal))
         spent_in_solver.append(sum(solves))
 
     works: dict[str, Callable[[], object]] = {
         peer: lambda solve=solve, duration=duration: solve(duration) for peer, solve in there.items()
     }
-    works[_PLAN] = whole
+    works[_PLAN] = _in_turn(whole)
     programs = {
         f"{_ALONE}, interpreted": load_problem(name, ["solver.compile=never"]),
         f"{_ALONE}, compiled": problem,
@@ -142,8 +142,12 @@ def _in_turn(solve: Callable[[float], object]) -> Callable[[], object]:
     return lambda: solve(next(goals))
 
 
+def _to(problem: PlanningProblem, goal: float) -> PlanningProblem:
+    return replace(problem, motion=replace(problem.motion, goal=np.array([goal])))
+
+
 def _plan(planner: Planner, problem: PlanningProblem, goal: float, alone: bool) -> None:
-    asked = replace(problem, motion=replace(problem.motion, goal=np.array([goal])))
+    asked = _to(problem, goal)
     again = planner.solve_again(asked) is not None if alone else planner.plan(asked).solved_again
     assert again, "not solved again, but planned from the beginning"
 
