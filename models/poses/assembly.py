@@ -5,6 +5,8 @@ the step itself, or the sign of a block of det J_z turns, the step is halved: so
 began on, and a path that meets a singular pose stops there instead of slipping through.
 """
 
+import functools
+
 import numpy as np
 
 from linkplan.models.closure.newton import CLOSED_M
@@ -104,7 +106,15 @@ def _on_branch(mechanism: Mechanism, poses: np.ndarray) -> int:
 
 def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
     """Return the pose (n_q,) at independent positions s (n_s,), reached from `start` (home by default) on its branch."""
+    if start is None:
+        return _from_home(mechanism, tuple(np.asarray(s, dtype=float).ravel().tolist())).copy()
     return follow(mechanism, np.atleast_2d(np.asarray(s, dtype=float)), start)[0]
+
+
+@functools.lru_cache(maxsize=256)
+def _from_home(mechanism: Mechanism, s: tuple[float, ...]) -> np.ndarray:
+    """Return the pose at s on the branch of home: start and goal are asked for five times in every plan."""
+    return follow(mechanism, np.array([s]))[0]
 
 
 def _where(mechanism: Mechanism, s: np.ndarray) -> str:

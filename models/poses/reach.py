@@ -91,9 +91,14 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
 def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
     """Return whether the straight way from home to s (n_s,) is surely open: no singular pose, no joint beyond its range.
 
-    Looked at in the steps of `reach`, and much sooner known.
+    Looked at in the steps of `reach`, and much sooner known; where it was looked at before, at once.
     """
-    poses = _way(mechanism, mechanism.home, s)
+    return _is_open(mechanism, tuple(s.tolist()))
+
+
+@functools.lru_cache(maxsize=256)
+def _is_open(mechanism: Mechanism, s: tuple[float, ...]) -> bool:
+    poses = _way(mechanism, mechanism.home, np.array(s))
     ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
     if poses is None:
         return False

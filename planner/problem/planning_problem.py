@@ -1,5 +1,6 @@
 """The continuous problem: which motion of which mechanism, best in which sense, within which limits."""
 
+import functools
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -76,7 +77,7 @@ class PlanningProblem:
         object.__setattr__(self, "tracking", self.tracking.tracked())
         choose("limits.contacts", self.contacts, CONTACTS, ProblemError)
         motion, objective = self.motion, self.objective
-        falsifying = [item.text for item in audit(self.mechanism.model) if item.falsifies]
+        falsifying = _falsifying(self.mechanism)
         if falsifying:
             raise ProblemError(
                 f"mechanism '{self.mechanism.name}' cannot be planned, its model has forces that the planner does not"
@@ -219,3 +220,9 @@ class PlanningProblem:
     def not_honoured(self) -> tuple[str, ...]:
         """What the model says that plans leave out without becoming false, each in a few words."""
         return tuple(item.text for item in audit(self.mechanism.model))
+
+
+@functools.lru_cache(maxsize=64)
+def _falsifying(mechanism: Mechanism) -> tuple[str, ...]:
+    """Return the words on forces of a model that the planner does not honour: of one model, however often it is planned."""
+    return tuple(item.text for item in audit(mechanism.model) if item.falsifies)

@@ -1,4 +1,4 @@
-"""`make bench`: what plans cost and what is exact for it, beside a program written by hand; eight minutes in all.
+"""`make bench`: what plans cost and how exact they are, beside other people's programs; eight minutes in all.
 
 Only ratios within one run mean anything on a shared machine; the medians beside them say what they are ratios of. Parts can
 be named: `python -m tests.bench peer shares`. Tables are printed, figures and CSV go to bench-results/, progress to stderr.
@@ -10,7 +10,8 @@ from pathlib import Path
 
 from tests.bench.loop import bench_loop
 from tests.bench.measurement import bench_measurement
-from tests.bench.peer import bench_peer, bench_plans, between_nodes
+from tests.bench.packages import between_nodes
+from tests.bench.peer import bench_peer, bench_plans
 from tests.bench.precision import bench_precision
 from tests.bench.scaling import bench_scaling
 from tests.bench.shares import bench_shares

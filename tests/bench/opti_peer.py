@@ -2,13 +2,19 @@
 
 Separated Hermite-Simpson (Kelly, SIAM Review 59, 2017, sec. 4) on the closed-form four-bar, typed in, with IPOPT. Torques
 are bounded at nodes and midpoints, which is all that such a program does: between them the quadratic goes where it likes.
+
+Used well: a program that is solved once is not expanded (`expand` halves a solve or better, and takes 2 s to build), one
+that is solved again is, and begins from the last answer with its multipliers, without Opti's own checks around it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from scipy.integrate import solve_ivp
+
+from linkplan.planner.solvers.outcome import TOLERANCE
 
 L1, L2, L3, L4 = 0.057, 0.0741, 0.0855, 0.057
 GRAVITY = 9.81
@@ -64,9 +70,34 @@ def acceleration_function() -> ca.Function:
     return ca.Function("acceleration", [s, v, u], [(u - 0.5 * ca.jacobian(M, s) * v**2 - ca.jacobian(V, s)) / M])
 
 
+# IPOPT as linkplan has it, for every peer.
+IPOPT = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": TOLERANCE}
+# The quickest of barriers 1e-3, 1e-4, 1e-6 and 1e-8 and pushes 1e-6 and 1e-9 on both problems: 3 and 4 iterations.
+WARM = IPOPT | {"expand": True, "error_on_fail": True, "ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-8}
+for _push in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push"):
+    WARM[f"ipopt.warm_start_{_push}"] = 1e-6
+
+
+class WarmOpti:
+    """An Opti program that has an answer, built once more to be solved from its last answer and multipliers.
+
+    `to_function` is Opti's, or what has a wrapper around one; `goal` its parameter.
+    """
+
+    def __init__(self, opti: ca.Opti, goal: ca.MX, to_function: Callable[..., ca.Function]) -> None:
+        self._last = [opti.debug.value(opti.x), opti.debug.value(opti.lam_g)]
+        opti.solver("ipopt", WARM)
+        self._solver = to_function("again", [goal, opti.x, opti.lam_g], [opti.x, opti.lam_g, opti.f])
+
+    def __call__(self, goal: float) -> float:
+        """Return the objective of the answer for a goal [rad]; raises RuntimeError where IPOPT finds none."""
+        *self._last, objective = self._solver(goal, *self._last)
+        return float(objective)
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Peer:
-    """A built Opti program: solve for a goal, again and again."""
+    """A built Opti program: solve for a goal, or again and again."""
 
     opti: ca.Opti
     goal: ca.MX
@@ -74,16 +105,18 @@ class Peer:
     effort: ca.MX
     duration: ca.MX | float
 
-    def solve(self, goal: float, warm: ca.OptiSol | None = None) -> ca.OptiSol:
-        """Return the solution for a goal [rad], from the last one where one is given."""
+    def solve(self, goal: float) -> ca.OptiSol:
+        """Return the solution for a goal [rad], from the guess."""
         self.opti.set_value(self.goal, goal)
-        if warm is not None:
-            self.opti.set_initial(warm.value_variables())
         return self.opti.solve()
 
+    def again(self) -> WarmOpti:
+        """Return what solves for other goals from the last solution."""
+        return WarmOpti(self.opti, self.goal, self.opti.to_function)
 
-def build_peer(intervals: int, start: float, goal: float, duration: float | None) -> Peer:
-    """Return the program: least effort in a given duration, least time where it is None."""
+
+def build_peer(intervals: int, start: float, goal: float, duration: float | None, *, expand: bool = False) -> Peer:
+    """Return the program: least effort in a given duration, least time where it is None; in scalars where `expand`."""
     f = acceleration_function()
     opti = ca.Opti()
     q, v, u = (opti.variable(2 * intervals + 1) for _ in range(3))  # nodes and midpoints in turn
@@ -108,8 +141,7 @@ def build_peer(intervals: int, start: float, goal: float, duration: float | None
         opti.minimize(T)
     else:
         opti.minimize(h / 6 * ca.sum(u[left] ** 2 + 4 * u[middle] ** 2 + u[right] ** 2))
-    options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
-    opti.solver("ipopt", options)
+    opti.solver("ipopt", IPOPT | {"expand": expand})
     opti.set_value(target, goal)
     return Peer(opti, target, q, u, T)
 

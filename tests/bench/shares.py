@@ -1,8 +1,10 @@
 """The part of `make bench` on where time goes: function evaluation, linear algebra, and Python, in a plan and a re-solve."""
 
+import contextlib
 import itertools
 import statistics
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -15,6 +17,7 @@ from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import plain_contradiction
+from linkplan.planner.solvers import solve as solving
 from linkplan.planner.solvers.outcome import Solver
 from linkplan.planner.solvers.solve import build_solver, run_solver
 from linkplan.studies.output.tables import table
@@ -49,6 +52,29 @@ class Timed:
             "linear algebra": self.whole - self.evaluation,
             "call": around_s - self.whole,
         }
+
+
+@contextlib.contextmanager
+def timed_solves() -> Iterator[list[float]]:
+    """Note the processor time [s] of every call of a solver, in a list."""
+    spent, build = [], solving.build_solver
+
+    def timed_solver(*given: Any, **settings: Any) -> Any:
+        solver = Timed(build(*given, **settings))
+
+        def call(**numbers: Any) -> Any:
+            answer = solver(**numbers)
+            spent.append(solver.whole)
+            return answer
+
+        call.stats = solver.stats
+        return call
+
+    solving.build_solver = timed_solver
+    try:
+        yield spent
+    finally:
+        solving.build_solver = build
 
 
 def whole_plan(problem: PlanningProblem) -> tuple[Plan, dict[str, float]]:

@@ -7,12 +7,14 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.solvers import solve as solving
 from linkplan.planner.solvers.solve import build_solver, run_solver
 from tests.bench import sizes as bench_sizes
 from tests.bench.__main__ import PARTS, between_nodes, main
 from tests.bench.opti_peer import build_peer, drift
-from tests.bench.shares import Timed
-from tests.bench.timing import GOAL, START, first_program
+from tests.bench.shares import Timed, timed_solves
+from tests.bench.timing import GOAL, START, first_program, medians_s
 from tests.support.planar import random_planar
 from tests.support.plans import problem_of
 from tests.support.tolerances_planner import ROUNDING
@@ -70,6 +72,30 @@ def test_a_solver_says_what_its_program_s_functions_took():
     solver = Timed(build_solver(program.program, problem.solver))
     assert run_solver(solver, program).converged
     assert all(part > 0 for name, part in solver.parts(solver.whole).items() if name != "call")
+
+
+def test_every_solve_of_a_plan_is_timed_and_solvers_are_themselves_again():
+    before = solving.build_solver
+    with timed_solves() as solves:
+        plan = plan_motion(problem_of("knee-reach", "mesh.intervals=10", "solver.compile=never"))
+    assert len(solves) == len(plan.history) > 0
+    assert all(spent > 0 for spent in solves)
+    assert solving.build_solver is before
+
+
+def test_works_are_timed_in_turn_and_the_first_round_does_not_count(monkeypatch):
+    """On a clock of our own: what takes ten seconds the first time, then one, two, and six."""
+    now, done = 0.0, []
+    left = {"a": [10.0, 1.0, 6.0, 2.0], "b": [20.0, 5.0, 5.0, 5.0]}
+
+    def work(name: str) -> None:
+        nonlocal now
+        done.append(name)
+        now += left[name].pop(0)
+
+    monkeypatch.setattr("tests.bench.timing.time.process_time", lambda: now)
+    assert medians_s({name: lambda name=name: work(name) for name in left}, 3) == {"a": 2.0, "b": 5.0}
+    assert done == ["a", "b"] * 4
 
 
 @pytest.mark.slow

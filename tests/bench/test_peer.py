@@ -1,15 +1,23 @@
-"""The hand-written yardstick of `make bench` is itself right, and shows what it is kept for."""
+"""The yardsticks of `make bench` are themselves right, used well, and show what they are kept for."""
 
 import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
+from tests.bench import packages
 from tests.bench.__main__ import between_nodes
 from tests.bench.opti_peer import acceleration_function, build_peer
+from tests.bench.peer import command_s, target
 from tests.support.tolerances_planner import TYPED_BY_HAND
 
 ENDS = np.radians([-49.07, 56.27])
+# The least effort, in which Opti and linkplan agree, the least time (tests/data/knee.json), and how far forty intervals may
+# be from them.
+LEAST = {0.16: 382.59, None: 0.12185126841421788}
+APART = 1e-3
+# One answer by two ways at IPOPT's tolerance.
+SOLVED = 1e-8
 
 
 def test_the_closed_form_typed_by_hand_is_the_reduced_model():
@@ -27,3 +35,46 @@ def test_its_least_time_rests_on_torque_beyond_the_limit_between_nodes():
     torque = np.array(solution.value(peer.effort)).reshape(-1)
     assert np.abs(torque).max() <= 100.0 + 1e-5
     assert between_nodes(torque) > 101.0
+
+
+def test_it_is_solved_again_from_its_multipliers_for_the_answer_of_a_fresh_one():
+    peer, goal = build_peer(10, *ENDS, 0.16), np.radians(55.0)
+    first = peer.solve(ENDS[1])
+    again, fresh = peer.again(), build_peer(10, ENDS[0], goal, 0.16)
+    asked = float(fresh.solve(goal).value(fresh.opti.f))
+    assert abs(asked / float(first.value(peer.opti.f)) - 1) > APART
+    assert again(goal) == pytest.approx(asked, rel=SOLVED)
+    assert again(ENDS[1]) == pytest.approx(float(first.value(peer.opti.f)), rel=SOLVED)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("duration", LEAST)
+@pytest.mark.parametrize(("package", "solve"), [("rockit", packages.by_rockit), ("yapss", packages.by_yapss)])
+def test_packages_solve_the_same_problem_and_again_for_another_goal(package, solve, duration):
+    pytest.importorskip(package)
+    answer = solve(duration)
+    again = answer.again()
+    assert answer.objective == pytest.approx(LEAST[duration], rel=APART)
+    assert again(np.radians(55.0)) < (1 - APART) * answer.objective
+    assert again(ENDS[1]) == pytest.approx(answer.objective, rel=SOLVED)
+
+
+def test_a_package_that_is_missing_is_said_with_what_to_do(monkeypatch):
+    real = packages.importlib.util.find_spec
+    monkeypatch.setattr(packages.importlib.util, "find_spec", lambda name: real(name) if name == "casadi" else None)
+    there, missing = packages.installed()
+    assert list(there) == ["Opti"]
+    assert missing["rockit"] == "not installed: pip install 'linkplan[peers]'"
+    assert "pip install --no-deps yapss" in missing["YAPSS"]
+
+
+def test_a_target_is_held_up_to_its_bound():
+    assert target("a plan", 2.5, 2.5) == ["a plan", 2.5, 2.5, True]
+    assert target("a plan", 2.51, 2.5)[-1] is False
+
+
+def test_a_command_is_timed_with_its_bytecode_written(monkeypatch):
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
+    asked = "import os, sys; sys.exit('PYTHONDONTWRITEBYTECODE' in os.environ)"
+    (spent,) = command_s(["-c", asked], repeats=1)
+    assert 0 < spent < np.inf

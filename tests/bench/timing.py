@@ -6,7 +6,7 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -41,6 +41,20 @@ def median_s(work: Callable[[], object], repeats: int = REPEATS) -> float:
         work()
         times.append(time.process_time() - begin)
     return statistics.median(times)
+
+
+def medians_s(works: Mapping[str, Callable[[], object]], repeats: int = REPEATS) -> dict[str, float]:
+    """Return the median processor time [s] of each of several works that are done in turn, after one run to warm up.
+
+    In turn, since a shared machine's clock and caches change within a run: what slows one down slows them all.
+    """
+    times: dict[str, list[float]] = {name: [] for name in works}
+    for _ in range(repeats + 1):
+        for name, work in works.items():
+            begin = time.process_time()
+            work()
+            times[name].append(time.process_time() - begin)
+    return {name: statistics.median(taken[1:]) for name, taken in times.items()}
 
 
 def over(value: float, exact: float | None) -> float | None:
