@@ -43,7 +43,7 @@ def _sparing(start: Climb) -> Climb:
 
 
 def _nothing_found(search: Search) -> bool:
-    return not search.plans and not starts.no_time(search)
+    return not search.plans and not starts.far_too_little_time(search)
 
 
 RUNGS: tuple[Rung, ...] = (
@@ -108,7 +108,7 @@ RUNGS: tuple[Rung, ...] = (
     ),
     Rung(
         name="the least time, and waiting",
-        tried=lambda search: not search.solved and not starts.no_time(search) and waiting.may_wait(search),
+        tried=lambda search: not search.solved and waiting.may_wait(search),
         climb=waiting.from_waiting,
         budget=PATIENT,
     ),

@@ -88,7 +88,9 @@ def _counted(rate: Rate, until: float) -> Rate:
     return counted
 
 
-def strides(rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, state: np.ndarray) -> np.ndarray:
+def strides(
+    rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, state: np.ndarray, until: float = np.inf
+) -> np.ndarray:
     """Return the states (m, 2, n) in the middle and at the end of the first m intervals, all but where a step is too long.
 
     Args:
@@ -96,10 +98,11 @@ def strides(rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, state: 
         widths_s: (n_intervals,) [s].
         inputs: (n_intervals, k), what is constant over each.
         state: (n,) at the start.
+        until: as of `flow`.
     """
     found: list[np.ndarray] = [np.empty((0, 2, len(state)))]
     begin, longest = 0, 4
-    while begin < len(widths_s):
+    while begin < len(widths_s) and time.monotonic() <= until:
         check()
         length = max(length for length in _STRETCHES if length <= min(longest, len(widths_s) - begin))
         some = slice(begin, begin + length)

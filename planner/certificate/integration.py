@@ -8,7 +8,6 @@ model, not whether somebody could follow it blindly; how often it was restarted 
 """
 
 import functools
-import time
 from dataclasses import dataclass
 
 import casadi as ca
@@ -138,8 +137,7 @@ def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, unt
     rate = _rate(mechanism, *trajectory.effort[:, 0].shape)
     reached = np.array([[state, state]])
     while (k := len(reached) - 1) < len(widths):
-        if k == 0 or time.monotonic() < until:
-            reached = np.concatenate([reached, strides(rate, widths[k:], inputs[k:], reached[-1, 1])])
+        reached = np.concatenate([reached, strides(rate, widths[k:], inputs[k:], reached[-1, 1], until)])
         if (k := len(reached) - 1) < len(widths):
             half = flow(_called(rate, inputs[k], widths[k]), widths[k], reached[-1, 1], np.array([0.5, 1.0]), until)
             if half is None:

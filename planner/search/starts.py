@@ -22,6 +22,8 @@ _PERTURBATIONS = 3
 _MOST_TRIED = 20
 # A least time beyond so many times that of the phase plane's motion is a local one.
 _SLOW = 1.002
+# A duration that the phase plane's motion exceeds by this factor is hopeless: its grid of turns costs swings some percent.
+_FAR_SHORT = 1.3
 # A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
 _WORTH = 0.999
 
@@ -33,6 +35,11 @@ def no_time(search: Search) -> bool:
         return False
     surely = SURELY if quickest.switch_times_s is not None else SURELY_LIMITED
     return longest(search.problem) * surely < quickest.duration_s
+
+
+def far_too_little_time(search: Search) -> bool:
+    """Return whether the time given is too short by more than any local optimum of the phase plane's is too long."""
+    return no_time(search) and _FAR_SHORT * longest(search.problem) < search.quickest.duration_s
 
 
 def enough_time(search: Search) -> bool:

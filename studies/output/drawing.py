@@ -13,7 +13,7 @@ SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
 TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE}
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
 # Solid, dashed, dotted ...: lines of one panel that lie on one another stay visible.
-STYLES = ("-", "--", ":", "-.")
+STYLES = ("-", "--", "-.")
 
 # A legend's row holds about so many letters over half of a wide page's width, or over a narrow page; what is longer goes
 # on in a further row.

@@ -14,7 +14,7 @@ OF_HERTZ = "frequency [Hz]"
 LABELS = {
     "bode.png": [
         *(("", "gain [dB]"), ("", ""), ("", "phase [deg]"), ("", "")),
-        *(("", "measured less\npredicted [dB]"), ("", ""), (OF_HERTZ, "[deg]"), (OF_HERTZ, "")),
+        *(("", "measured less\npredicted [dB]"), ("", ""), (OF_HERTZ, "measured less\npredicted [deg]"), (OF_HERTZ, "")),
     ],
     "nyquist.png": [("real part of L", "imaginary part of L")],
     "sensitivity.png": [
