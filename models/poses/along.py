@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=64)
 def mapped(function: ca.Function, n: int) -> ca.Function:
     """Return a function of n samples side by side. Motions on the same mesh ask for the same ones again and again."""
     return function.map(n)

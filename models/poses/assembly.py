@@ -111,7 +111,7 @@ def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = Non
     return follow(mechanism, np.atleast_2d(np.asarray(s, dtype=float)), start)[0]
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=16)
 def _from_home(mechanism: Mechanism, s: tuple[float, ...]) -> np.ndarray:
     """Return the pose at s on the branch of home: start and goal are asked for five times in every plan."""
     return follow(mechanism, np.array([s]))[0]

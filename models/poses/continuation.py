@@ -65,7 +65,7 @@ def _regular(mechanism: Mechanism, states: np.ndarray, phi: np.ndarray, predicte
     return len(regular) if np.all(regular) else int(np.argmin(regular))  # what is not a number is not regular
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=16)
 def _stretch(mechanism: Mechanism, length: int) -> ca.Function:
     """Return (state, positions) -> states, phi before the last step, predicted dependent positions, over `length` strides.
 

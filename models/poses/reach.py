@@ -96,7 +96,7 @@ def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
     return _is_open(mechanism, tuple(s.tolist()))
 
 
-@functools.lru_cache(maxsize=256)
+@functools.lru_cache(maxsize=16)
 def _is_open(mechanism: Mechanism, s: tuple[float, ...]) -> bool:
     poses = _way(mechanism, mechanism.home, np.array(s))
     ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])

@@ -120,7 +120,7 @@ def strides(
     return np.concatenate(found)
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=16)
 def _stretch(rate: ca.Function, length: int) -> ca.Function:
     """Return (state, inputs, widths) -> states at intervals' ends and middles, errors of the steps, over some intervals."""
     begin, given, width = (ca.MX.sym(name, n) for name, n in (("x", rate.size1_in(0)), ("c", rate.size1_in(1)), ("T", 1)))

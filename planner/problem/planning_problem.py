@@ -222,7 +222,7 @@ class PlanningProblem:
         return tuple(item.text for item in audit(self.mechanism.model))
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=16)
 def _falsifying(mechanism: Mechanism) -> tuple[str, ...]:
     """Return the words on forces of a model that the planner does not honour: of one model, however often it is planned."""
     return tuple(item.text for item in audit(mechanism.model) if item.falsifies)

@@ -47,7 +47,7 @@ class WholeCheck:
         paths = [text for path in self.paths if (text := path_text(path, brief=brief))]
         left_out = [
             f"of {len(self.paths)} coordinates each has its own quantities above, at rest, where they change along its"
-            " reach; --json has all of them"
+            " reach; the JSON record has all of them"
         ]
         return "\n\n".join([inspection_text(self.found), *paths, *(left_out if brief else [])])
 

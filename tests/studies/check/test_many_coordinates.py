@@ -26,7 +26,7 @@ def wholes():
 def test_of_few_coordinates_all_quantities_are_said(wholes):
     text = wholes[3].text()
     assert text.count("the same at every pose") == 3
-    assert "--json has all of them" not in text
+    assert "the JSON record has all of them" not in text
 
 
 def test_of_many_each_has_its_own(wholes):
