@@ -14,7 +14,6 @@ import json
 import os
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -39,6 +38,7 @@ from linkplan.planner.transcription.cache import (
     wanted_again,
     work_folder,
 )  # fmt: skip
+from linkplan.planner.transcription.finish_compiling import run_with_children
 from linkplan.planner.transcription.interval import NAMES, OPEN_END_NAMES, IntervalFunctions, IntervalRows
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import System
@@ -208,24 +208,10 @@ def _said(command: list[str]) -> bytes:
 
 
 def _run(command: list[str], work: Path | None, timeout_s: float | None = None, said: IO[bytes] | None = None) -> None:
-    """Run a compiler in a folder; where it hangs or is interrupted, its children end with it.
+    """Run a compiler in a folder; as of `run_with_children`.
 
     Raises:
         OSError: where it cannot be started.
         subprocess.SubprocessError: where it fails, or takes too long.
     """
-    nothing = subprocess.DEVNULL
-    with subprocess.Popen(
-        command, cwd=work, stdin=nothing, stdout=said or nothing, stderr=nothing, start_new_session=True
-    ) as process:
-        try:
-            code = process.wait(_TIMEOUT_S if timeout_s is None else timeout_s)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                if hasattr(os, "killpg"):
-                    os.killpg(process.pid, signal.SIGKILL)
-                else:
-                    process.kill()
-            raise
-    if code:
-        raise subprocess.CalledProcessError(code, command)
+    run_with_children(command, work, _TIMEOUT_S if timeout_s is None else timeout_s, said)

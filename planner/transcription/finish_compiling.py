@@ -13,6 +13,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import IO
 
 from linkplan.planner.transcription.cache import evict, keep
 
@@ -20,25 +21,39 @@ from linkplan.planner.transcription.cache import evict, keep
 _NICER = 10
 
 
+def run_with_children(command: list[str], work: Path | None, timeout_s: float, said: IO[bytes] | None = None) -> None:
+    """Run a program in a folder; where it hangs or is interrupted, its children end with it.
+
+    Raises:
+        OSError: where it cannot be started.
+        subprocess.SubprocessError: where it fails, or takes too long.
+    """
+    nothing = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, cwd=work, stdin=nothing, stdout=said or nothing, stderr=nothing, start_new_session=True
+    ) as process:
+        try:
+            code = process.wait(timeout_s)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                if hasattr(os, "killpg"):
+                    os.killpg(process.pid, signal.SIGKILL)
+                else:
+                    process.kill()
+            raise
+    if code:
+        raise subprocess.CalledProcessError(code, command)
+
+
 def main(folder: Path, work: Path, key: str, timeout_s: float, command: list[str]) -> int:
     """Compile in WORK and keep the library in FOLDER; 1 where that fails."""
-    nothing = subprocess.DEVNULL
     try:
         if hasattr(os, "nice"):
             os.nice(_NICER)
-        with subprocess.Popen(
-            command, cwd=work, stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True
-        ) as compiler:
-            try:
-                code = compiler.wait(timeout_s)
-            except BaseException:
-                with contextlib.suppress(OSError):
-                    os.killpg(compiler.pid, signal.SIGKILL)
-                raise
-        if code == 0:
-            keep(work / f"{key}.so", json.loads((work / f"{key}.said").read_text(encoding="utf-8")), folder, key)
-            evict(folder, key)
-        return int(code != 0)
+        run_with_children(command, work, timeout_s)
+        keep(work / f"{key}.so", json.loads((work / f"{key}.said").read_text(encoding="utf-8")), folder, key)
+        evict(folder, key)
+        return 0
     except (OSError, ValueError, subprocess.SubprocessError):
         return 1
     finally:
