@@ -62,6 +62,76 @@ def discretise(A: np.ndarray, B: np.ndarray, period_s: float) -> tuple[np.ndarra
     return power[:, :m, :m], power[:, :m, m:]
 
 
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Regulator:
+    """Optimal feedback along a motion: w_k = -K_k e_k of e_{k+1} = A_k e_k + B_k w_k, for instants k = 0 to n - 1.
+
+    `A` (n, m, m), `B` (n, m, n_u), `gains` K (n, n_u, m); `price` S = R + B^T P B (n, n_u, n_u): d^T S d is what an effort d
+    beside -K e costs in all. `after` (n,) is the instant that follows each: the next, the last again, or a cycle's first.
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    gains: np.ndarray
+    price: np.ndarray
+    after: np.ndarray
+
+
+def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repeats: bool) -> Regulator:
+    """Return the optimal feedback of the cost sum e^T Q e + w^T R w, over a motion that ends at rest or repeats itself.
+
+    Raises:
+        LinkplanError: when no stabilising gain exists.
+    """
+    try:
+        P = scipy.linalg.solve_discrete_are(A[-1], B[-1], Q, R)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise LinkplanError(f"LQR has no stabilising gain at the end of the motion: {error}") from error
+    gains, price, P_next = _backward(A, B, Q, R, P)
+    cycles = 0
+    while repeats and np.abs(P_next - P).max() > _CYCLE_TOLERANCE * np.abs(P).max():
+        if (cycles := cycles + 1) > _MAX_CYCLES:
+            raise LinkplanError("LQR found no gain that repeats with the motion: the periodic Riccati recursion diverges")
+        P = P_next
+        gains, price, P_next = _backward(A, B, Q, R, P)
+    after = np.arange(1, len(A) + 1)
+    after[-1] = 0 if repeats else len(A) - 1
+    return Regulator(A=A, B=B, gains=gains, price=price, after=after)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Errors:
+    """What weighs 1 in the cost of a regulator: errors of position, of velocity (each one for all or (n_s,)), efforts (n_u,).
+
+    [rad or m, and per second; N.m or N]. An effort's is its limit as a rule.
+    """
+
+    position: float | np.ndarray
+    velocity: float | np.ndarray
+    effort: np.ndarray
+
+
+def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors) -> tuple[Regulator, np.ndarray]:
+    """Return the optimal feedback along a reference, and the states (m,) of x = (s, v) that it acts on.
+
+    A passive degree of freedom, as a rod's spin between two balls, cannot be controlled: it stays out of the state.
+    """
+    n = repeated(reference)
+    A, B = linearise(mechanism, reference.pose[:n], reference.velocity[:n], reference.effort[:n])
+    steered = np.array([int(i) not in mechanism.passive_dofs for i in mechanism.independent])
+    kept = np.flatnonzero(np.tile(steered, 2))
+    A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
+    sizes = [np.broadcast_to(weight, steered.shape)[steered] for weight in (errors.position, errors.velocity)]
+    Q = np.diag(np.concatenate(sizes) ** -2.0)
+    R = np.diag(np.asarray(errors.effort, dtype=float) ** -2.0)
+    return regulate(A, B, Q, R, repeats=reference.cycle is not None), kept
+
+
+def repeated(reference: SampledReference) -> int:
+    """Return how many of a reference's instants differ from one another: those of a cycle, or all."""
+    return reference.n if reference.cycle is None else min(reference.cycle, reference.n)
+
+
 def lqr(
     mechanism: Mechanism,
     reference: SampledReference,
@@ -82,38 +152,20 @@ def lqr(
     Raises:
         LinkplanError: when no stabilising gain exists.
     """
-    n_s = mechanism.dof
-    A, B = linearise(mechanism, reference.pose, reference.velocity, reference.effort)
-    # A passive degree of freedom, as a rod's spin between two balls, cannot be controlled: it stays out of the state.
-    steered = np.array([int(i) not in mechanism.passive_dofs for i in mechanism.independent])
-    kept = np.flatnonzero(np.tile(steered, 2))
-    A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
-    errors = [np.broadcast_to(weight, steered.shape)[steered] for weight in (position_weight, velocity_weight)]
-    Q = np.diag(np.concatenate(errors) ** -2.0)
-    R = np.diag(np.asarray(effort_weight, dtype=float) ** -2.0)
-    n = reference.cycle if reference.cycle is not None and reference.cycle <= reference.n else reference.n
-    try:
-        P = scipy.linalg.solve_discrete_are(A[n - 1], B[n - 1], Q, R)
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise LinkplanError(f"LQR has no stabilising gain at the end of the motion: {error}") from error
-    gains, P_next = _backward(A[:n], B[:n], Q, R, P)
-    cycles = 0
-    while reference.cycle is not None and np.abs(P_next - P).max() > _CYCLE_TOLERANCE * np.abs(P).max():
-        if (cycles := cycles + 1) > _MAX_CYCLES:
-            raise LinkplanError("LQR found no gain that repeats with the motion: the periodic Riccati recursion diverges")
-        P = P_next
-        gains, P_next = _backward(A[:n], B[:n], Q, R, P)
-    full = np.zeros((n, mechanism.n_u, 2 * n_s))
-    full[:, :, kept] = gains
-    return LQR(reference=reference, gains=full[np.arange(reference.n) % n])
+    errors = Errors(position=position_weight, velocity=velocity_weight, effort=effort_weight)
+    found, kept = regulator(mechanism, reference, errors)
+    full = np.zeros((len(found.gains), mechanism.n_u, 2 * mechanism.dof))
+    full[:, :, kept] = found.gains
+    return LQR(reference=reference, gains=full[np.arange(reference.n) % len(full)])
 
 
-def _backward(A, B, Q, R, P) -> tuple[np.ndarray, np.ndarray]:
-    """Return the gains (n, n_u, m) of the Riccati recursion from P at the end, and P at the beginning."""
-    gains = np.empty((len(A), B.shape[2], A.shape[1]))
+def _backward(A, B, Q, R, P) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the gains (n, n_u, m) of the Riccati recursion from P at the end, R + B^T P B, and P at the beginning."""
+    gains, price = np.empty((len(A), B.shape[2], A.shape[1])), np.empty((len(A), B.shape[2], B.shape[2]))
     for k in range(len(A) - 1, -1, -1):
         BP = B[k].T @ P
-        gains[k] = np.linalg.solve(R + BP @ B[k], BP @ A[k])
+        price[k] = R + BP @ B[k]
+        gains[k] = np.linalg.solve(price[k], BP @ A[k])
         P = Q + A[k].T @ P @ (A[k] - B[k] @ gains[k])
         P = 0.5 * (P + P.T)
-    return gains, P
+    return gains, price, P

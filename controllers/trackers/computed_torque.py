@@ -1,0 +1,92 @@
+"""Computed torque: inverse dynamics at the measured state, under a reference acceleration that errors correct.
+
+    u = (Gamma^T B)^+ tau(s, v, a_ref + 2 zeta w (v_ref - v) + w^2 (s_ref - s)),   tau the reduced inverse dynamics
+
+On a mechanism that is as modelled errors obey e'' + 2 zeta w e' + w^2 e = 0 everywhere (Featherstone, Rigid Body Dynamics
+Algorithms, 2008, 1.5; Siciliano et al., Robotics, 2009, 8.5.2).
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from linkplan.controllers.reference import SampledReference
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import evaluated, mapped, sampled
+
+# The loop is closed at the measured position by Newton along this many strides from the reference's pose.
+_STRIDES, _NEWTON_STEPS = 4, 2
+# Where it is not closed to this [m], for the measured position is too far, the reference's own pose stands in.
+_CLOSED_M = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class ComputedTorque:
+    """u = (Gamma^T B)^+ tau(s, v, a_ref + damping (v_ref - v) + stiffness (s_ref - s)).
+
+    `acceleration` (n, n_s) is what the reference's own efforts produce; `stiffness` w^2 [1/s^2] and `damping` 2 zeta w [1/s];
+    `law` takes a pose near, s, v and a to efforts and to what the loop is open by [m].
+    """
+
+    reference: SampledReference
+    acceleration: np.ndarray
+    stiffness: float
+    damping: float
+    law: ca.Function
+    name: str = "ct"
+
+    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+        """Return efforts (..., n_u) [N.m or N] for s and v (..., n_s)."""
+        reference = self.reference
+        acceleration = self.acceleration[k] + self.damping * (reference.velocity[k] - velocity)
+        acceleration += self.stiffness * (reference.position[k] - position)
+        s, v, a = (np.atleast_2d(x) for x in (position, velocity, acceleration))
+        near = np.broadcast_to(reference.pose[k], (len(s), reference.pose.shape[1]))
+        effort, gap = self._called(near, s, v, a)
+        far = ~(gap <= _CLOSED_M)
+        if np.any(far):
+            there = np.broadcast_to(reference.position[k], s.shape)
+            effort[far] = self._called(near[far], there[far], v[far], a[far])[0]
+        return effort.reshape(*np.shape(position)[:-1], -1)
+
+    def _called(self, *arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        effort, gap = evaluated(mapped(self.law, len(arguments[0])), *(x.T for x in arguments))
+        return effort.T, gap.ravel()
+
+
+def computed_torque(
+    mechanism: Mechanism, reference: SampledReference, natural_frequency: float, damping_ratio: float
+) -> ComputedTorque:
+    """Return the computed torque tracker of a reference, its errors' natural frequency [rad/s] and damping ratio."""
+    acceleration = sampled(mechanism.dynamics.acceleration, reference.pose, reference.velocity, reference.effort)[:, :, 0]
+    return ComputedTorque(
+        reference=reference,
+        acceleration=acceleration,
+        stiffness=natural_frequency**2,
+        damping=2 * damping_ratio * natural_frequency,
+        law=_law(mechanism),
+    )
+
+
+def _law(mechanism: Mechanism) -> ca.Function:
+    """Return (q near, s, v, a) -> efforts (n_u,), what the loop is open by [m]."""
+    dynamics, dependent = mechanism.dynamics, mechanism.dependent.tolist()
+    independent, n_s = mechanism.independent.tolist(), mechanism.dof
+    near = ca.MX.sym("near", mechanism.n_q)
+    s, v, a = (ca.MX.sym(name, n_s) for name in "sva")
+    q = near
+    if dependent:
+        for stride in range(_STRIDES):
+            onward = (s - q[independent]) / (_STRIDES - stride)
+            there = q[independent] + onward
+            q = q + dynamics.velocity_map(q) @ onward
+            q[independent] = there
+            for _ in range(_NEWTON_STEPS):
+                q[dependent] += dynamics.closure_step(q)[1]
+    else:
+        q = ca.MX(near)
+        q[independent] = s
+    gap = ca.norm_inf(dynamics.independent_closure(q)) if dependent else ca.MX(0)
+    effort = ca.pinv(dynamics.effort_map(q)) @ dynamics.inverse_dynamics(q, v, a)
+    return ca.Function("computed_torque", [near, s, v, a], [effort, gap])
