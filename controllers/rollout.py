@@ -15,7 +15,8 @@ import mujoco
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.tracker import Tracker
+from linkplan.controllers.trackers.stepping import steps_of
+from linkplan.controllers.trackers.tracker import AnyTracker
 from linkplan.models.actuation.actuators import Actuator, constant_arms
 from linkplan.models.errors import LinkplanError
 from linkplan.models.interrupts import check
@@ -104,7 +105,7 @@ def scaled_model(mechanism: Mechanism, factor: float) -> mujoco.MjModel:
     return model
 
 
-def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loop: ControlLoop) -> Rollout:
+def run(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, loop: ControlLoop) -> Rollout:
     """Return the log of a tracker run in MuJoCo over the whole reference."""
     model = scaled_model(mechanism, loop.mass_factor)
     substeps = max(1, int(np.ceil(reference.period_s / model.opt.timestep - 1e-9)))
@@ -123,13 +124,16 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: Tracker, loo
     poses, velocities = np.empty((n, mechanism.n_q)), np.empty((n, mechanism.dof))
     commanded, applied = np.empty((n, len(actuators))), np.empty((n, len(actuators)))
     contacts, done, finite = 0, n, True
+    law = steps_of(tracker)
+    memory = law.start(1)
     mujoco.set_mju_user_warning(_ignore)  # a blow-up is this function's answer, not a line in a log file
     try:
         for k in range(n):
             check()
             poses[k] = mechanism.q_of(data.qpos, reference.pose[k])
             velocities[k] = mechanism.rates_of(poses[k], data.qvel)[independent]
-            commanded[k] = tracker.effort(k, poses[k][independent], velocities[k])
+            asked, memory = law.step(k, poses[k, None, independent], velocities[k, None], memory)
+            commanded[k] = asked[0]
             # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.
             applied[k] = np.clip(commanded[max(0, k - loop.delay_periods)], limit[:, 0], limit[:, 1])
             if not np.all(np.isfinite(applied[k])):  # MuJoCo would take it for zero and go on

@@ -20,6 +20,11 @@ class Feedforward:
         """The feedback's name with "+ff"."""
         return f"{self.feedback.name}+ff"
 
+    @property
+    def batched(self) -> bool:
+        """Whether the feedback takes leading batch axes."""
+        return bool(getattr(self.feedback, "batched", False))
+
     def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return efforts (n_u,) [N.m or N]."""
+        """Return efforts (..., n_u) [N.m or N]; for leading batch axes where the feedback takes them."""
         return self.reference.effort[k] + self.feedback.effort(k, position, velocity)

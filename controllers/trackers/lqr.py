@@ -8,11 +8,13 @@ of a motion, or over a periodic motion again and again until it repeats itself.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import scipy.linalg
 
 from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.trackers.linear import times
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 
@@ -28,12 +30,13 @@ class LQR:
     reference: SampledReference
     gains: np.ndarray
     name: str = "lqr"
+    batched: ClassVar[bool] = True
 
     def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return efforts (n_u,) [N.m or N]."""
+        """Return efforts (..., n_u) [N.m or N] for states (..., n_s)."""
         reference = self.reference
-        error = np.concatenate([reference.position[k] - position, reference.velocity[k] - velocity])
-        return reference.effort[k] + self.gains[k] @ error
+        error = np.concatenate([reference.position[k] - position, reference.velocity[k] - velocity], axis=-1)
+        return reference.effort[k] + times(self.gains[k], error)
 
 
 def linearise(

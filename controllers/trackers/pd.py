@@ -1,10 +1,12 @@
 """PD in the independent joints."""
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.trackers.linear import times
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 
@@ -22,12 +24,13 @@ class PD:
     kd: float | np.ndarray
     map: np.ndarray
     name: str = "pd"
+    batched: ClassVar[bool] = True
 
     def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return efforts (n_u,) [N.m or N]."""
+        """Return efforts (..., n_u) [N.m or N] for states (..., n_s)."""
         reference = self.reference
         error = self.kp * (reference.position[k] - position) + self.kd * (reference.velocity[k] - velocity)
-        return self.map[k] @ error
+        return times(self.map[k], error)
 
 
 def pd(mechanism: Mechanism, reference: SampledReference, kp: float | np.ndarray, kd: float | np.ndarray) -> PD:
