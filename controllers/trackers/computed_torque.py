@@ -7,6 +7,7 @@ Algorithms, 2008, 1.5; Siciliano et al., Robotics, 2009, 8.5.2).
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -35,6 +36,7 @@ class ComputedTorque:
     damping: float
     law: ca.Function
     name: str = "ct"
+    batched: ClassVar[bool] = True
 
     def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Return efforts (..., n_u) [N.m or N] for s and v (..., n_s)."""
