@@ -13,13 +13,9 @@ import casadi as ca
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.trackers.closing import CLOSED_NEAR_M, closed_near
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped, sampled
-
-# The loop is closed at the measured position by Newton along this many strides from the reference's pose.
-_STRIDES, _NEWTON_STEPS = 4, 2
-# Where it is not closed to this [m], for the measured position is too far, the reference's own pose stands in.
-_CLOSED_M = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -46,7 +42,7 @@ class ComputedTorque:
         s, v, a = (np.atleast_2d(x) for x in (position, velocity, acceleration))
         near = np.broadcast_to(reference.pose[k], (len(s), reference.pose.shape[1]))
         effort, gap = self._called(near, s, v, a)
-        far = ~(gap <= _CLOSED_M)
+        far = ~(gap <= CLOSED_NEAR_M)
         if np.any(far):
             there = np.broadcast_to(reference.position[k], s.shape)
             effort[far] = self._called(near[far], there[far], v[far], a[far])[0]
@@ -73,22 +69,9 @@ def computed_torque(
 
 def _law(mechanism: Mechanism) -> ca.Function:
     """Return (q near, s, v, a) -> efforts (n_u,), what the loop is open by [m]."""
-    dynamics, dependent = mechanism.dynamics, mechanism.dependent.tolist()
-    independent, n_s = mechanism.independent.tolist(), mechanism.dof
+    dynamics, n_s = mechanism.dynamics, mechanism.dof
     near = ca.MX.sym("near", mechanism.n_q)
     s, v, a = (ca.MX.sym(name, n_s) for name in "sva")
-    q = near
-    if dependent:
-        for stride in range(_STRIDES):
-            onward = (s - q[independent]) / (_STRIDES - stride)
-            there = q[independent] + onward
-            q = q + dynamics.velocity_map(q) @ onward
-            q[independent] = there
-            for _ in range(_NEWTON_STEPS):
-                q[dependent] += dynamics.closure_step(q)[1]
-    else:
-        q = ca.MX(near)
-        q[independent] = s
-    gap = ca.norm_inf(dynamics.independent_closure(q)) if dependent else ca.MX(0)
+    q, gap = closed_near(mechanism, near, s)
     effort = ca.pinv(dynamics.effort_map(q)) @ dynamics.inverse_dynamics(q, v, a)
     return ca.Function("computed_torque", [near, s, v, a], [effort, gap])

@@ -69,14 +69,16 @@ def discretise(A: np.ndarray, B: np.ndarray, period_s: float) -> tuple[np.ndarra
 class Regulator:
     """Optimal feedback along a motion: w_k = -K_k e_k of e_{k+1} = A_k e_k + B_k w_k, for instants k = 0 to n - 1.
 
-    `A` (n, m, m), `B` (n, m, n_u), `gains` K (n, n_u, m); `price` S = R + B^T P B (n, n_u, n_u): d^T S d is what an effort d
-    beside -K e costs in all. `after` (n,) is the instant that follows each: the next, the last again, or a cycle's first.
+    `A` (n, m, m), `B` (n, m, n_u), `gains` K (n, n_u, m); `cost` P (n, m, m), e^T P e is the least cost from an instant on;
+    `Q` and `R` weigh a period. `after` (n,) is the instant that follows each: the next, the last again, or a cycle's first.
     """
 
     A: np.ndarray
     B: np.ndarray
     gains: np.ndarray
-    price: np.ndarray
+    cost: np.ndarray
+    Q: np.ndarray
+    R: np.ndarray
     after: np.ndarray
 
 
@@ -90,16 +92,16 @@ def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repe
         P = scipy.linalg.solve_discrete_are(A[-1], B[-1], Q, R)
     except (np.linalg.LinAlgError, ValueError) as error:
         raise LinkplanError(f"LQR has no stabilising gain at the end of the motion: {error}") from error
-    gains, price, P_next = _backward(A, B, Q, R, P)
+    gains, cost, P_next = _backward(A, B, Q, R, P)
     cycles = 0
     while repeats and np.abs(P_next - P).max() > _CYCLE_TOLERANCE * np.abs(P).max():
         if (cycles := cycles + 1) > _MAX_CYCLES:
             raise LinkplanError("LQR found no gain that repeats with the motion: the periodic Riccati recursion diverges")
         P = P_next
-        gains, price, P_next = _backward(A, B, Q, R, P)
+        gains, cost, P_next = _backward(A, B, Q, R, P)
     after = np.arange(1, len(A) + 1)
     after[-1] = 0 if repeats else len(A) - 1
-    return Regulator(A=A, B=B, gains=gains, price=price, after=after)
+    return Regulator(A=A, B=B, gains=gains, cost=cost, Q=Q, R=R, after=after)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -163,12 +165,11 @@ def lqr(
 
 
 def _backward(A, B, Q, R, P) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the gains (n, n_u, m) of the Riccati recursion from P at the end, R + B^T P B, and P at the beginning."""
-    gains, price = np.empty((len(A), B.shape[2], A.shape[1])), np.empty((len(A), B.shape[2], B.shape[2]))
+    """Return the gains (n, n_u, m) of the Riccati recursion from P at the end, P (n, m, m), and P at the beginning."""
+    gains, cost = np.empty((len(A), B.shape[2], A.shape[1])), np.empty(A.shape)
     for k in range(len(A) - 1, -1, -1):
         BP = B[k].T @ P
-        price[k] = R + BP @ B[k]
-        gains[k] = np.linalg.solve(price[k], BP @ A[k])
+        gains[k] = np.linalg.solve(R + BP @ B[k], BP @ A[k])
         P = Q + A[k].T @ P @ (A[k] - B[k] @ gains[k])
-        P = 0.5 * (P + P.T)
-    return gains, price, P
+        cost[k] = P = 0.5 * (P + P.T)
+    return gains, cost, P

@@ -1,23 +1,23 @@
 """Model predictive control along a reference: the LQR's cost under effort limits, one quadratic program a control period.
 
-    e_{k+1} = A_k e_k + B_k w_k,   e = x - x_ref,   w = u - u_ref,   low <= u <= high
+    minimise sum e^T Q e + w^T R w + e_N^T P e_N,   e = x - x_ref,   w = u - u_ref,   low <= u <= high
 
-What is sought is the correction d of the LQR's feedback, w = -K e + d, held over blocks of control periods up to a horizon;
-after it the feedback goes on alone. Completing squares, the infinite cost is e_0^T P e_0 + sum d^T S d, S = R + B^T P B: the
-terminal cost is the LQR's, the program's Hessian is block diagonal, and while the feedback keeps the limits d = 0 solves it
-(closed-loop paradigm; Rossiter, Kouvaritakis & Rice, Automatica 34, 1998). Solved by DAQP (Arnstrom, Bemporad & Axehill,
-IEEE Trans. Automatic Control 67, 2022).
+While the LQR's own feedback is predicted to keep the limits, it is the solution and is taken as it is: the terminal cost P is
+the LQR's, so no horizon is seen. Otherwise efforts held over blocks of control periods are corrected, once a period, about
+the motion that the last ones lead to from the measured state (real-time iteration; Diehl, Bock & Schloeder, SIAM J. Control
+Optim. 43, 2005): the reduced dynamics, linearised along that motion. Solved by DAQP (Arnstrom, Bemporad & Axehill, IEEE Trans.
+Automatic Control 67, 2022).
 """
 
 from dataclasses import dataclass
-from typing import ClassVar
 
 import daqp
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.linear import times
-from linkplan.controllers.trackers.lqr import Errors, regulator
+from linkplan.controllers.trackers.lqr import Errors, Regulator, regulator
+from linkplan.controllers.trackers.prediction import Predictor, predictor
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 
@@ -29,75 +29,95 @@ _ON_LIMIT = 1e-9
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MPC:
-    """u = u_ref - K_k e + d_0, d of the least cost under which predicted efforts keep their limits.
+    """u of the least cost under which predicted efforts keep their limits; the memory is the last efforts (n, blocks n_u).
 
-    Along a reference's n instants, from each to the one a block on: closed-loop maps `onward` (n, m, m) and `pushed`
-    (n, m, n_u) of a held d, its `price` (n, n_u, n_u), the reference's mean effort `drive` (n, n_u), and which instant that is,
-    `after` (n,). `gains` K (n, n_u, m); `feedback` (n, blocks, n_u, m) is -K at each block's start times the closed loop's way
-    there; `kept` (m,) are the states of x = (s, v) that are steered.
+    `alone` (n, blocks, n_u, m) takes an error to the LQR's corrections at the beginning of each block from an instant on;
+    `ahead` (n, blocks + 1) are the instants at which they begin, of which n differ; `kept` (m,) are the states of x = (s, v)
+    that are steered. The memory is not a number while the LQR acts.
     """
 
     reference: SampledReference
-    gains: np.ndarray
-    onward: np.ndarray
-    pushed: np.ndarray
-    price: np.ndarray
+    regulator: Regulator
+    alone: np.ndarray
+    ahead: np.ndarray
     drive: np.ndarray
-    after: np.ndarray
-    feedback: np.ndarray
     kept: np.ndarray
+    periods: int
+    predictor: Predictor
     effort_limit: np.ndarray
     name: str = "mpc"
-    batched: ClassVar[bool] = True
 
-    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        """Return efforts (..., n_u) [N.m or N] for states (..., n_s)."""
-        reference, at = self.reference, k % len(self.after)
-        error = np.concatenate([position - reference.position[k], velocity - reference.velocity[k]], axis=-1)
-        error = np.atleast_2d(error[..., self.kept])
-        effort = reference.effort[k] - times(self.gains[at], error)
-        blocks = self._blocks(at)
+    def start(self, n: int) -> np.ndarray:
+        """Return the memory (n, blocks n_u) of feedback that acts alone."""
+        return np.full((n, self.drive.shape[1] * BLOCKS), np.nan)
+
+    def step(
+        self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return efforts (n, n_u) [N.m or N] for states (n, n_s), and the efforts of the blocks."""
+        reference, at = self.reference, k % len(self.ahead)
+        error = np.concatenate([position - reference.position[k], velocity - reference.velocity[k]], axis=-1)[:, self.kept]
+        effort = reference.effort[k] - times(self.regulator.gains[at], error)
         low, high = self.effort_limit.T
         slack = _ON_LIMIT * np.where(np.isfinite(high - low), high - low, 0.0)
-        # Predicted efforts (n, blocks, n_u) of the feedback alone.
-        alone = self.drive[blocks] + times(self.feedback[at], error[:, None, None, :].repeat(len(blocks), axis=1)[..., 0, :])
-        beyond = np.flatnonzero(~np.all((alone >= low - slack) & (alone <= high + slack), axis=(1, 2)))
-        if len(beyond):
-            program = self._program(blocks)
-            for row in beyond:
-                effort[row] += self._correction(program, alone[row])
-        return effort.reshape(*np.shape(position)[:-1], -1)
+        predicted = self.drive[self.ahead[at, :-1]] + np.stack([times(K, error) for K in self.alone[at]], axis=1)
+        beyond = ~np.all((predicted >= low - slack) & (predicted <= high + slack), axis=(1, 2))
+        onward = self.start(len(position))
+        for row in np.flatnonzero(beyond):
+            before = np.where(np.isnan(memory[row]), np.clip(predicted[row], low, high).ravel(), memory[row])
+            found = self._corrected(k, position[row], velocity[row], before.reshape(BLOCKS, -1))
+            if found is not None:
+                onward[row], effort[row] = found.ravel(), found[0]
+        return effort, onward
 
-    def _blocks(self, at: int) -> np.ndarray:
-        """Return the instants at which the blocks from an instant on begin."""
-        blocks = np.empty(self.feedback.shape[1], dtype=int)
-        for b in range(len(blocks)):
-            blocks[b], at = at, self.after[at]
-        return blocks
+    def _corrected(self, k: int, s: np.ndarray, v: np.ndarray, efforts: np.ndarray) -> np.ndarray | None:
+        """Return better efforts (blocks, n_u) from a state on; None where the motion they lead to cannot be predicted."""
+        reference, kept = self.reference, self.kept
+        motion = self.predictor.motion_of(reference.pose[k], s, v, efforts)
+        if motion is None:
+            return None
+        A, B = self.predictor.linearised(motion, efforts)
+        A, B = A[:, kept[:, None], kept], B[:, kept]
+        ahead = self.ahead[k % len(self.ahead)]
+        # A cycle's positions go on where it turns: errors are told from its own first instant.
+        passed = reference.position[k] - reference.position[k % len(self.ahead)]
+        independent = self.predictor.mechanism.independent
+        n_q = self.predictor.mechanism.n_q
+        x = np.concatenate([motion[1:, independent] - passed, motion[1:, n_q:]], axis=1)
+        wanted = np.concatenate([reference.position[ahead[1:]], reference.velocity[ahead[1:]]], axis=1)
+        found = _least_cost(
+            A,
+            B,
+            (x - wanted)[:, kept],
+            efforts - self.drive[ahead[:-1]],
+            self.periods * self.regulator.Q,
+            self.periods * self.regulator.R,
+            self.regulator.cost[ahead[-1]],
+            self.effort_limit - efforts[:, :, None],
+        )
+        return None if found is None else efforts + found
 
-    def _program(self, blocks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the Hessian and the matrix (N n_u, N n_u) from corrections to predicted efforts."""
-        n_blocks, n_u, m = self.feedback.shape[1:]
-        size = n_blocks * n_u
-        hessian, efforts = np.zeros((size, size)), np.zeros((size, size))
-        state = np.zeros((m, size))
-        for b, at in enumerate(blocks):
-            rows = slice(b * n_u, (b + 1) * n_u)
-            hessian[rows, rows] = self.price[at]
-            efforts[rows] = -self.gains[at] @ state
-            efforts[rows, rows] += np.eye(n_u)
-            state = self.onward[at] @ state
-            state[:, rows] += self.pushed[at]
-        return hessian, efforts
 
-    def _correction(self, program: tuple[np.ndarray, np.ndarray], alone: np.ndarray) -> np.ndarray:
-        """Return d_0 (n_u,) of the program whose predicted efforts without corrections are `alone` (blocks, n_u)."""
-        hessian, efforts = program
-        n_blocks, n_u = alone.shape
-        low, high = np.tile(self.effort_limit, (n_blocks, 1)).T
-        found, _, flag, _ = daqp.solve(hessian, np.zeros(len(low)), efforts, high - alone.ravel(), low - alone.ravel())
-        # Every effort can be brought within its limits by its own block's correction: there is always a solution.
-        return found[:n_u] if flag > 0 else np.full(n_u, np.nan)
+def _least_cost(A, B, e, w, Q, R, P, room) -> np.ndarray | None:
+    """Return the corrections d (N, n_u) of efforts within their room (N, n_u, 2) that cost least; None where none are found.
+
+    dx_{b+1} = A_b dx_b + B_b d_b; the cost is of e + dx (N, m), of which the last weighs P, and of w + d (N, n_u).
+    """
+    n, m, n_u = B.shape
+    states = np.zeros((n, m, n * n_u))
+    state = np.zeros((m, n * n_u))
+    for b in range(n):
+        state = A[b] @ state
+        state[:, b * n_u : (b + 1) * n_u] += B[b]
+        states[b] = state
+    weighed = np.matmul(Q, states)
+    weighed[-1] = P @ states[-1]
+    flat = states.reshape(n * m, -1)
+    hessian = flat.T @ weighed.reshape(n * m, -1) + np.kron(np.eye(n), R)
+    gradient = weighed.reshape(n * m, -1).T @ e.ravel() + (w @ R).ravel()
+    low, high = (np.ascontiguousarray(side) for side in room.reshape(-1, 2).T)  # DAQP reads memory, whatever the strides
+    found, _, flag, _ = daqp.solve(hessian, gradient, np.empty((0, n * n_u)), high, low)
+    return found.reshape(n, n_u) if flag > 0 else None
 
 
 def mpc(
@@ -106,44 +126,39 @@ def mpc(
     """Return the MPC tracker of a reference.
 
     Args:
-        mechanism: whose reduced dynamics are linearised.
+        mechanism: whose reduced dynamics predict.
         reference: the motion, sampled.
         errors: what weighs 1 in the cost.
         horizon_s: how far limits are looked at ahead [s]: in blocks of whole control periods, so rounded up.
         effort_limit: (n_u, 2) [N.m or N].
 
     Raises:
-        LinkplanError: when no stabilising gain exists, or a horizon is longer than the motion by far.
+        LinkplanError: when no stabilising gain exists, or the horizon is no time.
     """
     if not (np.isfinite(horizon_s) and horizon_s > 0):
         raise LinkplanError(f"the horizon of mpc is a positive number of seconds, got {horizon_s:g}")
     found, kept = regulator(mechanism, reference, errors)
-    A, B, after = found.A, found.B, found.after
-    n, m, n_u = B.shape
-    loop = A - B @ found.gains
+    n, m, n_u = found.B.shape
+    loop = found.A - found.B @ found.gains
     periods = max(1, int(np.ceil(horizon_s / (BLOCKS * reference.period_s) - 1e-9)))
-    onward, pushed = np.tile(np.eye(m), (n, 1, 1)), np.zeros((n, m, n_u))
-    price, drive = np.zeros((n, n_u, n_u)), np.zeros((n, n_u))
-    at = np.arange(n)
+    way, drive, at = np.tile(np.eye(m), (n, 1, 1)), np.zeros((n, n_u)), np.arange(n)
     for _ in range(periods):
-        price += found.price[at]
         drive += reference.effort[at] / periods
-        onward, pushed = loop[at] @ onward, loop[at] @ pushed + B[at]
-        at = after[at]
-    feedback = np.empty((n, BLOCKS, n_u, m))
-    start, way = np.arange(n), np.tile(np.eye(m), (n, 1, 1))
+        way, at = loop[at] @ way, found.after[at]
+    alone, ahead = np.empty((n, BLOCKS, n_u, m)), np.empty((n, BLOCKS + 1), dtype=int)
+    ahead[:, 0], so_far = np.arange(n), np.tile(np.eye(m), (n, 1, 1))
     for b in range(BLOCKS):
-        feedback[:, b] = -found.gains[start] @ way
-        way, start = onward[start] @ way, at[start]
+        here = ahead[:, b]
+        alone[:, b] = -found.gains[here] @ so_far
+        so_far, ahead[:, b + 1] = way[here] @ so_far, at[here]
     return MPC(
         reference=reference,
-        gains=found.gains,
-        onward=onward,
-        pushed=pushed,
-        price=price,
+        regulator=found,
+        alone=alone,
+        ahead=ahead,
         drive=drive,
-        after=at,
-        feedback=feedback,
         kept=kept,
+        periods=periods,
+        predictor=predictor(mechanism, BLOCKS, periods * reference.period_s),
         effort_limit=np.array(effort_limit, dtype=float),
     )
