@@ -6,45 +6,24 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import nearest
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import resting, sprung_freedoms
 from linkplan.planner.closed_chain.prescribed import is_whole
-from linkplan.planner.files.joint_values import MOST_TURNS, joint_values
+from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.sites_file import points_of, pose_at
+from linkplan.planner.keys.sections import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.reference import Sine
 from linkplan.planner.problem.sites import SitePoint
-from linkplan.planner.problem.values import number
-
-KEYS = (
-    "kind",
-    "start_deg",
-    "start_m",
-    "start_at",
-    "goal_deg",
-    "goal_m",
-    "goal_at",
-    "start_speed_deg_s",
-    "start_speed_m_s",
-    "goal_speed_deg_s",
-    "goal_speed_m_s",
-    "duration_s",
-    "min_duration_s",
-    "max_duration_s",
-    "waypoints",
-    "turns",
-)
-WAYPOINT_KEYS = ("at_deg", "at_m", "at", "speed_deg_s", "speed_m_s", "time_s")
 
 
-def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | None, limits: Limits) -> Motion:
+def motion_of(section: MotionSection, mechanism: Mechanism, reference: Sine | None, limits: Limits) -> Motion:
     """Return the motion of a [motion] table; poses that stand for places of sites keep the limits where they can."""
-    duration = section.get("duration_s", "free" if reference is None else reference.period_s)
-    if isinstance(duration, str) and duration != "free":
-        raise ProblemError(f'motion.duration_s is a positive number or "free", got {duration!r}')
-    duration = None if duration == "free" else number(duration, "motion.duration_s", positive=True)
+    kind, duration = section.kind, section.duration_s
+    if duration is None and reference is not None:
+        duration = reference.period_s
+    duration = None if duration == "free" else duration
     repeats = kind == "periodic" and reference is not None and duration is not None
     if repeats and not is_whole(duration * reference.frequency_hz):
         raise ProblemError(
@@ -64,20 +43,22 @@ def motion_of(section: dict, kind: str, mechanism: Mechanism, reference: Sine | 
         start_speed=_state(section, "start_speed_s", mechanism, 0.0),
         goal_speed=_state(section, "goal_speed_s", mechanism, 0.0),
         duration_s=duration,
-        min_duration_s=_optional(section, "min_duration_s"),
-        max_duration_s=_optional(section, "max_duration_s"),
-        waypoints=_waypoints(section, mechanism, limits, begin),
-        turns=_turns(section, mechanism),
+        min_duration_s=section.min_duration_s,
+        max_duration_s=section.max_duration_s,
+        waypoints=_waypoints(section.waypoints, mechanism, limits, begin),
+        turns=_turns(section.turns, mechanism),
         goal_named=tuple(np.flatnonzero(np.isin(mechanism.independent, list(_goal_joints(section, mechanism)))).tolist()),
     )
 
 
-def _goal_joints(section: dict, mechanism: Mechanism) -> set[int]:
+def _goal_joints(section: MotionSection, mechanism: Mechanism) -> set[int]:
     """Return the joints whose position or speed the goal names."""
     return set().union(*(joint_values(section, key, "motion", mechanism) for key in ("goal", "goal_speed_s")))
 
 
-def _state(section: dict, key: str, mechanism: Mechanism, default: float | None, where="motion") -> np.ndarray | None:
+def _state(
+    section: MotionSection | WaypointSection, key: str, mechanism: Mechanism, default: float | None, where: str = "motion"
+) -> np.ndarray | None:
     """Return the independent joints' values (n_s,) of a boundary condition, or None where nothing is said."""
     values = joint_values(section, key, where, mechanism)
     if not values:
@@ -94,14 +75,9 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
             raise ProblemError(
                 f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which is independent{hint}"
             )
-        value = values.get(int(index), default)
-        if index not in values and default is not None and np.isnan(default):
-            result.append(default)  # a waypoint leaves free what it does not name
-            continue
+        value = values.get(int(index), default)  # a waypoint leaves free what it does not name
         # a passive degree of freedom stays where it is, unless it is named
-        if value is None and int(index) in mechanism.passive_dofs:
-            value = joint.shown(mechanism.home[index])
-        result.append(joint.read(number(value, f"{where}.{key} of joint {joint.name}")))
+        result.append(mechanism.home[index] if value is None else joint.read(value))
     if key.endswith("_s"):
         for index in values:
             if index not in mechanism.independent:
@@ -113,11 +89,11 @@ def _state(section: dict, key: str, mechanism: Mechanism, default: float | None,
 
 
 def _end(
-    section: dict, name: str, kind: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
+    section: MotionSection, name: str, kind: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
 ) -> tuple[np.ndarray | None, tuple[SitePoint, ...], tuple[int, ...]]:
     """Return a start or goal (n_s,), by joints or by places of sites, those places, and `Motion.goal_rows`."""
-    named = [key for key in (f"{name}_deg", f"{name}_m") if section.get(key)]
-    points = points_of(section, f"{name}_at", mechanism)
+    named = [key for key in (f"{name}_deg", f"{name}_m") if getattr(section, key)]
+    points = points_of(getattr(section, f"{name}_at"), f"motion.{name}_at", mechanism)
     if not points:
         return _state(section, name, mechanism, None), (), ()
     if named:
@@ -135,13 +111,10 @@ def _end(
     return s, points, rows
 
 
-def _turns(section: dict, mechanism: Mechanism) -> np.ndarray | None:
+def _turns(asked: dict[str, int] | None, mechanism: Mechanism) -> np.ndarray | None:
     """Return the whole turns (n_s,) that a periodic motion goes on by, None where it returns in full."""
-    asked = section.get("turns")
     if asked is None:
         return None
-    if not isinstance(asked, dict):
-        raise ProblemError(f"motion.turns is a table of joint = whole turns, got {asked!r}")
     turns = np.zeros(mechanism.dof)
     places = {int(index): column for column, index in enumerate(mechanism.independent)}
     for name, n in asked.items():
@@ -153,10 +126,6 @@ def _turns(section: dict, mechanism: Mechanism) -> np.ndarray | None:
         if index not in places:
             names = ", ".join(j.name for j in mechanism.independent_joints)
             raise ProblemError(f"motion.turns of joint {name}: its turns follow from {names}; name those")
-        if isinstance(n, bool) or not isinstance(n, int) or abs(n) > MOST_TURNS:
-            raise ProblemError(
-                f"motion.turns.{name} is a whole number of turns from -{MOST_TURNS} to {MOST_TURNS}, got {n!r}"
-            )
         turns[places[index]] = n
     return turns
 
@@ -169,14 +138,14 @@ def _closed(mechanism: Mechanism, s: np.ndarray) -> np.ndarray:
         return mechanism.home
 
 
-def _with_rests(values: dict[int, object], where: str, mechanism: Mechanism) -> dict[int, object]:
+def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> dict[int, float]:
     """Return a state's values with those freedoms that it does not name, and that nothing drives, resting on springs."""
     unnamed = tuple(c for c in sprung_freedoms(mechanism) if int(mechanism.independent[c]) not in values)
     if not unnamed:
         return values
     joints = mechanism.joints
     named = {
-        column: joints[index].read(number(values[index], f"{where} of joint {joints[index].name}"))
+        column: joints[index].read(values[index])
         for column, index in enumerate(mechanism.independent.tolist())
         if index in values
     }
@@ -189,32 +158,19 @@ def _with_rests(values: dict[int, object], where: str, mechanism: Mechanism) -> 
     return values | {int(mechanism.independent[c]): joints[int(mechanism.independent[c])].shown(s[c]) for c in unnamed}
 
 
-def _optional(section: dict, key: str) -> float | None:
-    value = section.get(key)
-    return None if value is None else number(value, f"motion.{key}", positive=True)
-
-
-def _waypoints(section: dict, mechanism: Mechanism, limits: Limits, begin: np.ndarray) -> tuple[Waypoint, ...]:
+def _waypoints(
+    given: list[WaypointSection], mechanism: Mechanism, limits: Limits, begin: np.ndarray
+) -> tuple[Waypoint, ...]:
     """Return the waypoints; places of sites stand for the poses nearest to those before, the first (n_q,) to `begin`."""
-    given = section.get("waypoints", [])
-    if not isinstance(given, list) or not all(isinstance(item, dict) for item in given):
-        raise ProblemError(f"motion.waypoints is a list of tables with keys {', '.join(WAYPOINT_KEYS)}, got {given!r}")
     waypoints = []
     for k, item in enumerate(given):
         where = f"motion.waypoints[{k}]"
-        for key in item:
-            if key not in WAYPOINT_KEYS:
-                raise ProblemError(
-                    f"unknown key '{where}.{key}'{nearest(key, WAYPOINT_KEYS)}; keys are {', '.join(WAYPOINT_KEYS)}"
-                )
         nothing = np.full(mechanism.dof, np.nan)
         position, speed = (_state(item, key, mechanism, np.nan, where) for key in ("at", "speed_s"))
-        time = item.get("time_s", "free")
-        time = None if time == "free" else number(time, f"{where}.time_s", positive=True)
-        points, rows, guess = points_of(item, "at", mechanism, where), (), None
+        points, rows, guess = points_of(item.at, f"{where}.at", mechanism), (), None
         if points:
             if position is not None:
-                both = next(key for key in ("at_deg", "at_m") if item.get(key))
+                both = "at_deg" if item.at_deg else "at_m"
                 raise ProblemError(f"{where}.at and {where}.{both} both say where it is; keep one")
             guess, rows = pose_at(points, f"{where}.at", mechanism, limits, begin)
             begin, position = _closed(mechanism, guess), None if rows else guess
@@ -222,7 +178,7 @@ def _waypoints(section: dict, mechanism: Mechanism, limits: Limits, begin: np.nd
             Waypoint(
                 position=nothing if position is None else position,
                 speed=speed,
-                time_s=time,
+                time_s=None if item.time_s == "free" else item.time_s,
                 at=points,
                 at_rows=rows,
                 guess=guess if rows else None,

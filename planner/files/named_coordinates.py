@@ -17,7 +17,7 @@ def other_coordinates(tables: Mapping[str, dict], mechanism: Mechanism) -> list[
     than there are degrees of freedom: the loops then fix some of them, and which is not said.
 
     Args:
-        tables: a problem file's.
+        tables: a problem file's, which were read.
         mechanism: with the coordinates that it has by default.
     """
     if "independent" in mechanism.source:
@@ -42,9 +42,7 @@ def coordinates_note(mechanism: Mechanism, named: list[str]) -> str:
 def _named(tables: Mapping[str, dict]) -> Iterator[str]:
     """Yield the joints that a motion, its waypoints and its reference name."""
     motion = tables.get("motion", {})
-    waypoints = motion.get("waypoints", [])
-    for table in (motion, tables.get("reference", {}), *(waypoints if isinstance(waypoints, list) else [])):
-        for state in _STATES if isinstance(table, dict) else ():
-            for key in (f"{state}_deg", f"{state}_m", f"{state}_deg_s", f"{state}_m_s"):
-                values = table.get(key)
-                yield from values if isinstance(values, dict) else ()
+    for table in (motion, tables.get("reference", {}), *motion.get("waypoints", [])):
+        for state in _STATES:
+            for unit in ("deg", "m", "deg_s", "m_s"):
+                yield from table.get(f"{state}_{unit}", ())

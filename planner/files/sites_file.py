@@ -1,67 +1,33 @@
 """Sites in a problem file: where they start, pass and end (start_at, a waypoint's at, goal_at), and stay (limits.site)."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import nearest
 from linkplan.models.poses.inverse_kinematics import SiteTargets, independent_rows_of, places_of, site_pose
 from linkplan.models.tree.sites import site_index
 from linkplan.planner.files.values import interval
+from linkplan.planner.keys.reading import read
+from linkplan.planner.keys.sections import SITE_LIMITS, Box, Section, Tube, Wall
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.sites import AXES, SiteLimit, SitePoint
-from linkplan.planner.problem.values import number
 
-WALL, TUBE = ("normal", "at"), ("along", "radius_m")
-# Corners of a tube's polyline at the most: each segment is an expression at every node.
-_MOST_CORNERS = 200
 # A normal, or a segment of a polyline, shorter than this [1 or m] has no direction.
 _NO_LENGTH = 1e-9
 # A coordinate of a nearest place below this [m] is shown as none: it is found to the root of rounding.
 _NOTHING_M = 1e-6
 
 
-def points_of(section: dict, key: str, mechanism: Mechanism, within: str = "motion") -> tuple[SitePoint, ...]:
+def points_of(table: dict[str, list | dict], where: str, mechanism: Mechanism) -> tuple[SitePoint, ...]:
     """Return where a start, goal or waypoint asks sites to be: { foot = [x, y, z] }, or { foot = { z = 0.2 } }."""
-    where = f"{within}.{key}"
-    table = section.get(key, {})
-    if not isinstance(table, dict):
-        raise ProblemError(f"{where} is a table of site = [x, y, z] in metres, got {table!r}")
     found = []
-    names = [joint.name for joint in mechanism.joints]
     for name, value in table.items():
-        if name in names and isinstance(value, int | float):
-            by_joint = f"{within}.{key.removesuffix('_at')}_deg"
-            raise ProblemError(
-                f"{where}.{name} is a site's place, [x, y, z] in metres; joint {name}'s position is {by_joint}"
-            )
+        point = [value.get(axis, np.nan) for axis in AXES] if isinstance(value, dict) else value
         index = site_index(mechanism.model, name, where, ProblemError)
-        found.append(SitePoint(site=name, index=index, point=_point(value, f"{where}.{name}")))
+        found.append(SitePoint(site=name, index=index, point=np.array(point)))
     return tuple(found)
-
-
-def _point(value: object, where: str) -> np.ndarray:
-    if isinstance(value, list):
-        return _vector(value, where, "or a table of those coordinates that matter: { x = 0.1, z = 0.2 }")
-    if not isinstance(value, dict) or not value:
-        raise ProblemError(f"{where} is [x, y, z] in metres, or a table such as {{ x = 0.1, z = 0.2 }}, got {value!r}")
-    _check_keys(value, AXES, where)
-    return np.array([number(value[axis], f"{where}.{axis}") if axis in value else np.nan for axis in AXES])
-
-
-def _vector(value: object, where: str, otherwise: str = "") -> np.ndarray:
-    if not isinstance(value, list) or len(value) != 3:
-        raise ProblemError(f"{where} is [x, y, z] in metres{', ' if otherwise else ''}{otherwise}, got {value!r}")
-    return np.array([number(one, f"{where}[{k}]") for k, one in enumerate(value)])
-
-
-def _check_keys(table: dict, legal: tuple[str, ...], where: str) -> None:
-    for key in table:
-        if key not in legal:
-            raise ProblemError(f"unknown key '{where}.{key}'{nearest(key, legal)}; keys are {', '.join(legal)}")
 
 
 def pose_at(
@@ -118,74 +84,54 @@ _LEGAL = (
 )
 
 
-def site_limits_of(section: dict, mechanism: Mechanism) -> tuple[SiteLimit, ...]:
+def site_limits_of(table: dict[str, dict | list[dict]], mechanism: Mechanism) -> tuple[SiteLimit, ...]:
     """Return the limits of limits.site: { foot = { z = [0.0, inf] } }, or a list of boxes, walls and tubes."""
-    table = section.get("site", {})
-    if not isinstance(table, dict):
-        raise ProblemError(f"limits.site is a table of site = limits, got {table!r}")
     found: list[SiteLimit] = []
     for site, value in table.items():
-        of = _Site(name=site, index=site_index(mechanism.model, site, "limits.site", ProblemError))
-        if not isinstance(value, list):
-            found += _limits(value, f"limits.site.{site}", of)
-            continue
-        if not value:
-            raise ProblemError(f"limits.site.{site} limits nothing; {_LEGAL}, got []")
-        for k, one in enumerate(value):
-            found += _limits(one, f"limits.site.{site}[{k}]", _Site(name=site, index=of.index, number=f"[{k}]"))
+        where = f"limits.site.{site}"
+        index = site_index(mechanism.model, site, "limits.site", ProblemError)
+        numbered = isinstance(value, list)
+        for k, one in enumerate(value if isinstance(value, list) else [value]):
+            number = f"[{k}]" if numbered else ""
+            for what, low, high, shape in _limits(one, f"{where}{number}"):
+                name = f"{site}{number}.{what}"
+                found.append(SiteLimit(site=site, index=index, what=what, name=name, low=low, high=high, **shape))
+        if numbered and not value:
+            raise ProblemError(f"{where} limits nothing; {_LEGAL}, got []")
     return tuple(found)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Site:
-    """A site whose limits are read, and what tells those apart where there are several."""
-
-    name: str
-    index: int
-    number: str = ""
-
-    def limited(self, what: str, low: float, high: float, **shape: Any) -> SiteLimit:
-        """Return its limit of a kind."""
-        name = f"{self.name}{self.number}.{what}"
-        return SiteLimit(site=self.name, index=self.index, what=what, name=name, low=low, high=high, **shape)
-
-
-def _limits(one: object, where: str, of: _Site) -> list[SiteLimit]:
-    """Return the limits of one box, wall or tube."""
-    if not isinstance(one, dict) or not one:
-        raise ProblemError(f"{where} limits nothing; {_LEGAL}, got {one!r}")
-    if set(one) & set(WALL):
-        return [_wall(one, where, of)]
-    if set(one) & set(TUBE):
-        return [_tube(one, where, of)]
-    _check_keys(one, (*AXES, *WALL, *TUBE), where)
-    bounds = {axis: interval(one[axis], f"{where}.{axis}") for axis in AXES if axis in one}
+def _limits(one: dict, where: str) -> list[tuple[str, float, float, dict[str, Any]]]:
+    """Return the limits of one box, wall or tube: what each is, its bounds, and its shape."""
+    if not one:
+        raise ProblemError(f"{where} limits nothing; {_LEGAL}, got {{}}")
+    kind = next((kind for kind in SITE_LIMITS if set(one) & set(kind.__struct_fields__)), None)
+    if kind is None:
+        legal = ", ".join((*AXES, *(key for shape in (Wall, Tube) for key in shape.__struct_fields__)))
+        raise ProblemError(f"unknown key '{where}.{next(iter(one))}'; keys are {legal}")
+    _refuse_half_a_shape(one, kind, where)
+    found = read(kind, one, where)
+    if isinstance(found, Wall):
+        normal, length = np.array(found.normal), float(np.linalg.norm(found.normal))
+        if length < _NO_LENGTH:
+            raise ProblemError(f"{where}.normal points to the free side and is not zero, got {one['normal']!r}")
+        shape = {"normal": normal / length, "origin": float(normal @ np.array(found.at)) / length}
+        return [("wall", 0.0, np.inf, shape)]
+    if isinstance(found, Tube):
+        along = np.array(found.along)
+        short = np.flatnonzero(np.linalg.norm(np.diff(along, axis=0), axis=1) < _NO_LENGTH)
+        if len(short):
+            again = one["along"][int(short[0])]
+            raise ProblemError(f"{where}.along goes on from point to point, got {again!r} twice in a row")
+        return [("tube", 0.0, found.radius_m, {"along": along})]
+    given = {axis: getattr(found, axis) for axis in AXES if getattr(found, axis) is not None}
+    bounds = {axis: interval(ends, f"{where}.{axis}") for axis, ends in given.items()}
     bounded = {axis: ends for axis, ends in bounds.items() if np.any(np.isfinite(ends))}
-    return [of.limited(axis, *ends, normal=np.eye(3)[AXES.index(axis)]) for axis, ends in bounded.items()]
+    return [(axis, *ends, {"normal": np.eye(3)[AXES.index(axis)]}) for axis, ends in bounded.items()]
 
 
-def _wall(one: dict, where: str, of: _Site) -> SiteLimit:
-    _check_keys(one, WALL, where)
-    for key in WALL:
+def _refuse_half_a_shape(one: dict, kind: type[Section], where: str) -> None:
+    """Refuse a wall without a point or a normal, and a tube without a radius or a path."""
+    for key in kind.__struct_fields__ if kind is not Box else ():
         if key not in one:
-            raise ProblemError(f"{where} is a wall and lacks {key}: {{ normal = [x, y, z], at = [x, y, z] }}")
-    normal, at = (_vector(one[key], f"{where}.{key}") for key in WALL)
-    length = float(np.linalg.norm(normal))
-    if length < _NO_LENGTH:
-        raise ProblemError(f"{where}.normal points to the free side and is not zero, got {one['normal']!r}")
-    return of.limited("wall", 0.0, np.inf, normal=normal / length, origin=float(normal @ at) / length)
-
-
-def _tube(one: dict, where: str, of: _Site) -> SiteLimit:
-    _check_keys(one, TUBE, where)
-    for key in TUBE:
-        if key not in one:
-            raise ProblemError(f"{where} is a tube and lacks {key}: {{ along = [[x, y, z], [x, y, z]], radius_m = 0.01 }}")
-    given = one["along"]
-    if not isinstance(given, list) or not 2 <= len(given) <= _MOST_CORNERS:
-        raise ProblemError(f"{where}.along is a list of 2 to {_MOST_CORNERS} points [x, y, z] in metres, got {given!r}")
-    along = np.array([_vector(point, f"{where}.along[{k}]") for k, point in enumerate(given)])
-    short = np.flatnonzero(np.linalg.norm(np.diff(along, axis=0), axis=1) < _NO_LENGTH)
-    if len(short):
-        raise ProblemError(f"{where}.along goes on from point to point, got {given[int(short[0])]!r} twice in a row")
-    return of.limited("tube", 0.0, number(one["radius_m"], f"{where}.radius_m", positive=True), along=along)
+            raise ProblemError(f"{where} is a {kind.__name__.lower()} and lacks {key}; {_LEGAL}")

@@ -7,3 +7,5 @@ NAMES = (
     *(f"{name}{form}" for name in LOBATTO for form in ("", "-consistent")),
     *(f"{family}-{degree}" for family in ("radau", "gauss") for degree in range(1, MAX_DEGREE + 1)),
 )
+# What an effort is over an interval: the degree of its polynomial at the most.
+EFFORTS = {"constant": 0, "linear": 1, "polynomial": MAX_DEGREE}

@@ -25,9 +25,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
 from linkplan.planner.transcription.bernstein import bernstein_integral, bernstein_matrix
-from linkplan.planner.transcription.scheme_names import LOBATTO, MAX_DEGREE, NAMES
-
-EFFORTS = {"constant": 0, "linear": 1, "polynomial": MAX_DEGREE}
+from linkplan.planner.transcription.scheme_names import EFFORTS, LOBATTO, MAX_DEGREE, NAMES
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

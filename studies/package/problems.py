@@ -11,17 +11,17 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import nearest
 from linkplan.plain import plain
-from linkplan.planner.files.motion_file import KEYS as MOTION_KEYS
-from linkplan.planner.files.problem_file import KEYS, mechanism_from_tables, problem_from_tables
+from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
 from linkplan.planner.files.tables import read_tables, set_key
 from linkplan.planner.files.toml_text import toml_text
+from linkplan.planner.keys.reading import KEYS
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import start_pose_of
 
 ByName = Mapping[str, float]
 # Arguments of the builders that are whole tables of a problem file, and those that are keys of one.
 _SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracking")
-_MOTION = tuple(key for key in MOTION_KEYS if key != "kind")
+_MOTION = tuple(key for key in KEYS["motion"] if key != "kind")
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 
 

@@ -9,7 +9,8 @@ from linkplan.plain import plain
 from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.problem_file import mechanism_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.problem.values import number
+from linkplan.planner.keys.reading import read
+from linkplan.planner.keys.sections import WaypointSection
 from linkplan.problems import Problem
 
 Subject = Mechanism | Problem | str | Path
@@ -54,8 +55,7 @@ def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[di
         )
     poses = []
     for k in range(max(map(len, lists.values()))):
-        section = {key: tables[k] for key, tables in lists.items() if tables}
+        section = read(WaypointSection, {key: tables[k] for key, tables in lists.items() if tables}, f"poses[{k}]")
         values = joint_values(section, "at", f"poses[{k}]", mechanism)
-        joints = {index: mechanism.joints[index] for index in values}
-        poses.append({j.name: float(j.read(number(values[i], f"poses[{k}] of joint {j.name}"))) for i, j in joints.items()})
+        poses.append({mechanism.joints[i].name: mechanism.joints[i].read(value) for i, value in values.items()})
     return poses

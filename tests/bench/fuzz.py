@@ -89,9 +89,9 @@ def damaged(rng: random.Random, content: bytes) -> bytes:
 
 def mutated_toml(rng: random.Random) -> bytes:
     """Return a problem file with values of keys replaced, keys added, or bytes damaged."""
-    from linkplan.planner.files.problem_file import KEYS
     from linkplan.planner.files.tables import built_in_text
     from linkplan.planner.files.toml_text import inline
+    from linkplan.planner.keys.reading import KEYS
 
     text = built_in_text(rng.choice(PROBLEMS))
     if rng.random() < 0.25:

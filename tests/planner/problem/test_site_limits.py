@@ -45,7 +45,7 @@ def unlimited() -> Plan:
 
 
 def limit_of(site: dict) -> SiteLimit:
-    (limit,) = site_limits_of({"site": site}, arm_of(UPPER, LOWER))
+    (limit,) = site_limits_of(site, arm_of(UPPER, LOWER))
     return limit
 
 

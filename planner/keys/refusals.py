@@ -1,0 +1,181 @@
+"""What is wrong with a value, in one line: which key, what is legal, what was got; msgspec's own words have no names.
+
+It says where and not what ("Expected `float | array`, got `str` - at `$.a[...]`"): so the value is gone through again, from
+its kind, down to the part that msgspec does not take.
+"""
+
+import math
+import types
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import msgspec
+
+from linkplan.planner.keys.kinds import LARGEST, Place
+from linkplan.planner.keys.reading import Known
+from linkplan.planner.keys.synonyms import meant
+
+
+def fault(kind: Any, value: object, where: str, known: Known | None = None) -> str | None:
+    """Return what is wrong with a value that is to be one of a kind, None where nothing is."""
+    if _taken(kind, value):
+        return None
+    bare, about = without_metadata(kind)
+    if get_origin(bare) in (Union, types.UnionType):
+        return _of_none(kind, bare, value, where, known)
+    if isinstance(bare, type) and issubclass(bare, msgspec.Struct):
+        return _in_section(bare, value, where, known)
+    container = get_origin(bare) or bare
+    if container is dict and isinstance(value, dict) and value:
+        return _in_table(bare, about, value, where, known)
+    if container is list and isinstance(value, list):
+        inner = get_args(bare)[0]
+        items = enumerate(value)
+        found = (fault(inner, item, f"{where}[{k}]" if "numbered" in about else where, known) for k, item in items)
+        return next(filter(None, found), f"{where} is {words(kind)}, got {got(value)}")
+    if container is Literal and (isinstance(value, str) or "choices" in about) and len(get_args(bare)) > 1:
+        legal = about.get("choices") or f"legal: {', '.join(get_args(bare))}"
+        return f"unknown {where} '{value}'{meant(str(value), get_args(bare))}; {legal}"
+    if bare is float:
+        return _number(kind, about, value, where)
+    return f"{where} is {words(kind)}, got {got(value)}"
+
+
+def unknown_key(kind: Any, value: object, where: str) -> str | None:
+    """Return what is wrong with a section that is no table, or has a key that is none of its own; None where nothing is."""
+    bare = without_metadata(kind)[0]
+    if bare is str:
+        return fault(kind, value, where)
+    legal = getattr(bare, "__struct_fields__", None)  # a table by name has no keys of its own
+    if not isinstance(value, dict):
+        is_inner = legal is not None and "." in where
+        what = f"{where} is a table with keys {', '.join(legal)}" if is_inner else f"'{where}' is a table ([{where}])"
+        return f"{what}, got {got(value)}"
+    for key in value if legal is not None else ():
+        if key not in legal and where:
+            return f"unknown key '{where}.{key}'{meant(key, legal)}; keys are {', '.join(legal)}"
+        if key not in legal:
+            return f"unknown table or key '{key}'{meant(key, legal)}; tables are {', '.join(legal)}"
+    return None
+
+
+def words(kind: Any) -> str:
+    """Return what a kind of value is, in words: "a positive number", "[low, high]", "one of reach, periodic, track"."""
+    bare, about = without_metadata(kind)
+    if "said" in about:
+        return about["said"]
+    if get_origin(bare) in (Union, types.UnionType):
+        return " or ".join(words(one) for one in get_args(bare))
+    container = get_origin(bare) or bare
+    if container is Literal:
+        named = get_args(bare)
+        return f"one of {', '.join(named)}" if len(named) > 1 else f'"{named[0]}"'
+    if container is dict:
+        return f"a table of {about['of']}"
+    if container is list:
+        return f"a list, of {words(get_args(bare)[0])} each"
+    if bare is int:
+        return f"a whole number from {about['ge']} to {about['le']}"
+    if bare is float:
+        least, above = about.get("ge", -math.inf), about.get("gt", -math.inf)
+        return "a positive number" if least > 0 or above >= 0 else "a number of at least 0" if least == 0 else "a number"
+    return "a text" if bare is str else "a table"
+
+
+def range_words(about: dict[str, Any]) -> str:
+    """Return the ends of a number in words."""
+    low, high = about.get("ge", about.get("gt", -LARGEST)), about.get("le", about.get("lt", LARGEST))
+    return about.get("range", f"from {low:g} to {'below ' if 'lt' in about else ''}{high:g}")
+
+
+def without_metadata(kind: Any) -> tuple[Any, dict[str, Any]]:
+    """Return a kind's type without what is said of it, and that as one table: its bounds, and the words for it."""
+    if get_origin(kind) is not Annotated:
+        return kind, {}
+    bare, *metadata = get_args(kind)
+    about: dict[str, Any] = {}
+    for meta in metadata:
+        about |= {name: end for name in ("ge", "gt", "le", "lt") if (end := getattr(meta, name)) is not None}
+        about |= meta.extra or {}
+    return bare, about
+
+
+def got(value: object) -> str:
+    """Return a value as it is quoted."""
+    try:
+        return repr(value)
+    except ValueError:  # Python writes no integer of thousands of digits
+        return "a number of thousands of digits"
+
+
+def _taken(kind: Any, value: object) -> bool:
+    try:
+        msgspec.convert(value, kind)
+    except msgspec.ValidationError:
+        return False
+    return True
+
+
+def _of_none(kind: Any, bare: Any, value: object, where: str, known: Known | None) -> str | None:
+    """Return what is wrong with a value of several kinds: with the kind that it looks like, or that it is none of them."""
+    for one in get_args(bare):
+        inner = without_metadata(one)[0]
+        container = get_origin(inner) or inner
+        is_section = isinstance(container, type) and issubclass(container, msgspec.Struct)
+        alike = (
+            (container is dict or is_section) and isinstance(value, dict) and value,
+            container is list and isinstance(value, list),
+            container is float and isinstance(value, int | float) and not isinstance(value, bool),
+            container is Literal and isinstance(value, str) and len(get_args(inner)) > 1,
+        )
+        if any(alike):
+            return fault(one, value, where, known)
+    if kind == Place and isinstance(value, int | float):  # who writes a number there means a joint
+        stem, _, name = where.rpartition(".")
+        joint = f"joint {name}'s position is {stem.removesuffix('_at')}_deg.{name}"
+        return f"{where} is a site's place, {words(kind)}, got {got(value)}; {joint}"
+    return f"{where} is {words(kind)}, got {got(value)}"
+
+
+def _in_section(kind: type[msgspec.Struct], value: object, where: str, known: Known | None) -> str | None:
+    found = unknown_key(kind, value, where)
+    if found is not None or not isinstance(value, dict):
+        return found
+    fields = msgspec.structs.fields(kind)
+    path = {field.name: f"{where}.{field.name}" if where else field.name for field in fields}
+    for field in fields:
+        found = fault(field.type, value[field.name], path[field.name], known) if field.name in value else None
+        if found:
+            return found
+    for field in fields:
+        if field.required and field.name not in value:
+            inner = without_metadata(field.type)[0]
+            is_section = isinstance(inner, type) and issubclass(inner, msgspec.Struct)
+            missing = f"{path[field.name]} is missing; it is {words(field.type)}"
+            return fault(inner, {}, path[field.name], known) if is_section else missing
+    return None
+
+
+def _in_table(bare: Any, about: dict, value: dict, where: str, known: Known | None) -> str | None:
+    names, inner = get_args(bare)
+    legal = get_args(names) if get_origin(names) is Literal else None
+    for name, one in value.items():
+        if legal is not None and name not in legal:
+            return f"unknown key '{where}.{name}'{meant(name, legal)}; it is one of {', '.join(legal)}"
+        if known is not None and "noun" in about:
+            known(about["noun"], name, where)
+        found = fault(inner, one, where + about["item"].format(name) if "item" in about else f"{where}.{name}", known)
+        if found:
+            return found
+    return None
+
+
+def _number(kind: Any, about: dict[str, Any], value: object, where: str) -> str:
+    wanted = f"{where} is {words(kind)}"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return f"{wanted}, got {got(value)}"
+    if isinstance(value, int) and abs(value) > LARGEST:
+        return f"{wanted} below {LARGEST:g}, got one of {int(math.log10(abs(value))) + 1} digits"
+    if not math.isfinite(value) or (value <= 0 and about.get("ge", about.get("gt", -1)) >= 0):
+        return f"{wanted}, got {got(value)}"
+    short = f"{value:g}"
+    return f"{where} is {range_words(about)}, got {short if float(short) == value else got(value)}"
