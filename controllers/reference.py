@@ -43,6 +43,25 @@ class SampledReference:
         return len(self.time_s)
 
 
+def state_at(reference: SampledReference, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return position and velocity (..., n_s) at times (...), by the cubic through each two samples and their velocities.
+
+    After the last sample the motion goes on at its last velocity. At a sample the values are the sample's own.
+    """
+    T = reference.period_s
+    time = np.asarray(time_s, dtype=float)
+    k = np.clip(np.floor(time / T + 1e-9).astype(int), 0, reference.n - 1)
+    after = np.minimum(k + 1, reference.n - 1)
+    x = (time / T - k)[..., None]
+    x = np.where(np.abs(x) < 1e-9, 0.0, x)
+    p0, v0 = reference.position[k], T * reference.velocity[k]
+    last = (k == after)[..., None]
+    p1 = np.where(last, p0 + v0, reference.position[after])
+    v1 = np.where(last, v0, T * reference.velocity[after])
+    a, b = 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1
+    return p0 + x * (v0 + x * (a + x * b)), np.where(x == 0, v0, v0 + x * (2 * a + 3 * x * b)) / T
+
+
 def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, duration_s: float) -> SampledReference:
     """Return a trajectory at the control instants of a period [s] over a duration [s].
 

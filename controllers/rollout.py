@@ -132,7 +132,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, 
             check()
             poses[k] = mechanism.q_of(data.qpos, reference.pose[k])
             velocities[k] = mechanism.rates_of(poses[k], data.qvel)[independent]
-            asked, memory = law.step(k, poses[k, None, independent], velocities[k, None], memory)
+            asked, memory = law.step(k, poses[k : k + 1, independent], velocities[k : k + 1], memory)
             commanded[k] = asked[0]
             # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.
             applied[k] = np.clip(commanded[max(0, k - loop.delay_periods)], limit[:, 0], limit[:, 1])

@@ -28,7 +28,9 @@ ROOMS = {
         "transcription", "trajectory", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain", "ode",
         "search", "diagnosis", "planning", "files", "replan", "batch",
     ),
-    "controllers": ("reference", "trackers", "integrator", "sampling", "rollout", "batch", "playback"),
+    "controllers": (
+        "reference", "trackers", "integrator", "sampling", "rollout", "imperfections", "ensemble", "batch", "playback",
+    ),
     "studies": ("output", "check", "compare", "frequency", "bode", "tune", "demo", "cli"),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.

@@ -12,3 +12,11 @@ def times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     for j in range(1, vector.shape[-1]):
         total = total + matrix[..., j] * vector[..., j : j + 1]
     return total
+
+
+def added(terms: np.ndarray) -> np.ndarray:
+    """Return the sums (...,) of terms (..., m), from the first to the last."""
+    total = terms[..., 0]
+    for j in range(1, terms.shape[-1]):
+        total = total + terms[..., j]
+    return total

@@ -1,6 +1,7 @@
 """One way to ask every tracker: for the efforts of a batch of states, with a memory that the caller holds."""
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 
@@ -23,10 +24,8 @@ class Memoryless:
         """Return no memory (n, 0)."""
         return np.empty((n, 0))
 
-    def step(
-        self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return efforts (n, n_u) [N.m or N]: of all states at once, or one after another where the law knows single ones."""
+    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return efforts (n, n_u) [N.m or N]: of all states at once, or or one by one where it knows single ones."""
         if self.batched:
             return self.law.effort(k, position, velocity), memory
         each = [self.law.effort(k, s, v) for s, v in zip(position, velocity, strict=True)]
@@ -36,5 +35,5 @@ class Memoryless:
 def steps_of(tracker: AnyTracker) -> TrackerWithMemory:
     """Return a tracker as one that is asked for a batch and given its memory."""
     if callable(getattr(tracker, "step", None)) and callable(getattr(tracker, "start", None)):
-        return tracker
-    return Memoryless(law=tracker, batched=bool(getattr(tracker, "batched", False)))
+        return cast(TrackerWithMemory, tracker)
+    return Memoryless(law=cast(Tracker, tracker), batched=bool(getattr(tracker, "batched", False)))

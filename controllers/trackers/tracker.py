@@ -2,12 +2,13 @@
 
 Whatever runs a tracker asks it through `steps_of` (stepping.py), which knows all kinds:
 
-* `Tracker`: `effort(k, position, velocity)`, for one state. Where the class says `batched = True`, its `effort` takes leading
-  batch axes as well, position and velocity (..., n_s) -> efforts (..., n_u); without it, states are given one by one.
-* `TrackerWithMemory`: `start(n)` and `step(k, position, velocity, memory)`, always for a batch of n states, a single run being
-  a batch of one. The memory is the loop's: the law is given it and returns the next one, and keeps nothing.
+* `Tracker`: `effort(k, position, velocity)`, for one state. Where the class says `batched = True`, its `effort` takes
+  leading batch axes as well, position and velocity (..., n_s) -> efforts (..., n_u); without it, states are given one by one.
+* `TrackerWithMemory`: `start(n)` and `step(k, position, velocity, memory)`, always for a batch of n states, a single run
+  being a batch of one. The memory is the loop's: the law is given it and returns the next one, and keeps nothing.
 
-The efforts of one state must not depend on the other states of its batch, to the last bit: `times` (linear.py) multiplies so.
+The efforts of one state must not depend on the other states of its batch, to the last bit: `times` (linear.py) multiplies
+so.
 """
 
 from typing import Protocol
@@ -40,9 +41,7 @@ class TrackerWithMemory(Protocol):
         """Return the memory (n, n_m) before the first control instant of n simulations."""
         ...
 
-    def step(
-        self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) [N.m or N] at instant k for measured s and v (n, n_s), and the next memory (n, n_m)."""
         ...
 

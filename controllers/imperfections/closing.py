@@ -1,0 +1,55 @@
+"""The closed pose and rates of a plant that differs from its mechanism, by Newton's method on MuJoCo's own residuals."""
+
+import copy
+
+import mujoco
+import numpy as np
+
+from linkplan.models.errors import AssemblyError
+
+# Residuals [m or rad] below this are rounding of poses of about a metre; Newton's method gets there in a few steps.
+_CLOSED = 1e-13
+# Where rounding stops it earlier, this is still far below what a softened loop gapes.
+_GOOD_ENOUGH = 1e-9
+_MOST_STEPS = 50
+
+
+def closed_pose(model: mujoco.MjModel, pose: np.ndarray, dependent: np.ndarray) -> np.ndarray:
+    """Return the closed pose (nq,) next to a pose, its independent coordinates kept.
+
+    Raises:
+        AssemblyError: when the loop does not close there.
+    """
+    q, best, residual = np.array(pose, dtype=float), np.array(pose, dtype=float), np.inf
+    for _ in range(_MOST_STEPS):
+        r, J = _equalities(model, q)
+        size = float(np.abs(r).max(initial=0.0))
+        if not size < residual:
+            break
+        best, residual = q.copy(), size
+        if size < _CLOSED:
+            break
+        q[dependent] -= np.linalg.lstsq(J[:, dependent], r, rcond=None)[0]
+    if residual > _GOOD_ENOUGH:
+        raise AssemblyError(f"the loop does not close at the start with these lengths: {1e3 * residual:.3g} mm are left")
+    return best
+
+
+def closed_rates(model: mujoco.MjModel, pose: np.ndarray, dependent: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Return rates (nv,) whose dependent ones keep the loop closed, J q' = 0."""
+    _, J = _equalities(model, pose)
+    found = np.array(rates, dtype=float)
+    found[dependent] = 0.0
+    found[dependent] = -np.linalg.lstsq(J[:, dependent], J @ found, rcond=None)[0]
+    return found
+
+
+def _equalities(model: mujoco.MjModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the equality constraints' residual (n_r,) and Jacobian (n_r, nv)."""
+    model = copy.copy(model)
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    mujoco.mj_fwdPosition(model, data)
+    rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
+    return data.efc_pos[rows].copy(), data.efc_J.reshape(-1, model.nv)[rows].copy()

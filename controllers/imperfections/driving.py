@@ -1,0 +1,112 @@
+"""The drives of many simulations at once: from commands to the efforts that act. This file's job is speed.
+
+Between two simulator steps an effort is its mean over the step: a delay, a lag or a push that ends within a step keeps its
+impulse. Every row is worked out by itself, so that a simulation is the same to the last bit whatever runs beside it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.controllers.imperfections.imperfections import Drives
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Driving:
+    """Drives of simulations (n,), all arrays (n, n_u) but `whole`, `late` and `fraction` (n,), and `queue` (n, p, n_u).
+
+    A command acts after `whole` periods, `late` simulator steps and a `fraction` of one; slot k mod p of the queue holds the
+    command of instant k. `left` is what a lag leaves over a step, `mean` its mean over the step; `most` the largest change
+    in a step; `output` the lagged effort.
+    """
+
+    limit: np.ndarray
+    resolution: np.ndarray
+    factor: np.ndarray
+    whole: np.ndarray
+    late: np.ndarray
+    fraction: np.ndarray
+    left: np.ndarray
+    mean: np.ndarray
+    most: np.ndarray
+    lagged: bool
+    scaled: bool
+    rounded: bool
+    queue: np.ndarray
+    output: np.ndarray
+
+    def kept(self, rows: np.ndarray) -> "Driving":
+        """Return the drives of some of these simulations, by a mask (n,)."""
+        names = ("resolution", "factor", "whole", "late", "fraction", "left", "mean", "most", "queue", "output")
+        return replace(self, **{name: getattr(self, name)[rows] for name in names})
+
+
+def driving(
+    drives: Sequence[Drives], delays: Sequence[float], timesteps_s: Sequence[float], substeps: int, limit: np.ndarray
+) -> Driving:
+    """Return drives with delays in control periods, stepped by timesteps [s], `substeps` to a period; limits (n_u, 2)."""
+    n_u = len(limit)
+
+    def stacked(name: str) -> np.ndarray:
+        return np.array([np.broadcast_to(getattr(one, name), (n_u,)) for one in drives], dtype=float)
+
+    steps = np.array([round(delay * substeps, 9) for delay in delays])  # a delay of n / substeps is a whole step
+    whole = np.floor(steps / substeps).astype(int)
+    late = np.floor(steps - substeps * whole).astype(int)
+    fraction = steps - substeps * whole - late
+    bandwidth, rate = stacked("bandwidth_hz"), stacked("rate_limit")
+    each = zip(bandwidth, timesteps_s, strict=True)
+    phases = np.array([[2 * np.pi * f * h for f in row] for row, h in each]).reshape(len(drives), n_u)
+    left = np.array([[float(np.exp(-x)) for x in row] for row in phases]).reshape(phases.shape)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(np.isinf(phases), 0.0, (1.0 - left) / phases)
+    resolution, factor = stacked("resolution"), stacked("constant_factor")
+    memory = int(whole.max(initial=0)) + 2
+    return Driving(
+        limit=np.array(limit, dtype=float),
+        resolution=resolution,
+        factor=factor,
+        whole=whole,
+        late=late,
+        fraction=fraction,
+        left=left,
+        mean=mean,
+        most=rate * np.array(timesteps_s)[:, None],
+        lagged=bool(np.any(np.isfinite(bandwidth)) or np.any(np.isfinite(rate))),
+        scaled=bool(np.any(factor != 1.0)),
+        rounded=bool(np.any(resolution > 0)),
+        queue=np.zeros((len(drives), memory, n_u)),
+        output=np.zeros((len(drives), n_u)),
+    )
+
+
+def take(drives: Driving, k: int, command: np.ndarray) -> Driving:
+    """Return the drives after commands (n, n_u) of instant k, rounded and cut at the limits, have come in."""
+    if drives.rounded:
+        step = np.where(drives.resolution > 0, drives.resolution, 1.0)
+        command = np.where(drives.resolution > 0, step * np.round(command / step), command)
+    command = np.minimum(np.maximum(command, drives.limit[:, 0]), drives.limit[:, 1])
+    if k == 0:
+        # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.
+        drives.queue[:] = command[:, None]
+        return replace(drives, output=command)
+    drives.queue[:, k % drives.queue.shape[1]] = command
+    return drives
+
+
+def act(drives: Driving, k: int, j: int) -> tuple[np.ndarray, Driving]:
+    """Return the mean efforts (n, n_u) that act over simulator step j of period k, and the drives after it."""
+    p, rows = drives.queue.shape[1], np.arange(len(drives.queue))
+    effort = drives.queue[rows, (k - drives.whole) % p]
+    if np.any(drives.late) or np.any(drives.fraction):
+        before = drives.queue[rows, (k - drives.whole - 1) % p]
+        share = np.minimum(np.maximum(drives.late + drives.fraction - j, 0.0), 1.0)[:, None]  # of the command before
+        effort = share * before + (1.0 - share) * effort
+    if drives.lagged:
+        start = drives.output
+        settled = effort + (start - effort) * drives.left
+        end = np.minimum(np.maximum(settled, start - drives.most), start + drives.most)
+        mean = effort + (start - effort) * drives.mean
+        effort, drives = np.where(end == settled, mean, 0.5 * (start + end)), replace(drives, output=end)
+    return (effort * drives.factor if drives.scaled else effort), drives

@@ -1,0 +1,30 @@
+"""One batch of MuJoCo simulations with a model field of its own for each simulation, where the machines differ in it.
+
+Whole models of their own (`Batch.set_models`) do the same at half again the time a step: each one's memory is read anew.
+"""
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from mujoco.batch import Batch
+
+# All fields of a model that an imperfection changes, or that MuJoCo derives from those.
+FIELDS = (
+    "body_mass", "body_inertia", "body_ipos", "body_pos", "body_sameframe", "body_subtreemass", "body_invweight0",
+    "dof_M0", "dof_damping", "dof_frictionloss", "dof_invweight0", "dof_length", "site_pos", "site_sameframe",
+    "geom_pos", "geom_sameframe", "eq_data", "eq_solref", "tendon_length0", "tendon_invweight0", "tendon_actfrcrange",
+    "actuator_acc0", "actuator_length0", "actuator_ctrlrange", "actuator_forcerange", "jnt_actfrcrange",
+    "cam_pos0", "cam_poscom0", "light_pos0", "light_poscom0",
+)  # fmt: skip
+
+
+def spread(batch: Batch, base: mujoco.MjModel, models: Sequence[mujoco.MjModel]) -> None:
+    """Give a batch of the base model each simulation's own fields, where any model's differs from the base's."""
+    for name in FIELDS:
+        common = getattr(base, name)
+        if not all(np.array_equal(getattr(model, name), common) for model in models):
+            batch.expand(name)[:] = [getattr(model, name) for model in models]
+    timesteps = [model.opt.timestep for model in models]
+    if any(step != base.opt.timestep for step in timesteps):
+        batch.expand("opt.timestep")[:] = timesteps

@@ -1,0 +1,259 @@
+"""Imperfections: each does to a machine what its unit says, and nothing else."""
+
+import copy
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from mujoco.batch import MODEL_FIELDS
+
+from linkplan.controllers.ensemble import run_ensemble
+from linkplan.controllers.imperfections.driving import act, driving, take
+from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Sensors, Start
+from linkplan.controllers.imperfections.plant import plant
+from linkplan.controllers.imperfections.sensing import measure, sensing
+from linkplan.controllers.imperfections.spreading import FIELDS
+from linkplan.controllers.reference import sample, state_at
+from linkplan.controllers.rollout import ControlLoop, run
+from linkplan.models.errors import AssemblyError, LinkplanError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.payload import BODY_NAME
+from tests.support.machines import LOOP, everything, feedback, follower, reach
+from tests.support.plans import optimal
+
+LIMIT = np.array([[-10.0, 10.0]])
+H = 1e-3
+
+
+def acted(drives: Drives, commands: list[float], delay: float = 0.0, substeps: int = 1) -> np.ndarray:
+    """Return the mean efforts of every simulator step under commands, one a period."""
+    now = driving([drives], [delay], [H / substeps], substeps, LIMIT)
+    efforts = []
+    for k, command in enumerate(commands):
+        now = take(now, k, np.array([[command]]))
+        for j in range(substeps):
+            effort, now = act(now, k, j)
+            efforts.append(effort[0, 0])
+    return np.array(efforts)
+
+
+# Drives.
+
+
+@pytest.mark.parametrize(("delay", "substeps"), [(0.25, 1), (1.75, 1), (0.3, 5), (2.0, 1)])
+def test_a_delay_of_any_fraction_moves_an_impulse_by_its_time(delay, substeps):
+    commands = [0.0, 0.0, 6.0] + 6 * [0.0]
+    efforts = acted(Drives(), commands, delay, substeps)
+    middles = (np.arange(len(efforts)) + 0.5) / substeps
+    assert efforts.sum() / substeps == pytest.approx(6.0)
+    assert (middles * efforts).sum() / efforts.sum() == pytest.approx(2.5 + delay)
+
+
+def test_a_lag_s_impulse_is_the_closed_form():
+    efforts = acted(Drives(bandwidth_hz=200.0), [0.0] + 20 * [5.0])
+    w, t = 2 * np.pi * 200.0, H * 20
+    assert H * efforts.sum() == pytest.approx(5.0 * (t - (1 - np.exp(-w * t)) / w))
+
+
+def test_a_rate_limit_is_the_steepest_slope():
+    efforts = acted(Drives(rate_limit=2000.0), [0.0] + 10 * [9.0])
+    assert np.diff(efforts).max() == pytest.approx(2000.0 * H)
+    assert efforts[-1] == pytest.approx(9.0)
+
+
+def test_a_command_is_rounded_and_cut_and_then_the_torque_constant_acts():
+    efforts = acted(Drives(resolution=0.5, constant_factor=1.1), [0.0, 3.3, 30.0])
+    assert efforts == pytest.approx([0.0, 3.5 * 1.1, 10.0 * 1.1])
+
+
+# Sensors.
+
+
+def read(sensors: Sensors, positions: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    now = sensing([sensors], positions[:1, None], np.array([[rate]]), H)
+    found = []
+    for k, position in enumerate(positions):
+        s, v, now = measure(now, k, np.array([[position]]), np.array([[rate]]))
+        found.append((s[0, 0], v[0, 0]))
+    return tuple(np.array(found).T)
+
+
+def test_an_encoder_gives_the_nearest_of_its_steps_beside_the_truth_by_its_offset():
+    positions = np.linspace(0.0, 0.1, 50)
+    given, _ = read(Sensors(resolution=0.01, offset=0.2), positions, 2.0)
+    assert np.abs(given - positions - 0.2).max() <= 0.005 + 1e-12
+    assert np.abs(given / 0.01 - np.round(given / 0.01)).max() < 1e-9
+
+
+def test_a_filtered_difference_of_a_steady_motion_is_its_speed_from_the_start():
+    positions = 0.3 + 2.0 * H * np.arange(50)
+    _, rates = read(Sensors(velocity_filter_hz=30.0), positions, 2.0)
+    assert rates == pytest.approx(2.0)
+
+
+def test_a_filter_s_step_response_is_of_the_first_order():
+    _, rates = read(Sensors(velocity_filter_hz=30.0), 3.0 * H * np.arange(100), 0.0)
+    # the first difference sees half of the way from standing to moving: the sensors were read one period before the start
+    assert 1 - rates[1:] / 3.0 == pytest.approx(np.exp(-2 * np.pi * 30.0 * H * np.arange(1, 100)))
+
+
+def test_noise_has_its_standard_deviation_and_comes_from_its_own_seed():
+    positions = np.zeros(4000)
+    first, rate = read(Sensors(noise=0.02, velocity_noise=0.5, noise_seed=(1, 2)), positions, 0.0)
+    other, _ = read(Sensors(noise=0.02, noise_seed=(1, 3)), positions, 0.0)
+    assert np.std(first) == pytest.approx(0.02, rel=0.05)
+    assert np.std(rate) == pytest.approx(0.5, rel=0.05)
+    assert abs(np.corrcoef(first, other)[0, 1]) < 0.05
+    assert abs(np.corrcoef(first[1:], first[:-1])[0, 1]) < 0.05
+
+
+# The plant.
+
+
+def test_only_listed_fields_of_a_model_are_changed_and_the_mechanism_s_own_model_is_not():
+    mechanism, reference = reach()
+    before = copy.deepcopy(mechanism.model)
+    base = plant(mechanism, reference, LOOP, Imperfections(), 1).model
+    changed = set()
+    for seed in range(3):
+        model = plant(mechanism, reference, LOOP, everything(seed), 1).model
+        named = [name for name in MODEL_FIELDS if "." not in name and hasattr(model, name)]
+        changed |= {name for name in named if not np.array_equal(getattr(model, name), getattr(base, name))}
+    assert {"body_mass", "dof_damping", "eq_solref", "site_pos"} <= changed
+    assert changed <= set(FIELDS)
+    assert np.array_equal(before.body_mass, mechanism.model.body_mass)
+    assert np.array_equal(before.dof_damping, mechanism.model.dof_damping)
+
+
+def test_a_mass_factor_is_the_single_run_s():
+    mechanism, reference = reach()
+    single = run(mechanism, reference, follower(), replace(LOOP, mass_factor=1.2))
+    many = run_ensemble(mechanism, reference, follower(), LOOP, [Imperfections(machine=Machine(mass_factor=1.2))])
+    assert np.abs(many.pose[:, 0] - single.pose).max() < 1e-12
+
+
+def test_a_shifted_payload_is_the_mechanism_with_that_payload():
+    mechanism, reference = reach()
+    shift = np.array([0.02, 0.0, -0.03])
+    other = load_mechanism("optimus-knee", payload=replace(mechanism.payload, com_m=mechanism.payload.com_m + shift))
+    shifted = plant(mechanism, reference, LOOP, Imperfections(machine=Machine(com_shift_m=shift)), 1).model
+    accelerations = []
+    for model in (other.model, shifted, mechanism.model):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.ctrl[:] = reference.pose[-1], mechanism.home * 0, 20.0
+        mujoco.mj_forward(model, data)
+        accelerations.append(data.qacc_smooth.copy())
+    assert accelerations[1] == pytest.approx(accelerations[0], rel=1e-9)
+    assert abs(accelerations[2] / accelerations[0] - 1).max() > 1e-3
+
+
+def test_a_longer_link_is_longer_and_the_loop_is_closed_with_it():
+    mechanism, reference = reach()
+    longer = Imperfections(machine=Machine(length_factor={"coupler": 1.01}), start=Start(velocity_error=1.0))
+    built = plant(mechanism, reference, LOOP, longer, 1)
+    data = mujoco.MjData(built.model)
+    data.qpos[:], data.qvel[:] = built.pose, built.rates
+    mujoco.mj_forward(built.model, data)
+    B, A = data.site("B_coupler").xpos, data.body("coupler").xpos
+    assert np.linalg.norm(B - A) == pytest.approx(1.01 * 0.0741)
+    assert np.linalg.norm(B - data.site("B_rocker").xpos) < 1e-12
+    assert built.pose[mechanism.independent] == reference.position[0]
+    assert np.abs(data.efc_vel[data.efc_type == 0]).max() < 1e-12
+    assert abs(built.pose - reference.pose[0]).max() > 1e-3
+
+
+def test_lengths_that_do_not_close_are_refused_in_one_line():
+    mechanism, reference = reach()
+    with pytest.raises(AssemblyError, match="does not close"):
+        plant(mechanism, reference, LOOP, Imperfections(machine=Machine(length_factor={"coupler": 3.0})), 1)
+
+
+def test_a_body_that_is_not_there_is_named_beside_those_that_are():
+    mechanism, reference = reach()
+    with pytest.raises(LinkplanError, match="'elbow' is not in the model; bodies are thigh, crank"):
+        plant(mechanism, reference, LOOP, Imperfections(machine=Machine(length_factor={"elbow": 1.01})), 1)
+
+
+def test_a_loop_softer_than_the_simulator_can_step_is_refused():
+    mechanism, reference = reach()
+    with pytest.raises(LinkplanError, match="at least 2 simulator steps"):
+        plant(mechanism, reference, LOOP, Imperfections(machine=Machine(loop_solref=(1e-4, 1.0))), 1)
+
+
+def coasting(**imperfect) -> float:
+    """Return the speed of a bare slide-and-hinge cart after a tenth of a second without effort."""
+    mechanism = load_mechanism("cart-pole")
+    from linkplan.planner.trajectory import Trajectory
+
+    rest = Trajectory(
+        breaks_s=np.array([0.0, 1.0]), position=np.zeros((2, 1, mechanism.dof)), velocity=np.zeros((1, 1, mechanism.dof)),
+        effort=np.zeros((1, 1, mechanism.n_u)), start_pose=np.zeros(mechanism.n_q), periodic=False,
+    )  # fmt: skip
+    reference = sample(mechanism, rest, 1e-3, 0.1)
+
+    class Idle:
+        name = "idle"
+
+        def effort(self, k, position, velocity):
+            return np.zeros(mechanism.n_u)
+
+    found = run_ensemble(mechanism, reference, Idle(), ControlLoop(effort_limit=mechanism.effort_limit), [
+        Imperfections(**imperfect)
+    ])  # fmt: skip
+    slide = next(i for i, joint in enumerate(mechanism.independent_joints) if joint.kind == "slide")
+    assert found.failure == (None,)
+    return float(found.velocity[-1, 0, slide])
+
+
+def test_a_push_gives_its_impulse_to_the_mass_wherever_its_window_ends():
+    push = {"start_s": 0.0102, "joint": load_mechanism("cart-pole").joints[0].name, "effort": 1.0}
+    short = coasting(pushes=(Push(duration_s=0.0013, **push),))
+    longer = coasting(pushes=(Push(duration_s=0.0026, **push),))
+    assert short > 0
+    assert longer == pytest.approx(2 * short, rel=0.01)
+
+
+def test_coulomb_friction_holds_what_pushes_less_and_viscous_friction_slows():
+    push = (Push(start_s=0.01, duration_s=0.05, joint=load_mechanism("cart-pole").joints[0].name, effort=1.0),)
+    free = coasting(pushes=push)
+    assert abs(coasting(pushes=push, machine=Machine(coulomb=1.5))) < 0.02 * free
+    assert 0.1 * free < coasting(pushes=push, machine=Machine(coulomb=0.2)) < 0.95 * free
+    assert 0.1 * free < coasting(pushes=push, machine=Machine(viscous=1.0)) < 0.95 * free
+
+
+# The whole loop.
+
+
+def test_a_stiff_loop_settles_beside_its_goal_by_the_encoder_s_offset():
+    mechanism, reference = reach(0.6, 1e-3)
+    found = run_ensemble(mechanism, reference, follower(0.6, 1e-3), LOOP, [
+        Imperfections(sensors=Sensors(offset=0.001)), Imperfections()
+    ])  # fmt: skip
+    late = found.pose[-1, :, 0]
+    assert late[0] - late[1] == pytest.approx(-0.001, rel=0.05)
+
+
+def test_a_slow_clock_runs_the_same_commands_over_a_longer_time():
+    mechanism, reference = reach()
+    slow = run_ensemble(mechanism, reference, feedback(), LOOP, [Imperfections(clock=Clock(period_factor=1.02))])
+    assert slow.time_s[:, 0] == pytest.approx(1.02 * reference.time_s)
+    assert slow.timestep_s[0] == pytest.approx(1.02e-4)
+
+
+def test_a_late_phase_starts_the_machine_where_the_motion_is_then():
+    mechanism, reference = reach()
+    late = run_ensemble(mechanism, reference, follower(), LOOP, [Imperfections(clock=Clock(phase_periods=0.5))])
+    assert late.time_s[0, 0] == pytest.approx(0.5e-4)
+    trajectory = optimal("knee-reach").trajectory
+    assert late.pose[0, 0, 0] == pytest.approx(trajectory.position_at(np.array([0.5e-4]))[0, 0], abs=1e-9)
+
+
+def test_states_between_samples_are_the_plan_s():
+    _, reference = reach()
+    times = np.array([0.00123, 0.0101234, 0.0002])
+    position, velocity = state_at(reference, times)
+    trajectory = optimal("knee-reach").trajectory
+    assert position == pytest.approx(trajectory.position_at(times), abs=1e-9)
+    assert velocity == pytest.approx(trajectory.velocity_at(times), abs=1e-4)
+    assert BODY_NAME  # the payload is there
