@@ -22,8 +22,8 @@ from linkplan.models.poses.along import evaluated, mapped, sampled
 class ComputedTorque:
     """u = (Gamma^T B)^+ tau(s, v, a_ref + damping (v_ref - v) + stiffness (s_ref - s)).
 
-    `acceleration` (n, n_s) is what the reference's own efforts produce; `stiffness` w^2 [1/s^2] and `damping` 2 zeta w [1/s];
-    `law` takes a pose near, s, v and a to efforts and to what the loop is open by [m].
+    `acceleration` (n, n_s) is what the reference's own efforts produce; `stiffness` w^2 [1/s^2] and `damping` 2 zeta w
+    [1/s]; `law` takes a pose near, s, v and a to efforts and to what the loop is open by [m].
     """
 
     reference: SampledReference

@@ -2,8 +2,8 @@
 
     i_{k+1} = i_k + T (s_ref - s_k),   u = u_ref + K_k (e_k, i_k)
 
-(Franklin, Powell & Workman, Digital Control of Dynamic Systems, 1998, 8.5). The integral stands still while a command is beyond
-an effort limit (conditional integration; Astrom & Hagglund, Advanced PID Control, 2006, 3.5).
+(Franklin, Powell & Workman, Digital Control of Dynamic Systems, 1998, 8.5). The integral stands still while a command is
+beyond an effort limit (conditional integration; Astrom & Hagglund, Advanced PID Control, 2006, 3.5).
 """
 
 from dataclasses import dataclass
@@ -32,9 +32,7 @@ class IntegralLQR:
         """Return integrals (n, n_s) of zero."""
         return np.zeros((n, self.reference.position.shape[1]))
 
-    def step(
-        self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) [N.m or N] for states (n, n_s), and the next integrals."""
         reference = self.reference
         error = reference.position[k] - position

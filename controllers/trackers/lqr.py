@@ -106,9 +106,9 @@ def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repe
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Errors:
-    """What weighs 1 in the cost of a regulator: errors of position, of velocity (each one for all or (n_s,)), efforts (n_u,).
+    """What weighs 1 in the cost of a regulator: errors of position and of velocity, efforts.
 
-    [rad or m, and per second; N.m or N]. An effort's is its limit as a rule.
+    Errors [rad or m, and per second] are one for all or (n_s,); efforts (n_u,) [N.m or N], as a rule their limits.
     """
 
     position: float | np.ndarray

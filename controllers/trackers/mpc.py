@@ -2,11 +2,11 @@
 
     minimise sum e^T Q e + w^T R w + e_N^T P e_N,   e = x - x_ref,   w = u - u_ref,   low <= u <= high
 
-While the LQR's own feedback is predicted to keep the limits, it is the solution and is taken as it is: the terminal cost P is
-the LQR's, so no horizon is seen. Otherwise efforts held over blocks of control periods are corrected, once a period, about
-the motion that the last ones lead to from the measured state (real-time iteration; Diehl, Bock & Schloeder, SIAM J. Control
-Optim. 43, 2005): the reduced dynamics, linearised along that motion. Solved by DAQP (Arnstrom, Bemporad & Axehill, IEEE Trans.
-Automatic Control 67, 2022).
+While the LQR's own feedback is predicted to keep the limits, it is the solution and is taken as it is: the terminal cost P
+is the LQR's, so no horizon is seen. Otherwise efforts held over blocks of control periods are corrected, once a period,
+about the motion that the last ones lead to from the measured state (real-time iteration; Diehl, Bock & Schloeder, SIAM J.
+Control Optim. 43, 2005): the reduced dynamics, linearised along that motion. Solved by DAQP (Arnstrom, Bemporad & Axehill,
+IEEE Trans. Automatic Control 67, 2022).
 """
 
 from dataclasses import dataclass
@@ -51,9 +51,7 @@ class MPC:
         """Return the memory (n, blocks n_u) of feedback that acts alone."""
         return np.full((n, self.drive.shape[1] * BLOCKS), np.nan)
 
-    def step(
-        self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return efforts (n, n_u) [N.m or N] for states (n, n_s), and the efforts of the blocks."""
         reference, at = self.reference, k % len(self.ahead)
         error = np.concatenate([position - reference.position[k], velocity - reference.velocity[k]], axis=-1)[:, self.kept]

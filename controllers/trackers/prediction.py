@@ -1,4 +1,4 @@
-"""Motions that a tracker predicts: the reduced dynamics under held efforts from a measured state, and their linearisation."""
+"""Motions that a tracker predicts: the reduced dynamics under held efforts from a state, and their linearisation."""
 
 from dataclasses import dataclass
 

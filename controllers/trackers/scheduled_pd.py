@@ -8,9 +8,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 
 
-def scheduled_pd(
-    mechanism: Mechanism, reference: SampledReference, natural_frequency: float, damping_ratio: float
-) -> PD:
+def scheduled_pd(mechanism: Mechanism, reference: SampledReference, natural_frequency: float, damping_ratio: float) -> PD:
     """Return PD with gains M_r w^2 and 2 zeta w M_r along a reference, M_r the reduced inertia of its pose.
 
     Args:

@@ -304,6 +304,12 @@ class TrackingSection(Section):
     lqr_velocity_deg_s: Annotated[kinds.LqrError, key("the same of its speed", "deg/s")] = 100.0
     lqr_position_m: Annotated[kinds.LqrError, key("the same of a slide", "m")] = 0.01
     lqr_velocity_m_s: Annotated[kinds.LqrError, key("the same of a slide's speed", "m/s")] = 1.0
+    bandwidth_hz: Annotated[kinds.Positive, key("natural frequency of the errors under ct and gs-pd", "Hz")] = 20.0
+    damping_ratio: Annotated[kinds.Positive, key("damping ratio of the errors under ct and gs-pd")] = 1.0
+    integral_time_s: Annotated[
+        kinds.Positive, key("lqi: a position error that lasts this long weighs as much again by its integral", "s")
+    ] = 0.05
+    horizon_s: Annotated[kinds.Positive, key("mpc: how far ahead efforts are kept within their limits", "s")] = 0.1
 
 
 class ProblemFile(Section, kw_only=True):

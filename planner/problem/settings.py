@@ -111,8 +111,10 @@ class Tracking:
 
     kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators: one number for
     all, or one for each joint by name. LQR weighs a position error of `lqr_position` [rad], a velocity error of
-    `lqr_velocity` and an effort of the whole limit alike; on a slide of `lqr_position_m` [m] and `lqr_velocity_m_s`. The
-    delay is a whole number of control periods where a motion is tracked; a loop's frequency response may have any.
+    `lqr_velocity` and an effort of the whole limit alike; on a slide of `lqr_position_m` [m] and `lqr_velocity_m_s`; LQI an
+    error that lasts `integral_time_s` as much again. Errors under computed torque and gain-scheduled PD have the natural
+    frequency `bandwidth_hz` [Hz] and the damping ratio; MPC looks `horizon_s` [s] ahead. The delay is a whole number of
+    control periods where a motion is tracked; a loop's frequency response may have any.
     """
 
     kp: float | Mapping[str, float] = 200.0
@@ -124,6 +126,10 @@ class Tracking:
     lqr_velocity: float = np.radians(100.0)
     lqr_position_m: float = 0.01
     lqr_velocity_m_s: float = 1.0
+    bandwidth_hz: float = 20.0
+    damping_ratio: float = 1.0
+    integral_time_s: float = 0.05
+    horizon_s: float = 0.1
 
     def __post_init__(self) -> None:
         for key in ("kp", "kd"):
@@ -144,6 +150,8 @@ class Tracking:
             _set(self, key, float(value))
         for key in ("lqr_position_m", "lqr_velocity_m_s"):
             _set(self, key, _lqr_error(getattr(self, key), key))
+        for key in ("bandwidth_hz", "damping_ratio", "integral_time_s", "horizon_s"):
+            _set(self, key, number(getattr(self, key), f"tracking.{key}", positive=True))
 
     def tracked(self) -> "Tracking":
         """Return these settings if a motion can be tracked with them: its delay is a whole number of control periods."""

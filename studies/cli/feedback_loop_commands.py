@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
@@ -27,7 +27,7 @@ def run_bode(arguments: argparse.Namespace) -> int:
     from linkplan.studies.frequency.excitation import METHODS, Setup
     from linkplan.studies.frequency.feedback_loops import refuse_several_freedoms
 
-    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
+    choose("tracker", arguments.tracker, LINEAR, ProblemError)
     choose("way to measure", arguments.measure, (*METHODS, "none"), ProblemError)
     target, say = output_folder(arguments), progress(arguments)
     problem, mechanism, settings, limit = _loop_of(arguments)
@@ -88,7 +88,7 @@ def run_tune(arguments: argparse.Namespace) -> int:
     from linkplan.studies.tune.tune import Wanted, tune
     from linkplan.studies.tune.tune_report import tune_record, tune_text
 
-    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
+    choose("tracker", arguments.tracker, LINEAR, ProblemError)
     target, say = output_folder(arguments), progress(arguments)
     problem, mechanism, settings, limit = _loop_of(arguments)
     wanted = Wanted(

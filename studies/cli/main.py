@@ -84,11 +84,13 @@ def build_parser() -> Parser:
 
     track = command("track", "run one tracker on a plan in MuJoCo")
     track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
-    track.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
+    _tracker(track)
     _mismatch(track, 1.0, 0)
 
-    compare = command("compare", "run all trackers side by side on a plan, nominal and with a mismatch")
+    compare = command("compare", "run trackers side by side on a plan, nominal and with a mismatch")
     compare.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    text = "names with commas between them, as track takes them; or all (default: %(default)s)"
+    compare.add_argument("--trackers", default="pd, pd+ff, lqr", metavar="NAMES", help=text)
     _mismatch(compare, 1.2, 1)
 
     bode = command(
@@ -130,7 +132,7 @@ def build_parser() -> Parser:
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer", output=False)
     view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _anyway(view)
-    view.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
+    _tracker(view)
     view.add_argument("--slow", type=float, default=4.0, metavar="X", help="times slower than real (default: %(default)s)")
     view.add_argument("--seconds", type=float, metavar="S", help="close the window after this time (default: when you do)")
 
@@ -145,6 +147,11 @@ def _loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
     parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
     _at(parser, "a pose to analyse; may be given again (default: over the motion or the reach)")
+
+
+def _tracker(parser: argparse.ArgumentParser) -> None:
+    text = "pd, pd+ff, lqr, lqi, gs-pd+ff, ct or mpc; your own as module:object (default: %(default)s)"
+    parser.add_argument("--tracker", default="pd+ff", metavar="NAME", help=text)
 
 
 def _anyway(parser: argparse.ArgumentParser) -> None:

@@ -5,9 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
-from linkplan.models.names import choose
 from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.plan import Plan
 from linkplan.studies.cli.common import no_plan, output_folder, plan_asked
@@ -19,29 +17,30 @@ def run_track(arguments: argparse.Namespace) -> int:
     """Run one tracker; 1 where the plan has no motion or the loop is unstable."""
     from linkplan.studies.compare.compare import comparison_record
     from linkplan.studies.compare.comparison_text import comparison_text
+    from linkplan.studies.compare.user_tracker import tracker_named
 
-    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
+    asked = tracker_named(arguments.tracker)
     target, say = output_folder(arguments), progress(arguments)
     mismatch_given = _check_mismatch(arguments)
     plan = plan_asked(arguments, say)
     if plan.trajectory is None:
         return no_plan(arguments, plan)
-    comparison = _single(plan, arguments, mismatch_given)
-    said = comparison_record(comparison) | {"tracker": arguments.tracker}
+    comparison = _single(plan, asked, arguments, mismatch_given)
+    said = comparison_record(comparison) | {"tracker": next(iter(comparison.nominal))}
     if target is not None:
         write_whole(target, lambda place: _save_tracking(comparison, said, place, "track"), "track.json")
     show(arguments, said, comparison_text(comparison))
     return DONE if plan.status == "optimal" and next(iter(comparison.nominal.values())).stable else NO
 
 
-def _single(plan: Plan, arguments: argparse.Namespace, mismatch_given: bool):
+def _single(plan: Plan, asked, arguments: argparse.Namespace, mismatch_given: bool):
     """Return one tracker's run as a comparison with itself alone, under the mismatch if one was given."""
     from linkplan.studies.compare.compare import Comparison, default_mismatch, track
 
     mismatch = default_mismatch(plan, arguments.mass_factor, arguments.delay_periods) if mismatch_given else None
-    rollout = track(plan, arguments.tracker, mismatch)
+    rollout = track(plan, asked, mismatch)
     title = "nominal" if mismatch is None else mismatch.name
-    return Comparison(plan=plan, nominal={arguments.tracker: rollout}, mismatch=None, mismatched={}, title=title)
+    return Comparison(plan=plan, nominal={rollout.tracker: rollout}, mismatch=None, mismatched={}, title=title)
 
 
 def _check_mismatch(arguments: argparse.Namespace) -> bool:
@@ -59,14 +58,16 @@ def run_compare(arguments: argparse.Namespace) -> int:
     from linkplan.studies.compare.compare import compare, comparison_record, default_mismatch
     from linkplan.studies.compare.comparison_text import comparison_text
     from linkplan.studies.compare.document import document_record, is_the_documents, mended_runs
+    from linkplan.studies.compare.user_tracker import trackers_named
 
+    asked = trackers_named(arguments.trackers)
     target, say = output_folder(arguments), progress(arguments)
     mismatch_given = _check_mismatch(arguments)
     plan = plan_asked(arguments, say)
     if plan.trajectory is None:
         return no_plan(arguments, plan)
     mismatch = default_mismatch(plan, arguments.mass_factor, arguments.delay_periods) if mismatch_given else None
-    comparison = compare(plan, mismatch, say)
+    comparison = compare(plan, mismatch, say, asked)
     said = comparison_record(comparison)
     document = {}
     if is_the_documents(plan):
@@ -94,8 +95,9 @@ def run_view(arguments: argparse.Namespace) -> int:
     """Play a tracked plan in the viewer; 1 where the plan has no motion."""
     from linkplan.controllers.playback import has_screen, play
     from linkplan.studies.compare.compare import track
+    from linkplan.studies.compare.user_tracker import tracker_named
 
-    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
+    asked = tracker_named(arguments.tracker)
     for name in ("slow", "seconds"):
         value = getattr(arguments, name)
         if value is not None and not (np.isfinite(value) and value > 0):
@@ -109,7 +111,7 @@ def run_view(arguments: argparse.Namespace) -> int:
     plan = plan_asked(arguments, say)
     if plan.trajectory is None:
         return no_plan(arguments, plan)
-    rollout = track(plan, arguments.tracker)
+    rollout = track(plan, asked)
     say(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
     play(plan.problem.mechanism, rollout, arguments.slow, arguments.seconds)
     if arguments.json:

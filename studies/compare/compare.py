@@ -8,11 +8,15 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout, run
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
+from linkplan.controllers.trackers.computed_torque import computed_torque
 from linkplan.controllers.trackers.feedforward import Feedforward
-from linkplan.controllers.trackers.lqr import lqr
-from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.integral_lqr import integral_lqr
+from linkplan.controllers.trackers.lqr import Errors, lqr
+from linkplan.controllers.trackers.mpc import mpc
+from linkplan.controllers.trackers.names import LINEAR, TRACKERS
 from linkplan.controllers.trackers.pd import pd
-from linkplan.controllers.trackers.tracker import Tracker
+from linkplan.controllers.trackers.scheduled_pd import scheduled_pd
+from linkplan.controllers.trackers.tracker import AnyTracker, Tracker
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
 from linkplan.planner.plan import Plan
@@ -91,7 +95,7 @@ def tracking_reference(plan: Plan) -> SampledReference:
     return sample(plan.problem.mechanism, trajectory, settings.period_s, duration)
 
 
-def build_tracker(asked: Asked, plan: Plan, reference: SampledReference) -> Tracker:
+def build_tracker(asked: Asked, plan: Plan, reference: SampledReference) -> AnyTracker:
     """Return a tracker for a plan: a built-in one by its name, or a user's own.
 
     Raises:
@@ -100,20 +104,62 @@ def build_tracker(asked: Asked, plan: Plan, reference: SampledReference) -> Trac
     if not isinstance(asked, str):
         return users_tracker(asked, plan.problem.mechanism, reference)
     name = choose("tracker", asked, TRACKERS, ProblemError)
+    return BUILT[name](plan, reference)
+
+
+def _pd(plan: Plan, reference: SampledReference) -> Tracker:
+    mechanism = plan.problem.mechanism
+    return pd(mechanism, reference, *plan.problem.tracking.gains(mechanism.independent_joints))
+
+
+def _lqr(plan: Plan, reference: SampledReference) -> Tracker:
+    errors = _errors(plan)
+    return lqr(
+        plan.problem.mechanism,
+        reference,
+        position_weight=errors.position,
+        velocity_weight=errors.velocity,
+        effort_weight=errors.effort,
+    )
+
+
+def _errors(plan: Plan) -> Errors:
     problem = plan.problem
-    settings, mechanism = problem.tracking, problem.mechanism
-    if name == "lqr":
-        limit = np.abs(problem.limits.effort).max(axis=1)
-        position, velocity = settings.lqr_errors(mechanism.independent_joints)
-        return lqr(
-            mechanism,
-            reference,
-            position_weight=position,
-            velocity_weight=velocity,
-            effort_weight=np.where(np.isfinite(limit), limit, np.maximum(plan.certificate.peak_effort, 1.0)),
-        )
-    feedback = pd(mechanism, reference, *settings.gains(mechanism.independent_joints))
-    return feedback if name == "pd" else Feedforward(reference=reference, feedback=feedback)
+    limit = np.abs(problem.limits.effort).max(axis=1)
+    position, velocity = problem.tracking.lqr_errors(problem.mechanism.independent_joints)
+    effort = np.where(np.isfinite(limit), limit, np.maximum(plan.certificate.peak_effort, 1.0))
+    return Errors(position=position, velocity=velocity, effort=effort)
+
+
+def _frequency(plan: Plan) -> tuple[float, float]:
+    """Return the natural frequency [rad/s] and the damping ratio of errors."""
+    return 2 * np.pi * plan.problem.tracking.bandwidth_hz, plan.problem.tracking.damping_ratio
+
+
+# How each built-in tracker is made of a plan and its reference.
+BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
+    "pd": _pd,
+    "pd+ff": lambda plan, reference: Feedforward(reference=reference, feedback=_pd(plan, reference)),
+    "lqr": _lqr,
+    "lqi": lambda plan, reference: integral_lqr(
+        plan.problem.mechanism,
+        reference,
+        _errors(plan),
+        plan.problem.tracking.integral_time_s,
+        np.array(plan.problem.limits.effort),
+    ),
+    "gs-pd+ff": lambda plan, reference: Feedforward(
+        reference=reference, feedback=scheduled_pd(plan.problem.mechanism, reference, *_frequency(plan))
+    ),
+    "ct": lambda plan, reference: computed_torque(plan.problem.mechanism, reference, *_frequency(plan)),
+    "mpc": lambda plan, reference: mpc(
+        plan.problem.mechanism,
+        reference,
+        _errors(plan),
+        plan.problem.tracking.horizon_s,
+        np.array(plan.problem.limits.effort),
+    ),
+}
 
 
 def track(plan: Plan, asked: Asked, mismatch: Mismatch | None = None) -> Rollout:
@@ -123,7 +169,7 @@ def track(plan: Plan, asked: Asked, mismatch: Mismatch | None = None) -> Rollout
 
 
 def compare(
-    plan: Plan, mismatch: Mismatch | None, say: Callable[[str], None] = silent, asked: Sequence[Asked] = TRACKERS
+    plan: Plan, mismatch: Mismatch | None, say: Callable[[str], None] = silent, asked: Sequence[Asked] = LINEAR
 ) -> Comparison:
     """Return several trackers' runs on a plan, nominal and under a mismatch.
 

@@ -48,7 +48,8 @@ def comparison_figure(comparison: Comparison, path: Path | None = None) -> Figur
 def _colour(runs: Mapping[str, Rollout], name: str) -> str:
     """Return a tracker's colour: its own, or of those that no built-in tracker has, in order."""
     others = [other for other in runs if other not in TRACKER_COLOURS]
-    left = [colour for colour in SERIES if colour not in TRACKER_COLOURS.values()]
+    taken = {TRACKER_COLOURS[other] for other in runs if other in TRACKER_COLOURS}
+    left = [colour for colour in SERIES if colour not in taken] or SERIES
     return TRACKER_COLOURS[name] if name in TRACKER_COLOURS else left[others.index(name) % len(left)]
 
 

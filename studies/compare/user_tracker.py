@@ -1,5 +1,8 @@
 """A user's own tracker beside the built-in ones: what it may be, and a check of what it gives at every instant."""
 
+import importlib
+import os
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -8,11 +11,61 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.tracker import Tracker
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import choose
 
 # A built-in name, a law, or what makes a law of the reference that it is to follow.
 Asked = str | Tracker | Callable[[SampledReference], Tracker]
+
+
+# Where installed packages say what trackers they have.
+ENTRY_POINTS = "linkplan.trackers"
+
+
+def tracker_named(text: str) -> Asked:
+    """Return a built-in tracker's name, an installed package's tracker of that name, or what "module:object" names.
+
+    Modules are looked for in the working folder too.
+
+    Raises:
+        ProblemError: when there is none.
+    """
+    text = text.strip()
+    if text in TRACKERS:
+        return text
+    if ":" not in text:
+        from importlib.metadata import entry_points
+
+        installed = entry_points(group=ENTRY_POINTS)
+        if text not in installed.names:
+            return choose("tracker", text, (*TRACKERS, *sorted(installed.names)), ProblemError)
+        load: Callable = installed[text].load
+    else:
+        module, _, name = text.partition(":")
+
+        def load():
+            if os.getcwd() not in sys.path:
+                sys.path.insert(0, os.getcwd())
+            found = importlib.import_module(module)
+            for part in name.split("."):
+                found = getattr(found, part)
+            return found
+
+    try:
+        return load()
+    except Exception as error:  # whatever a module of somebody else's does when it is loaded
+        raise ProblemError(f"tracker '{text}' cannot be loaded: {type(error).__name__}: {one_line(error)}") from error
+
+
+def trackers_named(text: str) -> list[Asked]:
+    """Return the trackers of a list "pd+ff, mpc, laws:Mine"; "all" are the built-in ones."""
+    if text.strip() == "all":
+        return list(TRACKERS)
+    names = [name for name in text.split(",") if name.strip()]
+    if not names:
+        raise ProblemError(f"trackers are names with commas between them, or all; got '{text}'")
+    return [tracker_named(name) for name in names]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

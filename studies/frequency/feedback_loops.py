@@ -16,7 +16,7 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, exact, simulated, spectral_radius
 from linkplan.controllers.trackers.lqr import linearise, lqr
-from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.names import LINEAR
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.errors import LinkplanError
 from linkplan.models.interrupts import check
@@ -135,7 +135,7 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
     Raises:
         LinkplanError: for an unknown law, or an LQR without a stabilising gain.
     """
-    choose("tracker", law, TRACKERS, LinkplanError)
+    choose("tracker", law, LINEAR, LinkplanError)
     reference = point.constant(settings.period_s)
     if law == "lqr":
         limit = np.abs(effort_limit).max(axis=1)

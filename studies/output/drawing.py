@@ -10,7 +10,8 @@ from matplotlib.text import Text
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
-TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE}
+BROWN = "#8C564B"
+TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE, "lqi": SKY, "gs-pd+ff": PURPLE, "ct": BROWN, "mpc": RED}
 SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
 # Solid, dashed, dash-dotted; dotted lines are continuous-time ones: lines of one panel that lie on one another stay visible.
 STYLES = ("-", "--", "-.")

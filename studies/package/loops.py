@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS, sampling
-from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
@@ -61,7 +61,7 @@ def bode(
     Raises:
         LinkplanError: for a pose that cannot be held, or a number that makes no sense.
     """
-    choose("tracker", str(tracker), TRACKERS, ProblemError)
+    choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
     mechanism, planning, settings, limit = _loop_of(subject, tracking)
     setup = None
@@ -114,7 +114,7 @@ def tune(
         LinkplanError: for a bandwidth beyond half the sampling rate, a mechanism of several freedoms, or a number that
             makes no sense.
     """
-    choose("tracker", str(tracker), TRACKERS, ProblemError)
+    choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
     peak = np.inf if sensitivity_peak is None else number(plain(sensitivity_peak), "sensitivity_peak", positive=True)
     wanted = tuning.Wanted(

@@ -59,7 +59,7 @@ def track(
 
 def compare(
     plan: Plan,
-    trackers: Sequence[Asked] = study.TRACKERS,
+    trackers: Sequence[Asked] = study.LINEAR,
     *,
     mass_factor: float = 1.2,
     delay_periods: int = 1,

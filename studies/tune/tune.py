@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.controllers.sampling import Sampling
-from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.planning import silent
@@ -116,8 +116,8 @@ def tune(
         LinkplanError: for a bandwidth beyond Nyquist, an unknown law, or a mechanism of more freedoms.
     """
     mechanism = points[0].mechanism
-    if law not in TRACKERS:
-        raise LinkplanError(f"unknown tracker '{law}'; trackers are {', '.join(TRACKERS)}")
+    if law not in LINEAR:
+        raise LinkplanError(f"unknown tracker '{law}'; trackers are {', '.join(LINEAR)}")
     if mechanism.dof != 1:
         raise LinkplanError(f"tune needs a mechanism of one degree of freedom; '{mechanism.name}' has {mechanism.dof}")
     if wanted.bandwidth_hz >= timing.nyquist_hz:

@@ -76,7 +76,7 @@ REFUSALS = [
     (["tune", "optimus-knee", "--bandwidth-hz", "10", "--phase-margin-deg", "200"], ["0 to 180"]),
     (["tune", "knee-reach", "--bandwidth-hz", "9", "--set", "tracking.lqr_position_deg=1,0"], ["'1,0'", "write 1.5"]),
     (["tune", "knee-reach", "--bandwidth-hz", "9", "--set", "tracking.lqr_position_deg=1e-300"], ["from 1e-09", "1e-300"]),
-    (["track", "knee-reach", "--tracker", "mpc"], ["mpc", "pd, pd+ff, lqr"]),
+    (["track", "knee-reach", "--tracker", "smc"], ["smc", "pd, pd+ff, lqr, lqi, gs-pd+ff, ct, mpc"]),
     (["track", "no-such-plan"], ["no-such-plan"]),
     (["track", "{not_a_plan}"], ["plan.json"]),
     (["track", "{truncated_plan}"], ["truncated"]),

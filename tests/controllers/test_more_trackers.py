@@ -1,0 +1,188 @@
+"""LQR with integral action, gain-scheduled PD, computed torque and MPC: each against what it is to be, and run in MuJoCo."""
+
+from functools import cache
+
+import control
+import numpy as np
+import pytest
+
+from linkplan.controllers.reference import SampledReference, sample
+from linkplan.controllers.rollout import ControlLoop, Rollout, run
+from linkplan.controllers.trackers.lqr import discretise, linearise
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.stepping import steps_of
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import close_at
+from linkplan.studies.compare.compare import build_tracker
+from tests.support.plans import optimal
+from tests.support.tolerances_planner import ROUNDING, SAME_FIGURE
+
+MORE = ("lqi", "gs-pd+ff", "ct", "mpc")
+PERIOD = 1e-3
+
+
+@cache
+def reference_of(name: str, period_s: float = PERIOD, duration_s: float | None = None) -> SampledReference:
+    plan = optimal(name)
+    duration = plan.trajectory.duration_s if duration_s is None else duration_s
+    return sample(plan.problem.mechanism, plan.trajectory, period_s, duration)
+
+
+@cache
+def tracker_of(kind: str, name: str = "knee-reach", period_s: float = PERIOD, duration_s: float | None = None):
+    return build_tracker(kind, optimal(name), reference_of(name, period_s, duration_s))
+
+
+@cache
+def run_of(kind: str, name: str, *, mass_factor: float = 1.0, delay: int = 0, duration_s: float | None = None) -> Rollout:
+    plan = optimal(name)
+    loop = ControlLoop(effort_limit=np.array(plan.problem.limits.effort), mass_factor=mass_factor, delay_periods=delay)
+    reference = reference_of(name, 1e-4, duration_s)
+    return run(plan.problem.mechanism, reference, tracker_of(kind, name, 1e-4, duration_s), loop)
+
+
+def asked(kind: str, k: int, position: np.ndarray, velocity: np.ndarray, name: str = "knee-reach") -> np.ndarray:
+    law = steps_of(tracker_of(kind, name))
+    return law.step(k, position, velocity, law.start(len(position)))[0]
+
+
+def states_about(name: str, k: int, n: int, size: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return n states (n, n_s) about a reference's, off by `size` [rad] and ten times that a second."""
+    rng, reference = np.random.default_rng(3), reference_of(name)
+    shape = (n, reference.position.shape[1])
+    return reference.position[k] + size * rng.normal(size=shape), reference.velocity[k] + 10 * size * rng.normal(size=shape)
+
+
+@pytest.mark.parametrize("name", ["knee-reach", "five-bar-reach"])
+@pytest.mark.parametrize("kind", TRACKERS)
+def test_a_batch_is_answered_as_its_states_one_by_one_to_the_last_bit(kind, name):
+    position, velocity = states_about(name, 30, 9, 0.02)
+    batch = asked(kind, 30, position, velocity, name)
+    each = np.concatenate([asked(kind, 30, s[None], v[None], name) for s, v in zip(position, velocity, strict=True)])
+    assert np.ptp(batch, axis=0).min() > 1e-3
+    np.testing.assert_array_equal(batch, each)
+
+
+@pytest.mark.parametrize("kind", MORE)
+def test_on_the_reference_itself_only_the_feedforward_acts(kind):
+    reference = reference_of("knee-reach")
+    for k in (0, 80, 159):
+        effort = asked(kind, k, reference.position[k, None], reference.velocity[k, None])
+        np.testing.assert_allclose(effort[0], reference.effort[k], rtol=SAME_FIGURE)
+
+
+@pytest.mark.parametrize("kind", MORE)
+def test_a_mechanism_as_modelled_is_tracked(kind):
+    followed = run_of(kind, "knee-reach")
+    assert followed.stable
+    assert 1e-4 < np.degrees(np.abs(followed.error).max()) < 0.05
+
+
+# Computed torque.
+
+
+@pytest.mark.parametrize("name", ["knee-reach", "five-bar-reach"])
+def test_computed_torque_makes_errors_obey_their_second_order_equation(name):
+    mechanism, reference, tracker = optimal(name).problem.mechanism, reference_of(name), tracker_of("ct", name)
+    k = 40
+    position, velocity = states_about(name, k, 8, 0.05)
+    poses = np.array([close_at(mechanism, s, reference.pose[k]) for s in position])
+    effort = tracker.effort(k, position, velocity)
+    found = sampled(mechanism.dynamics.acceleration, poses, velocity, effort)[:, :, 0]
+    w = 2 * np.pi * 20.0
+    wanted = tracker.acceleration[k] + 2 * w * (reference.velocity[k] - velocity) + w**2 * (reference.position[k] - position)
+    np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-7 * np.abs(wanted).max())
+
+
+def test_computed_torque_far_from_its_reference_still_answers():
+    reference = reference_of("knee-reach")
+    effort = tracker_of("ct").effort(40, reference.position[40] + 2.5, reference.velocity[40])
+    assert np.all(np.isfinite(effort))
+
+
+# Gain-scheduled PD.
+
+
+def test_scheduled_gains_are_the_reduced_inertia_times_the_wanted_frequency_and_damping():
+    mechanism, reference = optimal("knee-reach").problem.mechanism, reference_of("knee-reach")
+    for k in (0, 60, 120):
+        inertia = float(mechanism.dynamics.reduced_inertia(reference.pose[k]))
+        state = reference.position[k, None] - 0.01, reference.velocity[k, None] + 0.2
+        w = 2 * np.pi * 20.0
+        wanted = reference.effort[k] + inertia * (w**2 * 0.01 - 2 * w * 0.2)
+        np.testing.assert_allclose(asked("gs-pd+ff", k, *state)[0], wanted, rtol=SAME_FIGURE)
+
+
+# LQR with integral action.
+
+
+def test_integral_gains_at_rest_are_python_control_s():
+    plan, reference = optimal("knee-reach"), reference_of("knee-reach", PERIOD, 0.3)
+    mechanism, tracking = plan.problem.mechanism, plan.problem.tracking
+    A, B = (x[0] for x in discretise(*linearise(mechanism, *(x[-1:] for x in _states(reference))), PERIOD))
+    A_all = np.block([[A, np.zeros((2, 1))], [np.array([[-PERIOD, 0.0, 1.0]])]])
+    B_all = np.concatenate([B, np.zeros((1, 1))])
+    weights = np.array([tracking.lqr_position, tracking.lqr_velocity, tracking.integral_time_s * tracking.lqr_position])
+    limit = plan.problem.limits.effort[0, 1]
+    K, _, _ = control.dlqr(A_all, B_all, np.diag(weights**-2.0), np.array([[limit**-2.0]]))
+    gains = tracker_of("lqi", "knee-reach", PERIOD, 0.3).gains[-1]
+    np.testing.assert_allclose(gains[0], [K[0, 0], K[0, 1], -K[0, 2]], rtol=1e-6)
+
+
+def _states(reference: SampledReference) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return reference.pose, reference.velocity, reference.effort
+
+
+def test_integral_action_takes_a_lasting_error_away():
+    """A payload a fifth heavier pulls at the goal: LQR stays off, its integral does not."""
+    errors = {
+        kind: float(np.degrees(np.abs(run_of(kind, "knee-reach", mass_factor=1.2, duration_s=0.8).error[-1]).max()))
+        for kind in ("lqr", "lqi")
+    }
+    assert errors["lqr"] > 1e-3
+    assert errors["lqi"] < 0.1 * errors["lqr"]
+
+
+def test_the_integral_stands_still_beyond_a_limit():
+    law, reference = tracker_of("lqi"), reference_of("knee-reach")
+    far, near = reference.position[40, None] - 2.0, reference.position[40, None] - 1e-4
+    effort, memory = law.step(40, far, reference.velocity[40, None], law.start(1))
+    assert effort[0, 0] > 100
+    np.testing.assert_array_equal(memory, 0)
+    _, memory = law.step(40, near, reference.velocity[40, None], law.start(1))
+    np.testing.assert_allclose(memory, PERIOD * 1e-4, rtol=SAME_FIGURE)
+
+
+# MPC.
+
+
+def test_mpc_without_an_active_limit_is_lqr():
+    for k in (0, 50, 100):
+        position, velocity = states_about("knee-reach", k, 5, 1e-3)
+        np.testing.assert_allclose(
+            asked("mpc", k, position, velocity), asked("lqr", k, position, velocity), rtol=1e-9, atol=ROUNDING
+        )
+
+
+def test_mpc_keeps_the_limits_that_lqr_goes_beyond():
+    position, velocity = states_about("knee-reach", 60, 12, 0.2)
+    beyond = np.abs(asked("lqr", 60, position, velocity)[:, 0]) > 100
+    assert beyond.sum() > 5
+    assert np.all(np.abs(asked("mpc", 60, position, velocity)) <= 100 * (1 + 1e-6))
+
+
+def test_mpc_brakes_in_time_where_lqr_does_not():
+    """Far behind its reference and slow to stop: at the goal LQR still pushes, MPC already brakes."""
+    heavy = {kind: run_of(kind, "knee-sprint", mass_factor=1.2, delay=1, duration_s=0.25) for kind in ("lqr", "mpc")}
+    worst = {kind: float(np.degrees(np.abs(one.error).max())) for kind, one in heavy.items()}
+    assert worst["lqr"] > 5
+    assert worst["mpc"] < worst["lqr"]
+    assert heavy["mpc"].gap_m.max() < 10e-6
+
+
+@pytest.mark.slow
+def test_mpc_on_a_limit_riding_cycle_stays_clear_of_the_singular_pose_that_lqr_is_thrown_into():
+    heavy = {kind: run_of(kind, "knee-sine-shank", mass_factor=1.2, delay=1, duration_s=1.0) for kind in ("lqr", "mpc")}
+    worst = {kind: float(np.degrees(np.abs(one.error).max())) for kind, one in heavy.items()}
+    assert worst["mpc"] < 0.6 * worst["lqr"]
+    assert heavy["lqr"].gap_m.max() > 10e-6 > heavy["mpc"].gap_m.max()
