@@ -176,7 +176,7 @@ def tracking_from_tables(tables: Tables, mechanism: Mechanism | None = None) -> 
 
 
 def _mechanism(section: dict, folder: Path | None) -> Mechanism:
-    asked = read(MechanismSection, section, "mechanism")
+    asked = read(MechanismSection, section, "mechanism", error=ModelError)
     place = beside(asked.model, folder)
     if asked.model not in MODELS and is_file(place):
         section["model"] = str(place.resolve())
