@@ -1,6 +1,7 @@
 """Values of a problem: numbers, each refused in one line that names its key as problem files have it."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -37,8 +38,8 @@ def whole(value: object, key: str, low: int, high: int) -> int:
     return value
 
 
-def plain(value: object) -> object:
-    """Return numpy's numbers and arrays, tables and tuples as Python's own, everything else as it is."""
+def plain(value: Any) -> Any:
+    """Return a value as TOML has it, a copy: numpy's numbers and arrays as Python's, tuples as lists; others as they are."""
     if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
