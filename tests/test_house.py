@@ -25,8 +25,8 @@ ROOMS = {
         "closure", "reduction", "actuation", "audit", "stiffness", "mechanism", "poses",
     ),
     "planner": (
-        "transcription", "trajectory", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain", "ode",
-        "search", "diagnosis", "planning", "files", "replan", "batch",
+        "transcription", "trajectory", "keys", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain",
+        "ode", "search", "diagnosis", "planning", "files", "replan", "batch",
     ),
     "controllers": (
         "reference", "trackers", "integrator", "sampling", "rollout", "imperfections", "ensemble", "batch", "playback",

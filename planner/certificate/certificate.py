@@ -28,9 +28,9 @@ from linkplan.planner.certificate.margins import (
     singularity_ratios,
 )
 from linkplan.planner.certificate.site_margins import ends_off_m, site_margins, waypoint_off_m, waypoint_times
+from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.problem.settings import INTEGRATION_DEG
 from linkplan.planner.trajectory import Trajectory
 
 # What a certificate must show. Closure: what DESIGN promises. Integration: `INTEGRATION_DEG`, or this. Dynamics: between

@@ -10,8 +10,8 @@ from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK,
 from linkplan.planner.closed_chain.formulate import SMOOTHING
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
+from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.problem.settings import INTEGRATION_DEG
 from linkplan.planner.refinement.case import Aims, Findings
 from linkplan.planner.refinement.tightening import AT_NODES, Tightening, tightenings_of
 from linkplan.planner.solvers.solve import Solution

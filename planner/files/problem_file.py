@@ -40,6 +40,7 @@ from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.planning_problem import GuessedPath, PlanningProblem
 from linkplan.planner.problem.reference import Sine
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+from linkplan.planner.problem.values import plain
 
 # Sections whose keys are arguments of settings: what a file leaves out is chosen where they are made.
 _WHOLE = {
@@ -80,7 +81,7 @@ def problem_from_tables(
         ProblemError: for anything in the tables that cannot be used.
         ModelError: when the mechanism that they name cannot be.
     """
-    tables = copy.deepcopy(tables)
+    tables = plain(tables)
     if mechanism is not None:
         tables["mechanism"] = copy.deepcopy(dict(mechanism.source))
     refuse_unknown_keys(tables)
@@ -163,20 +164,23 @@ def _duration_notes(motion: MotionSection, objective: Objective, reference: Sine
 
 def mechanism_from_tables(tables: Tables, folder: Path | None = None) -> Mechanism:
     """Return the mechanism that a file's [mechanism] table means; the other tables are only checked for their keys."""
-    tables = copy.deepcopy(tables)
+    tables = plain(tables)
     refuse_unknown_keys(tables)
     return _mechanism(tables.get("mechanism", {}), folder)
 
 
 def tracking_from_tables(tables: Tables, mechanism: Mechanism | None = None) -> Tracking:
     """Return the tracking settings of a file's [tracking] table; with a mechanism, gains by joint are checked."""
+    tables = plain(tables)
     refuse_unknown_keys(tables)
     read_section(TrackingSection, tables, "tracking")
     return _tracking(tables.get("tracking", {}), mechanism)
 
 
 def _mechanism(section: dict, folder: Path | None) -> Mechanism:
-    asked = read(MechanismSection, section, "mechanism")
+    # Where it stands is the problem's to say; what else is wrong is wrong with the model.
+    read(MechanismSection, {key: section[key] for key in ("model", "home_deg", "home_m") if key in section}, "mechanism")
+    asked = read(MechanismSection, section, "mechanism", error=ModelError)
     place = beside(asked.model, folder)
     if asked.model not in MODELS and is_file(place):
         section["model"] = str(place.resolve())

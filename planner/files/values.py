@@ -1,12 +1,14 @@
 """Intervals as problem files write them, refused in one line that names their key."""
 
+import numpy as np
+
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.values import number
 
 
 def interval(value: list[float], key: str) -> tuple[float, float]:
     """Return [low, high], low below high, infinite ends admitted."""
-    low, high = (number(end, key, infinite=True) for end in value)
+    low, high = (end if np.isinf(end) else number(end, key) for end in value)
     if not low < high:
         raise ProblemError(f"{key} is [low, high] with low < high, got [{low:g}, {high:g}]")
     return low, high

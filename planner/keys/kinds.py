@@ -5,6 +5,7 @@
 `item`, how an entry is named after its table; `numbered`, whether items of a list are; `choices`, words for many words.
 """
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from msgspec import Meta
@@ -30,11 +31,17 @@ MAX_DELAY = 1000
 LQR_ERRORS = (1e-9, 1e9)
 # Corners of a tube's polyline at the most: each segment is an expression at every node.
 MOST_CORNERS = 200
+# What the breaks of a mesh are, of which a type says but the half.
+BREAKS = "three or more increasing numbers from 0 to 1, the ends of the intervals as shares of the duration"
 # Masses, lengths and moments of a payload beyond this are no mechanism's.
 HEAVIEST = 1e12
 
+# Raises where a name is of nothing that its noun says: "joint", "actuator", "site", "closure"; the last is its table's key.
+Known = Callable[[str, str, str], None]
+
 Number = Annotated[float, Meta(ge=-LARGEST, le=LARGEST)]
 Positive = Annotated[float, Meta(gt=0, le=LARGEST)]
+AtLeastZero = Annotated[float, Meta(ge=0, le=LARGEST)]
 Angle = Annotated[
     float,
     Meta(
@@ -106,7 +113,7 @@ Breaks = Annotated[
     Meta(
         min_length=3,
         max_length=MAX_INTERVALS + 1,
-        extra={"said": "three or more increasing numbers from 0 to 1, the ends of the intervals as shares of the duration"},
+        extra={"said": BREAKS},
     ),
 ]
 Names = Annotated[list[str], Meta(min_length=1, extra={"said": "a list of joint names"})]

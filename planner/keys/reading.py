@@ -1,11 +1,12 @@
 """Reading: a table of a file to its typed section, or a refusal in one line."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, TypeVar, get_args
 
 import msgspec
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.planner.keys.kinds import Known
 from linkplan.planner.keys.sections import ProblemFile
 
 # The tables of a problem file, and their keys; those of [motors] are names of actuators.
@@ -14,11 +15,15 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     name: getattr(kind, "__struct_fields__", ()) for name, kind in _FIELDS.items() if name != "description"
 }
 Read = TypeVar("Read")
-# Raises where a name is none of what its noun says: "joint", "actuator", ...
-Known = Callable[[str, str, str], None]
 
 
-def read(kind: type[Read], value: object, where: str, known: Known | None = None) -> Read:
+def read(
+    kind: type[Read],
+    value: object,
+    where: str,
+    known: Known | None = None,
+    error: type[LinkplanError] = ProblemError,
+) -> Read:
     """Return what a file's value means as one of a kind: a section of its table, a number of its integer.
 
     Args:
@@ -27,16 +32,17 @@ def read(kind: type[Read], value: object, where: str, known: Known | None = None
         where: the key that it stands under, "motion.duration_s".
         known: is called with a noun, a name and its table's key for names in tables of which something is wrong; it raises
             where there is no such thing, which is then the fault to be named.
+        error: to raise.
 
     Raises:
-        ProblemError: for a value that is none of this kind, in one line that names its key.
+        error: for a value that is none of this kind, in one line that names its key.
     """
     try:
         return msgspec.convert(value, kind)
-    except msgspec.ValidationError as error:
+    except msgspec.ValidationError as refused:
         from linkplan.planner.keys.refusals import fault  # only those who are refused wait for its words
 
-        raise ProblemError(fault(kind, value, where, known) or f"{where}: {error}") from error
+        raise error(fault(kind, value, where, known) or f"{where}: {refused}") from refused
 
 
 def read_section(kind: type[Read], tables: dict, name: str, known: Known | None = None) -> Read:

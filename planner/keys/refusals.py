@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
-from linkplan.planner.keys.kinds import LARGEST, Place
-from linkplan.planner.keys.reading import Known
+from linkplan.planner.keys.kinds import LARGEST, Known, Place
 from linkplan.planner.keys.synonyms import meant
 
 
@@ -65,14 +64,14 @@ def words(kind: Any) -> str:
         return about["said"]
     if get_origin(bare) in (Union, types.UnionType):
         return " or ".join(words(one) for one in get_args(bare))
-    container = get_origin(bare) or bare
+    container: Any = get_origin(bare) or bare
     if container is Literal:
         named = get_args(bare)
         return f"one of {', '.join(named)}" if len(named) > 1 else f'"{named[0]}"'
     if container is dict:
         return f"a table of {about['of']}"
     if container is list:
-        return f"a list, of {words(get_args(bare)[0])} each"
+        return "a list"
     if bare is int:
         return f"a whole number from {about['ge']} to {about['le']}"
     if bare is float:
@@ -91,12 +90,11 @@ def without_metadata(kind: Any) -> tuple[Any, dict[str, Any]]:
     """Return a kind's type without what is said of it, and that as one table: its bounds, and the words for it."""
     if get_origin(kind) is not Annotated:
         return kind, {}
-    bare, *metadata = get_args(kind)
     about: dict[str, Any] = {}
-    for meta in metadata:
+    for meta in kind.__metadata__:
         about |= {name: end for name in ("ge", "gt", "le", "lt") if (end := getattr(meta, name)) is not None}
         about |= meta.extra or {}
-    return bare, about
+    return kind.__origin__, about
 
 
 def got(value: object) -> str:

@@ -30,7 +30,7 @@ class Section(Struct, frozen=True, forbid_unknown_fields=True):
     """A table of known keys."""
 
 
-class PayloadSection(Section):
+class PayloadSection(Section, frozen=True):
     """A rigid payload welded to a body of the model."""
 
     body: Annotated[str, key("the body that carries it")]
@@ -47,13 +47,13 @@ _MODEL = Meta(
 )
 
 
-class MechanismSection(Section):
+class MechanismSection(Section, frozen=True):
     """The machine: its model, how it is assembled, and what it carries."""
 
     model: Annotated[str, _MODEL, key("a built-in name, a path to an MJCF file, or MJCF text")]
     payload: Annotated[
         kinds.PayloadName | PayloadSection,
-        Meta(extra={"said": f"{', '.join(kinds.PAYLOADS)}, none, or a table"}),
+        Meta(extra={"said": f"a built-in name ({', '.join(kinds.PAYLOADS)}, none) or a table"}),
         key("a built-in payload's name, or a table of one", default="none"),
     ] = ABSENT
     home_deg: Annotated[
@@ -76,7 +76,7 @@ class MechanismSection(Section):
     ] = ABSENT
 
 
-class WaypointSection(Section):
+class WaypointSection(Section, frozen=True):
     """A state on the way: a position, a speed or both, at a time or at one that is free."""
 
     at_deg: Annotated[kinds.Angles, key("hinges' angles there", "deg", "free")] = {}
@@ -87,7 +87,7 @@ class WaypointSection(Section):
     time_s: Annotated[kinds.Positive | kinds.Free, key("when it is passed", "s")] = "free"
 
 
-class MotionSection(Section):
+class MotionSection(Section, frozen=True):
     """The motion: from where to where, by way of what, in how long."""
 
     kind: Annotated[
@@ -129,7 +129,7 @@ class MotionSection(Section):
     ] = ABSENT
 
 
-class ReferenceSection(Section):
+class ReferenceSection(Section, frozen=True):
     """A sinusoid for each independent joint: bias + amplitude sin(2 pi frequency t + phase)."""
 
     frequency_hz: Annotated[kinds.Frequency, key("common to all joints: its period is the motion's", "Hz")]
@@ -140,7 +140,7 @@ class ReferenceSection(Section):
     phase_deg: Annotated[kinds.Phases, key("phases by joint", "deg", "0")] = {}
 
 
-class ObjectiveSection(Section):
+class ObjectiveSection(Section, frozen=True):
     """What the motion is best in."""
 
     minimize: Annotated[
@@ -153,7 +153,7 @@ class ObjectiveSection(Section):
     ] = ABSENT
 
 
-class Box(Section):
+class Box(Section, frozen=True):
     """Bounds on where a site is, coordinate by coordinate."""
 
     x: Annotated[kinds.Interval, key("[low, high] of x; ends may be infinite", "m", "any")] = ABSENT
@@ -161,14 +161,14 @@ class Box(Section):
     z: Annotated[kinds.Interval, key("[low, high] of z", "m", "any")] = ABSENT
 
 
-class Wall(Section):
+class Wall(Section, frozen=True):
     """A plane that a site stays on one side of."""
 
     normal: Annotated[kinds.Point, key("points to the side that is free")]
     at: Annotated[kinds.Point, key("a point of the wall", "m")]
 
 
-class Tube(Section):
+class Tube(Section, frozen=True):
     """A polyline that a site stays near to."""
 
     along: Annotated[kinds.Corners, key("the corners of the polyline", "m")]
@@ -185,7 +185,7 @@ SiteLimit = Annotated[dict[str, Any], _SITE_LIMIT]
 _SITES = Meta(extra={"of": "site = limits", "noun": "site"})
 
 
-class LimitsSection(Section):
+class LimitsSection(Section, frozen=True):
     """What holds at every instant."""
 
     effort: Annotated[kinds.Efforts, key("by actuator, [low, high]", "N.m, N", "the model's own")] = {}
@@ -213,7 +213,7 @@ class LimitsSection(Section):
     ] = "refuse"
 
 
-class MotorSection(Section):
+class MotorSection(Section, frozen=True):
     """The motor behind an actuator, in the actuator's own effort and speed."""
 
     torque_constant: Annotated[
@@ -232,7 +232,7 @@ Motor = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TO
 _MOTORS = Meta(extra={"of": "actuator = its motor", "noun": "actuator of [motors]"})
 
 
-class GuessSection(Section):
+class GuessSection(Section, frozen=True):
     """Where to start from: positions at equal times, or a saved plan's motion."""
 
     plan: Annotated[
@@ -247,7 +247,7 @@ class GuessSection(Section):
     )
 
 
-class MeshSection(Section):
+class MeshSection(Section, frozen=True):
     """How the motion is written down: the transcription, and the first mesh."""
 
     scheme: Annotated[kinds.Scheme, key("the transcription")] = "radau-3"
@@ -273,7 +273,7 @@ class MeshSection(Section):
     ] = ABSENT
 
 
-class SolverSection(Section):
+class SolverSection(Section, frozen=True):
     """How the program is solved."""
 
     name: Annotated[kinds.Solver, key("the solver")] = "ipopt"
@@ -286,7 +286,7 @@ class SolverSection(Section):
     starts: Annotated[kinds.Starts, key("of so many motions to start from, the best answer is kept")] = 1
 
 
-class TrackingSection(Section):
+class TrackingSection(Section, frozen=True):
     """How the plan is tracked in simulation: gains, sampling, delay."""
 
     kp: Annotated[
@@ -312,7 +312,7 @@ class TrackingSection(Section):
     horizon_s: Annotated[kinds.Positive, key("mpc: how far ahead efforts are kept within their limits", "s")] = 0.1
 
 
-class ProblemFile(Section, kw_only=True):
+class ProblemFile(Section, frozen=True, kw_only=True):
     """A problem: which motion of which mechanism, best in which sense, within which limits."""
 
     description: Annotated[str, key("the problem in a sentence", default="none")] = ""

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import ProblemError
+from linkplan.planner.keys.reading import checked
 from linkplan.planner.problem.sites import SitePoint
 from linkplan.planner.problem.values import frozen
-
-KINDS = ("reach", "periodic", "track")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -80,8 +79,7 @@ class Motion:
     goal_named: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ProblemError(f"motion.kind is one of {', '.join(KINDS)}, got '{self.kind}'")
+        checked("motion.kind", self.kind)
         for name in ("start", "goal", "start_speed", "goal_speed", "turns"):
             value = getattr(self, name)
             if value is not None:

@@ -7,9 +7,10 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
+from linkplan.planner.keys.kinds import Term
 
 # Term: what it is, and its unit.
-TERMS: Mapping[str, tuple[str, str]] = {
+TERMS: Mapping[Term, tuple[str, str]] = {
     "effort": ("integral of the squared efforts", "N2 m2 s"),
     "time": ("duration", "s"),
     "tracking": ("integral of the squared distance from the reference", "rad2 s"),

@@ -8,19 +8,17 @@ import numpy as np
 from linkplan.models.audit import audit
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import choose
+from linkplan.planner.keys.kinds import MAX_INTERVALS
+from linkplan.planner.keys.reading import checked
 from linkplan.planner.problem.limits import Limits, Motor
-from linkplan.planner.problem.motion import KINDS, Motion, Waypoint
+from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import Sine
-from linkplan.planner.problem.settings import MAX_INTERVALS, MeshSettings, SolverSettings, Tracking
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.values import frozen
 from linkplan.planner.trajectory import Trajectory
 
-__all__ = ["CONTACTS", "KINDS", "GuessedPath", "Limits", "Motion", "Motor", "PlanningProblem", "Waypoint"]
-
-
-CONTACTS = ("refuse", "note")
+__all__ = ["GuessedPath", "Limits", "Motion", "Motor", "PlanningProblem", "Waypoint"]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -75,7 +73,7 @@ class PlanningProblem:
         object.__setattr__(self, "objective", objective_from(self.objective))
         object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)
         object.__setattr__(self, "tracking", self.tracking.tracked())
-        choose("limits.contacts", self.contacts, CONTACTS, ProblemError)
+        checked("limits.contacts", self.contacts)
         motion, objective = self.motion, self.objective
         falsifying = _falsifying(self.mechanism)
         if falsifying:

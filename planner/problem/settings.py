@@ -10,66 +10,42 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.problem.values import frozen, number, one_of, whole
+from linkplan.planner.keys.kinds import BREAKS, MAX_DELAY
+from linkplan.planner.keys.reading import checked
+from linkplan.planner.keys.sections import MeshSection, Section, SolverSection, TrackingSection
+from linkplan.planner.problem.values import frozen, plain, whole
 from linkplan.planner.transcription.schemes import scheme
 
-REFINE = ("both", "intervals", "degree")
-SOLVERS = ("ipopt", "fatrop")
-COMPILE = ("auto", "always", "never")
-# Meshes beyond this take minutes; a typing slip of a zero should not.
-MAX_INTERVALS = 20_000
-# What a certificate allows the integrated state [deg]: a hundredth of a degree, a tenth of what a good encoder resolves.
-INTEGRATION_DEG = 0.01
-# The integration that judges is good to about a tenth of this.
-_TIGHTEST_DEG = 1e-9
-# Starts beyond this take minutes without finding more, and no solve takes so many iterations.
-MAX_STARTS, _MAX_ITERATIONS = 1000, 1_000_000
-# Delays beyond this are no delays.
-_MAX_DELAY = 1000
-# Errors that LQR weighs, in degrees or metres and per second: beyond these a Riccati equation has no numbers left.
-LQR_ERRORS = (1e-9, 1e9)
-# Degrees that were made radians and degrees again may be off by this, relative.
-_ROUNDING = 1e-12
+# What a file leaves out is what its sections say.
+_MESH, _SOLVER, _TRACKING = MeshSection(), SolverSection(), TrackingSection()
+# No solve takes so many iterations.
+_MAX_ITERATIONS = 1_000_000
+# Degrees that were made radians and degrees again are good to so many digits.
+_DIGITS = 12
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MeshSettings:
     """The transcription's name, the number of intervals to begin with, and what efforts are over an interval."""
 
-    scheme: str = "radau-3"
-    intervals: int = 40
-    effort: str = "polynomial"  # "constant", "linear" or "polynomial"
+    scheme: str = _MESH.scheme
+    intervals: int = _MESH.intervals
+    effort: str = _MESH.effort  # "constant", "linear" or "polynomial"
     tolerance_deg: float | None = None  # on the integrated state; None: refined towards 1e-6 while the mesh stays small
-    refine: str = "both"  # what is added where a mesh is too coarse: "intervals", "degree", or "both", each where it pays
+    refine: str = (
+        _MESH.refine
+    )  # what is added where a mesh is too coarse: "intervals", "degree", or both, each where it pays
     breaks: np.ndarray | None = None  # of the first mesh, from 0 to 1, in place of `intervals` equal ones
 
     def __post_init__(self) -> None:
         scheme(self.scheme, self.effort)  # refuses what it does not know
-        _set(self, "intervals", whole(self.intervals, "mesh.intervals", 2, MAX_INTERVALS))
-        if self.tolerance_deg is not None:
-            tolerance = number(self.tolerance_deg, "mesh.tolerance_deg", positive=True)
-            if not _TIGHTEST_DEG <= tolerance <= INTEGRATION_DEG:
-                raise ProblemError(
-                    f"mesh.tolerance_deg is from {_TIGHTEST_DEG:g} to the certificate's {INTEGRATION_DEG:g},"
-                    f" got {tolerance:g}"
-                )
-            _set(self, "tolerance_deg", tolerance)
-        one_of(self.refine, "mesh.refine", REFINE)
+        given = plain(self.breaks)
+        _check(self, "mesh", _MESH, ("intervals", "refine", "tolerance_deg", "breaks"))
         if self.breaks is not None:
-            _set(self, "breaks", _breaks(self.breaks))
-
-
-def _breaks(value: object) -> np.ndarray:
-    """Return a first mesh's breaks (n + 1,), read-only, refused where they are not from 0 to 1."""
-    given = list(value) if isinstance(value, list | tuple | np.ndarray) else []
-    breaks = frozen([number(at, "mesh.breaks") for at in given])
-    if not 3 <= len(breaks) <= MAX_INTERVALS + 1 or breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) <= 0):
-        shown = value.tolist() if isinstance(value, np.ndarray) else value
-        raise ProblemError(
-            "mesh.breaks is three or more increasing numbers from 0 to 1, the ends of the intervals as shares of the"
-            f" duration, got {shown!r}"
-        )
-    return breaks
+            breaks = frozen(self.breaks)
+            if breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) <= 0):
+                raise ProblemError(f"mesh.breaks is {BREAKS}, got {given!r}")
+            _set(self, "breaks", breaks)
 
 
 # The share of a plan's time that is kept for its certificate: solves end before that.
@@ -84,18 +60,15 @@ class SolverSettings:
     `starts` motions to start from, the best answer is kept.
     """
 
-    name: str = "ipopt"
-    compile: str = "auto"
-    max_time_s: float = 600.0
-    starts: int = 1
+    name: str = _SOLVER.name
+    compile: str = _SOLVER.compile
+    max_time_s: float = _SOLVER.max_time_s
+    starts: int = _SOLVER.starts
     max_iterations: int | None = None  # None: as many as a hard problem takes
     deadline: float | None = None  # on the monotonic clock [s]: when whoever plans wants to be done; None: no such instant
 
     def __post_init__(self) -> None:
-        one_of(self.name, "solver.name", SOLVERS)
-        one_of(self.compile, "solver.compile", COMPILE)
-        _set(self, "max_time_s", number(self.max_time_s, "solver.max_time_s", positive=True))
-        _set(self, "starts", whole(self.starts, "solver.starts", 1, MAX_STARTS))
+        _check(self, "solver", _SOLVER, ("name", "compile", "max_time_s", "starts"))
         if self.max_iterations is not None:
             _set(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, _MAX_ITERATIONS))
 
@@ -117,45 +90,42 @@ class Tracking:
     control periods where a motion is tracked; a loop's frequency response may have any.
     """
 
-    kp: float | Mapping[str, float] = 200.0
-    kd: float | Mapping[str, float] = 1.0
-    period_s: float = 1e-4
-    delay_periods: float = 0
+    kp: float | Mapping[str, float] = _TRACKING.kp
+    kd: float | Mapping[str, float] = _TRACKING.kd
+    period_s: float = _TRACKING.period_s
+    delay_periods: float = _TRACKING.delay_periods
     duration_s: float | None = None  # of the tracking run; default: the plan and a rest after it, or eight periods
-    lqr_position: float = np.radians(1.0)
-    lqr_velocity: float = np.radians(100.0)
-    lqr_position_m: float = 0.01
-    lqr_velocity_m_s: float = 1.0
-    bandwidth_hz: float = 20.0
-    damping_ratio: float = 1.0
-    integral_time_s: float = 0.05
-    horizon_s: float = 0.1
+    lqr_position: float = np.radians(_TRACKING.lqr_position_deg)
+    lqr_velocity: float = np.radians(_TRACKING.lqr_velocity_deg_s)
+    lqr_position_m: float = _TRACKING.lqr_position_m
+    lqr_velocity_m_s: float = _TRACKING.lqr_velocity_m_s
+    bandwidth_hz: float = _TRACKING.bandwidth_hz
+    damping_ratio: float = _TRACKING.damping_ratio
+    integral_time_s: float = _TRACKING.integral_time_s
+    horizon_s: float = _TRACKING.horizon_s
 
     def __post_init__(self) -> None:
-        for key in ("kp", "kd"):
-            given = getattr(self, key)
-            if isinstance(given, Mapping):
-                each = {str(name): number(value, f"tracking.{key}.{name}", least=0.0) for name, value in given.items()}
-                _set(self, key, each)
-            else:
-                _set(self, key, number(given, f"tracking.{key}", least=0.0))
-        _set(self, "period_s", number(self.period_s, "tracking.period_s", positive=True))
-        if number(self.delay_periods, "tracking.delay_periods", least=0.0) > _MAX_DELAY:
-            raise ProblemError(f"tracking.delay_periods is from 0 to {_MAX_DELAY}, got {self.delay_periods!r}")
-        if self.duration_s is not None:
-            _set(self, "duration_s", number(self.duration_s, "tracking.duration_s", positive=True))
+        keys = ("kp", "kd", "period_s", "duration_s", "lqr_position_m", "lqr_velocity_m_s")
+        _check(self, "tracking", _TRACKING, keys)
+        delay = plain(self.delay_periods)  # an integer stays one
+        checked("tracking.delay_periods", delay)
+        _set(self, "delay_periods", delay)
         for key, in_file in (("lqr_position", "lqr_position_deg"), ("lqr_velocity", "lqr_velocity_deg_s")):
-            value = getattr(self, key)
-            _lqr_error(np.degrees(value) if _is_number(value) else value, in_file)
+            value = plain(getattr(self, key))
+            is_number = isinstance(value, int | float) and not isinstance(value, bool)
+            checked(f"tracking.{in_file}", float(f"{np.degrees(value):.{_DIGITS}g}") if is_number else value)
             _set(self, key, float(value))
+<<<<<<< HEAD
         for key in ("lqr_position_m", "lqr_velocity_m_s"):
             _set(self, key, _lqr_error(getattr(self, key), key))
         for key in ("bandwidth_hz", "damping_ratio", "integral_time_s", "horizon_s"):
             _set(self, key, number(getattr(self, key), f"tracking.{key}", positive=True))
+=======
+>>>>>>> h4
 
     def tracked(self) -> "Tracking":
         """Return these settings if a motion can be tracked with them: its delay is a whole number of control periods."""
-        return replace(self, delay_periods=whole(self.delay_periods, "tracking.delay_periods", 0, _MAX_DELAY))
+        return replace(self, delay_periods=whole(self.delay_periods, "tracking.delay_periods", 0, MAX_DELAY))
 
     @property
     def acts(self) -> bool:
@@ -199,19 +169,12 @@ class Tracking:
         return position, np.where(hinge, self.lqr_velocity, self.lqr_velocity_m_s)
 
 
-def _lqr_error(value: object, key: str) -> float:
-    """Return an error that LQR weighs [deg or m, and per second]."""
-    found, (low, high) = number(value, f"tracking.{key}", positive=True), LQR_ERRORS
-    if not low * (1 - _ROUNDING) <= found <= high * (1 + _ROUNDING):
-        raise ProblemError(
-            f"tracking.{key}, the error that weighs as much as the whole effort limit, is from {low:g} to {high:g},"
-            f" got {found:g}"
-        )
-    return found
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float | np.number) and not isinstance(value, bool)
+def _check(settings: object, section: str, left_out: Section, keys: Sequence[str]) -> None:
+    """Put values in the place of what was given, if they can stand in a file's section; None may be what it leaves out."""
+    for key in keys:
+        value = plain(getattr(settings, key))
+        if value is not None or getattr(left_out, key) is not None:
+            _set(settings, key, checked(f"{section}.{key}", value))
 
 
 def _set(settings: object, field: str, value: object) -> None:

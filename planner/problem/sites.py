@@ -5,13 +5,15 @@ a wall (n its normal), the distance from a polyline for a tube.
 """
 
 from dataclasses import dataclass
+from typing import get_args
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError
+from linkplan.planner.keys.kinds import Axis
 from linkplan.planner.problem.values import frozen
 
-AXES = ("x", "y", "z")
+AXES = get_args(Axis)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -119,7 +119,7 @@ def tune(
     peak = np.inf if sensitivity_peak is None else number(plain(sensitivity_peak), "sensitivity_peak", positive=True)
     wanted = tuning.Wanted(
         bandwidth_hz=number(plain(bandwidth_hz), "bandwidth_hz", positive=True),
-        phase_margin_deg=number(plain(phase_margin_deg), "phase_margin_deg", least=0.0),
+        phase_margin_deg=number(plain(phase_margin_deg), "phase_margin_deg", at_least_zero=True),
         sensitivity_peak=peak,
     )
     mechanism, planning, settings, limit = _loop_of(subject, tracking)
@@ -146,7 +146,7 @@ def _loop_of(subject: Subject, tracking: object):
 
 def _settings(table: dict, mechanism: Mechanism) -> Tracking:
     """Return the tracking settings of a table, whose delay may be a broken number of periods."""
-    delay = number(table.get("delay_periods", 0), "tracking.delay_periods", least=0.0)
+    delay = number(table.get("delay_periods", 0), "tracking.delay_periods", at_least_zero=True)
     if delay > MOST_DELAY_PERIODS:
         raise ProblemError(f"tracking.delay_periods is a number from 0 to {MOST_DELAY_PERIODS}, got {delay:g}")
     settings = tracking_from_tables({"tracking": {key: x for key, x in table.items() if key != "delay_periods"}}, mechanism)

@@ -15,8 +15,9 @@ from linkplan.controllers.sampling import Sampling
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.keys.kinds import LQR_ERRORS
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.settings import LQR_ERRORS, Tracking
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import SCANNED
 from linkplan.studies.bode.scan import Line, judge_of
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, feedback_loop, law_gain, operating_point

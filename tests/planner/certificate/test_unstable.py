@@ -10,9 +10,9 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.integration import GROWTH, integrate
 from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.problem.settings import INTEGRATION_DEG
 from linkplan.planner.search.duration_continuation import SAVED, continued
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, body_plan, body_problem
 from tests.support.fourbar_problems import random_case

@@ -12,9 +12,9 @@ from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.payload import SHANK
 from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN, built_in_text
+from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.keys.reading import KEYS
 from linkplan.planner.problem.planning_problem import Limits, Motion, PlanningProblem
-from linkplan.planner.problem.settings import MAX_INTERVALS
 from linkplan.planner.transcription.schemes import NAMES
 from tests.support.tolerances_planner import ROUNDING
 
