@@ -106,6 +106,7 @@ class Tracking:
 
     def __post_init__(self) -> None:
         keys = ("kp", "kd", "period_s", "duration_s", "lqr_position_m", "lqr_velocity_m_s")
+        keys += ("bandwidth_hz", "damping_ratio", "integral_time_s", "horizon_s")
         _check(self, "tracking", _TRACKING, keys)
         delay = plain(self.delay_periods)  # an integer stays one
         checked("tracking.delay_periods", delay)
@@ -115,13 +116,6 @@ class Tracking:
             is_number = isinstance(value, int | float) and not isinstance(value, bool)
             checked(f"tracking.{in_file}", float(f"{np.degrees(value):.{_DIGITS}g}") if is_number else value)
             _set(self, key, float(value))
-<<<<<<< HEAD
-        for key in ("lqr_position_m", "lqr_velocity_m_s"):
-            _set(self, key, _lqr_error(getattr(self, key), key))
-        for key in ("bandwidth_hz", "damping_ratio", "integral_time_s", "horizon_s"):
-            _set(self, key, number(getattr(self, key), f"tracking.{key}", positive=True))
-=======
->>>>>>> h4
 
     def tracked(self) -> "Tracking":
         """Return these settings if a motion can be tracked with them: its delay is a whole number of control periods."""
