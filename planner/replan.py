@@ -163,6 +163,7 @@ def structure(problem: PlanningProblem) -> tuple:
     sites = tuple((limit.key, np.isfinite([limit.low, limit.high]).tobytes()) for limit in limits.site)
     ends = (tuple(point.index for point in motion.goal_at), motion.goal_rows)
     lines = tuple(motor is not None and motor.has_line for motor in problem.motors)
+    corners = problem.robust.corners
     mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
     terms = tuple(problem.objective.weights)
     payload = problem.mechanism.payload
@@ -175,4 +176,4 @@ def structure(problem: PlanningProblem) -> tuple:
         problem.reference is None,
         problem.solver.name,
     )
-    return (*of, finite, sites, ends, given, motion.min_duration_s is None, via, lines, mesh)
+    return (*of, finite, corners, sites, ends, given, motion.min_duration_s is None, via, lines, mesh)

@@ -6,6 +6,7 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, ranged_control
 from linkplan.models.poses.along import sampled
+from linkplan.planner.problem.corner_efforts import corner_efforts_along
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
@@ -24,8 +25,8 @@ class Margin:
     """The worst instant of one limit: `value` against `limit` in `unit`; `left` is negative where it is overrun.
 
     `what` is the limit's key in a problem file ("effort_rate", "power", "closure_force", "singular_margin", "motor"),
-    or "control" for a servo's ctrlrange, "tendon" for a tendon's range, "site" and "tube" for limits.site;
-    `item` the actuator, closure, tendon or site limit of that name.
+    or "robust" for an effort limit at a corner of [robust], "control" for a servo's ctrlrange, "tendon" for a tendon's
+    range, "site" and "tube" for limits.site; `item` the actuator, closure, tendon or site limit of that name.
     """
 
     what: str
@@ -55,6 +56,7 @@ class Margin:
         return {
             "effort_rate": f"the effort rate of {self.name}",
             "power": f"the power of {self.name}",
+            "robust": f"the effort of {self.name}",
             "control": f"the ctrl of {self.name}",
             "motor": f"the torque-speed line of {self.name}",
             "closure_force": f"the closure force of {self.name}",
@@ -200,6 +202,14 @@ def margins(
         lengths = sampled(mechanism.dynamics.tendon_length, q)[:, :, 0]
         for item, (one, values) in enumerate(zip(mechanism.tendons, lengths.T, strict=True)):
             found.append(margin_of("tendon", item, one.name, values, (one.low, one.high), one.unit, points, time, one.span))
+    corners = problem.robust.corners
+    if corners:
+        joints = tuple(joint.name for joint in mechanism.joints)
+        efforts = corner_efforts_along(mechanism, corners, q, v, a)
+        for item, corner in enumerate(corners):
+            for j, bounds in enumerate(problem.robust.room * limits.effort):
+                where = f"{names[j]} with {corner.said(joints)}"
+                add("robust", item * mechanism.n_u + j, where, efforts[:, item, j], bounds, mechanism.actuators[j].unit)
     if limits.singular_margin > 0:
         for block, ratios in enumerate(block_ratios(problem, q).T):
             add("singular_margin", block, mechanism.name, ratios, (limits.singular_margin, np.inf), "")

@@ -63,6 +63,8 @@ def formulate(
         controls=tuple(j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control),
         tendons=tuple(range(len(mechanism.tendons))),
         sites=(*(limit.key for limit in limits.site), *(coordinate_key(*where) for where in passed)),
+        corners=problem.robust.corners,
+        n_u=n_u,
     )
     rows = IntervalRows(
         costs=costs,
@@ -102,7 +104,8 @@ def formulate(
     limited += [("control", j) for j in asked.controls]
     of_tendons = [("tendon", item) for item in asked.tendons]
     of_sites = [("tube" if limit.is_tube else "site", item) for item, limit in enumerate(limits.site)]
-    limited += of_tendons + of_sites + [("passed", k) for k in range(len(passed))]
+    limited += of_tendons + [("robust", item) for item in range(len(asked.corners) * n_u)]
+    limited += of_sites + [("passed", k) for k in range(len(passed))]
     limited += [("work", j) for j in range(n_u if works else 0)]
     path = [
         limits.speed[list(speed_joints)] * scales.time_s,
@@ -112,6 +115,7 @@ def formulate(
         np.tile([limits.singular_margin, np.inf], (asked.singular, 1)),
         np.array([_control_range(problem, j) for j in asked.controls]),
         np.array([[tendon.low / tendon.span, tendon.high / tendon.span] for tendon in mechanism.tendons]),
+        np.tile(problem.robust.room * limits.effort / scales.effort[:, None], (len(asked.corners), 1)),
         np.array([site_bounds(mechanism, limit) for limit in limits.site]),
         np.tile([-np.inf, np.inf], (len(passed), 1)),
         np.tile([0.0, np.inf], (n_u if works else 0, 1)),

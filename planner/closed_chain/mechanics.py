@@ -16,12 +16,14 @@ import numpy as np
 from linkplan.models.actuation.actuators import ranged_control
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.closed_chain.site_rows import TUBE, site_row
+from linkplan.planner.problem.corner_efforts import corner_efforts
+from linkplan.planner.problem.robust import Corner
 from linkplan.planner.transcription.system import NodeSymbols, System, node_symbols
 
 # Terms of an objective that are integrals of a quantity at nodes.
 RUNNING = ("tracking", "work", "closure_force")
 # Path quantities that jump where the effort does.
-WITH_EFFORT = ("motor", "power", "closure_force", "control")
+WITH_EFFORT = ("motor", "power", "closure_force", "control", "robust")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -60,7 +62,7 @@ class NodeTerms:
 
     `speed_joints` are dependent joints, `motors` and `powers` actuators, `closures` those whose force is limited; `singular`
     is the number of blocks of J_z whose determinants are; `controls` are servos whose ctrl is; `tendons` are places in
-    `Mechanism.tendons`; `sites` are `SiteLimit.key`s.
+    `Mechanism.tendons`; `sites` are `SiteLimit.key`s; `corners` are machines whose `n_u` efforts each are limited.
     """
 
     running: tuple[str, ...] = ()
@@ -72,6 +74,8 @@ class NodeTerms:
     controls: tuple[int, ...] = ()
     tendons: tuple[int, ...] = ()
     sites: tuple[tuple, ...] = ()
+    corners: tuple[Corner, ...] = ()
+    n_u: int = 0
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -80,6 +84,7 @@ class NodeTerms:
         named = tuple(kind for kind, items in listed.items() for _ in items)
         of_sites = tuple("tube" if len(key) == TUBE else "site" for key in self.sites)
         others = {"singular": self.singular, "control": len(self.controls), "tendon": len(self.tendons)}
+        others |= {"robust": len(self.corners) * self.n_u}
         return (*named, *(kind for kind, n in others.items() for _ in range(n)), *of_sites)
 
 
@@ -162,6 +167,8 @@ def _path(
             path.append(ranged_control(mechanism.actuators[j], ctrl, u[j], gain, ca.fmax) / control_unit(mechanism, j))
     lengths = call("tendon_length", q) if asked.tendons else ca.SX(0, 1)
     path += [lengths[item] / mechanism.tendons[item].span for item in asked.tendons]
+    efforts = corner_efforts(mechanism, asked.corners, call, given["payload"], motion[:3])
+    path += [effort / given["effort"] for effort in efforts]
     return path + [site_row(mechanism, key, q) for key in asked.sites]
 
 

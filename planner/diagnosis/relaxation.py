@@ -15,6 +15,7 @@ from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, 
 from linkplan.planner.diagnosis.infeasibility import overrun_sentence
 from linkplan.planner.problem.limits import free
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.robust import Robust
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.refinement.history import Step, step_of
 from linkplan.planner.solvers.solve import build_solver, run_solver, solve
@@ -22,7 +23,18 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
 # What may be taken away to see whether it is what forbids a motion, in this order, before the efforts' limits are looked at.
-RELAXABLE = ("speed", "power", "closure_force", "motor", "control", "effort_rate", "singular_margin", "tendon", "site")
+RELAXABLE = (
+    "robust",
+    "speed",
+    "power",
+    "closure_force",
+    "motor",
+    "control",
+    "effort_rate",
+    "singular_margin",
+    "tendon",
+    "site",
+)
 # Efforts that may jump have no rate to speak of: their rates are limited to so many times the limit in place of not at all.
 # So are servos' ctrl ranges.
 _ALL_BUT_FREE = 1e3
@@ -42,6 +54,8 @@ def scaled(problem: PlanningProblem, what: str, factor: float) -> PlanningProble
         return _with_tendons(
             problem, tuple(_longer(tendon, (factor - 1) * tendon.span) for tendon in problem.mechanism.tendons)
         )
+    if what == "robust":
+        return replace(problem, robust=replace(problem.robust, room=factor * problem.robust.room))
     if what == "motor":
         lined = [m for m in problem.motors if m is not None and m.has_line]
         wider = {
@@ -85,6 +99,8 @@ def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
             return None
         bare = tuple(m and replace(m, stall_effort=None, no_load_speed=None) for m in problem.motors)
         return replace(problem, motors=bare)
+    if what == "robust":
+        return replace(problem, robust=Robust()) if problem.robust.corners else None
     if what == "control":
         limited = any(actuator.limits_control for actuator in problem.mechanism.actuators)
         return _with_controls(problem, _ALL_BUT_FREE) if limited else None

@@ -8,8 +8,9 @@ from linkplan.models.names import choose
 from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.sites_file import site_limits_of
 from linkplan.planner.files.values import interval
-from linkplan.planner.keys.sections import LimitsSection, MotorSection
+from linkplan.planner.keys.sections import LimitsSection, MotorSection, RobustSection
 from linkplan.planner.problem.limits import Limits, Motor, free
+from linkplan.planner.problem.robust import Range, Robust
 
 
 def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
@@ -36,7 +37,8 @@ def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
     for name, value in section.closure_force.items():
         forces[closure_index(mechanism, name)] = value
     return Limits(
-        effort=effort,
+        effort=(1.0 - section.reserve) * effort,
+        reserve=section.reserve,
         position=position,
         speed=speed,
         effort_rate=_actuator_rows(section.effort_rate, "limits.effort_rate", mechanism),
@@ -44,6 +46,24 @@ def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
         closure_force=forces,
         singular_margin=section.singular_margin,
         site=site_limits_of(section.site, mechanism),
+    )
+
+
+def robust_of(section: RobustSection, mechanism: Mechanism) -> Robust:
+    """Return the ranges of a [robust] table."""
+
+    def friction(table: dict[str, list[float]], where: str) -> dict[int, Range]:
+        joints = {name: mechanism.joint_index(name, ProblemError) for name in table}
+        return {index: interval(table[name], f"{where}.{name}", point=True) for name, index in joints.items()}
+
+    def factor(value: object, where: str) -> Range:
+        return interval(value, where, point=True) if isinstance(value, list) else (1.0, 1.0)
+
+    return Robust(
+        payload_factor=factor(section.payload_factor, "robust.payload_factor"),
+        torque_factor=factor(section.torque_constant_factor, "robust.torque_constant_factor"),
+        viscous=friction(section.viscous_friction, "robust.viscous_friction"),
+        coulomb=friction(section.coulomb_friction, "robust.coulomb_friction"),
     )
 
 

@@ -19,7 +19,7 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.sites import site_index
 from linkplan.planner.files.joint_values import joint_values
-from linkplan.planner.files.limits_file import actuator_index, closure_index, limits_of, motors_of
+from linkplan.planner.files.limits_file import actuator_index, closure_index, limits_of, motors_of, robust_of
 from linkplan.planner.files.motion_file import motion_of
 from linkplan.planner.files.named_coordinates import coordinates_note, other_coordinates
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
@@ -33,6 +33,7 @@ from linkplan.planner.keys.sections import (
     MotionSection,
     ObjectiveSection,
     ReferenceSection,
+    RobustSection,
     SolverSection,
     TrackingSection,
 )
@@ -96,6 +97,7 @@ def problem_from_tables(
     asked = read_section(MotionSection, tables, "motion", known)
     sine = read_section(ReferenceSection, tables, "reference", known) if tables.get("reference", {}) != {} else None
     limited = read_section(LimitsSection, tables, "limits", known)
+    uncertain = read_section(RobustSection, tables, "robust", known)
     motors = read(kind_of("motors"), tables.get("motors", {}), "motors", known)
     guess = read_section(GuessSection, tables, "guess", known)
     for section, kind in _WHOLE.items():
@@ -115,6 +117,7 @@ def problem_from_tables(
         motion=motion_of(asked, mechanism, reference, limits),
         objective=objective,
         limits=limits,
+        robust=robust_of(uncertain, mechanism),
         motors=motors_of(motors, mechanism),
         reference=reference,
         guess=_guess(guess, tables, mechanism, folder),

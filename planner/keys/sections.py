@@ -202,6 +202,7 @@ class LimitsSection(Section, frozen=True):
     ] = {}
     power_w: Annotated[kinds.ActuatorLimits, key("mechanical power by actuator: a number, or [low, high]", "W", "none")] = {}
     closure_force: Annotated[kinds.ClosureLimits, key("what a closure's pin is rated at", "N", "none")] = {}
+    reserve: Annotated[kinds.Margin, key("the share of every effort limit that a plan leaves to feedback")] = 0.0
     singular_margin: Annotated[kinds.Margin, key("the least det J_z along the motion, as a share of that at home")] = 0.0
     site: Annotated[
         dict[str, SiteLimit | list[SiteLimit]],
@@ -286,6 +287,24 @@ class SolverSection(Section, frozen=True):
     starts: Annotated[kinds.Starts, key("of so many motions to start from, the best answer is kept")] = 1
 
 
+class RobustSection(Section, frozen=True):
+    """Machines for which one motion keeps every effort limit: all within these ranges, at every corner."""
+
+    payload_factor: Annotated[
+        kinds.Interval, key("[low, high] of the factor on the payload's mass and inertia", default="[1, 1]")
+    ] = ABSENT
+    torque_constant_factor: Annotated[
+        kinds.Interval,
+        key("[low, high] of the factor on what an actuator gives for the effort that it is told", default="[1, 1]"),
+    ] = ABSENT
+    viscous_friction: Annotated[
+        kinds.Ranges, key("[low, high] of a joint's damping beside the model's", "N.m.s/rad, N.s/m", "none")
+    ] = {}
+    coulomb_friction: Annotated[
+        kinds.Ranges, key("[low, high] of a joint's dry friction, against the motion or with it", "N.m, N", "none")
+    ] = {}
+
+
 class TrackingSection(Section, frozen=True):
     """How the plan is tracked in simulation: gains, sampling, delay."""
 
@@ -321,6 +340,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     reference: Annotated[ReferenceSection, key("the sinusoid to follow or come near to", default="none")] = ABSENT
     objective: Annotated[ObjectiveSection, key("what is least", default="by the kind of motion")] = ObjectiveSection()
     limits: Annotated[LimitsSection, key("what holds at every instant", default="the model's own")] = LimitsSection()
+    robust: Annotated[RobustSection, key("what is not known of the machine", default="all is as modelled")] = RobustSection()
     motors: Annotated[dict[str, Motor], _MOTORS, key("by actuator: the motor behind it", default="unknown")] = {}
     guess: Annotated[GuessSection, key("where the search starts from", default="found by the planner")] = GuessSection()
     mesh: Annotated[MeshSection, key("how the motion is written down", default="chosen")] = MeshSection()

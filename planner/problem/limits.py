@@ -53,7 +53,7 @@ class Limits:
     `effort` (n_u, 2) [N.m or N]; `position` and `speed` (n_q, 2) [rad or m, and per second], dependent joints too;
     `effort_rate` (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each actuator; `closure_force` (n_closures,)
     [N], the largest size of each; `singular_margin`, the least |det J_z| as a share of that at home; `site`, where sites
-    stay [m].
+    stay [m]. `effort` is what plans may use: `reserve` is the share of the actuators' own that is left to feedback.
     """
 
     effort: np.ndarray
@@ -63,6 +63,7 @@ class Limits:
     power: np.ndarray | None = None
     closure_force: np.ndarray | None = None
     singular_margin: float = 0.0
+    reserve: float = 0.0
     site: tuple[SiteLimit, ...] = ()
 
     def __post_init__(self) -> None:
@@ -84,8 +85,15 @@ class Limits:
             raise ProblemError(f"limits.closure_force is positive, got {force}")
         force.flags.writeable = False
         object.__setattr__(self, "closure_force", force)
+        if not 0 <= self.reserve < 1:
+            raise ProblemError(f"limits.reserve is from 0 to below 1, got {self.reserve!r}")
         if not 0 <= self.singular_margin < 1:
             raise ProblemError(f"limits.singular_margin is from 0 to below 1, got {self.singular_margin!r}")
+
+    @property
+    def actuators_effort(self) -> np.ndarray:
+        """What the actuators can give (n_u, 2) [N.m or N], the reserve that plans leave to feedback among it."""
+        return self.effort / (1.0 - self.reserve)
 
     @property
     def limited_closures(self) -> tuple[int, ...]:

@@ -14,6 +14,7 @@ from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import Sine
+from linkplan.planner.problem.robust import Robust
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.values import frozen
 from linkplan.planner.trajectory import Trajectory
@@ -47,6 +48,7 @@ class PlanningProblem:
     motion: Motion
     objective: Objective  # a term's name or a mapping of weights will do
     limits: Limits
+    robust: Robust = field(default_factory=Robust)
     motors: tuple[Motor | None, ...] = ()
     reference: Sine | None = None
     guess: GuessedPath | Trajectory | None = None
@@ -116,6 +118,7 @@ class PlanningProblem:
             )
         self._check_shapes()
         self._check_periods()
+        self._check_robust()
         needs_node = ["motion.goal_at that leaves a loop's pose open"]
         needs_node = needs_node if motion.goal_is_free and len(self.mechanism.dependent) else []
         opened = [f"motion.waypoints[{k}].at" for k, waypoint in enumerate(motion.waypoints) if waypoint.at_rows]
@@ -125,6 +128,17 @@ class PlanningProblem:
                 f"{needs_node[0]} needs a mesh.scheme with a node at the end (radau, trapezoid, hermite-simpson), got"
                 f" {self.mesh.scheme}"
             )
+
+    def _check_robust(self) -> None:
+        """Refuse ranges that mean nothing on this mechanism."""
+        robust, mechanism = self.robust, self.mechanism
+        if robust.corners and mechanism.n_u != mechanism.dof:
+            raise ProblemError(
+                f"[robust] needs one actuator for every degree of freedom; '{mechanism.name}' has {mechanism.n_u} for"
+                f" {mechanism.dof}"
+            )
+        if robust.payload_factor != (1.0, 1.0) and mechanism.payload is None:
+            raise ProblemError("robust.payload_factor needs a mechanism.payload; there is none")
 
     def _check_periods(self) -> None:
         """Refuse a motion over more of its reference's periods than a mesh has intervals for."""

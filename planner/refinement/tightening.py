@@ -13,7 +13,7 @@ _FLOOR = 1e-7
 # Bounds are never tightened beyond this share of what lies between them.
 _MOST = 0.45
 # The limits that are rows of nodes, and so can be overrun between them.
-AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin", "control", "tendon", "site", "tube")
+AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin", "control", "tendon", "site", "tube", "robust")
 # Of those, the ones whose rows are the square of what is limited, and those that are tightened in units of their rows.
 SQUARED, IN_UNITS = ("closure_force", "tube"), ("site", "tendon")
 

@@ -72,7 +72,7 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
     cycle = None
     if reference.cycle is not None:
         say("Floquet multipliers, predicted and measured")
-        cycle = floquet(mechanism, reference, tracker, timing, plan.problem.limits.effort)
+        cycle = floquet(mechanism, reference, tracker, timing, plan.problem.limits.actuators_effort)
     return AlongMotion(
         plan=plan,
         law=law,

@@ -123,7 +123,7 @@ def _loop_of(arguments: argparse.Namespace) -> tuple[PlanningProblem | None, Mec
     name, tables, folder, is_problem = tables_of(arguments.model, arguments.set)
     if is_problem:
         problem: PlanningProblem | None = problem_from_tables(name, tables, folder)
-        mechanism, settings, limit = problem.mechanism, problem.tracking, problem.limits.effort
+        mechanism, settings, limit = problem.mechanism, problem.tracking, problem.limits.actuators_effort
     else:
         problem, mechanism = None, mechanism_from_tables(tables, folder)
         settings, limit = tracking_from_tables(tables, mechanism), mechanism.effort_limit

@@ -125,7 +125,7 @@ def _lqr(plan: Plan, reference: SampledReference) -> Tracker:
 
 def _errors(plan: Plan) -> Errors:
     problem = plan.problem
-    limit = np.abs(problem.limits.effort).max(axis=1)
+    limit = np.abs(problem.limits.actuators_effort).max(axis=1)
     position, velocity = problem.tracking.lqr_errors(problem.mechanism.independent_joints)
     effort = np.where(np.isfinite(limit), limit, np.maximum(plan.certificate.peak_effort, 1.0))
     return Errors(position=position, velocity=velocity, effort=effort)
@@ -146,7 +146,7 @@ BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
         reference,
         _errors(plan),
         plan.problem.tracking.integral_time_s,
-        np.array(plan.problem.limits.effort),
+        np.array(plan.problem.limits.actuators_effort),
     ),
     "gs-pd+ff": lambda plan, reference: Feedforward(
         reference=reference, feedback=scheduled_pd(plan.problem.mechanism, reference, *_frequency(plan))
@@ -157,7 +157,7 @@ BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
         reference,
         _errors(plan),
         plan.problem.tracking.horizon_s,
-        np.array(plan.problem.limits.effort),
+        np.array(plan.problem.limits.actuators_effort),
     ),
 }
 
@@ -195,7 +195,7 @@ def compare(
 def _loop(plan: Plan, mismatch: Mismatch | None) -> ControlLoop:
     problem = plan.problem
     return ControlLoop(
-        effort_limit=np.array(problem.limits.effort),
+        effort_limit=np.array(problem.limits.actuators_effort),
         delay_periods=problem.tracking.delay_periods + (mismatch.delay_periods if mismatch else 0),
         mass_factor=mismatch.mass_factor if mismatch else 1.0,
     )

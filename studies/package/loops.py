@@ -141,7 +141,7 @@ def _loop_of(subject: Subject, tracking: object):
     settings = _settings(own | plain(tracking or {}), mechanism)
     if problem is None:
         return mechanism, None, settings, mechanism.effort_limit
-    return mechanism, problem.planning, settings, problem.planning.limits.effort
+    return mechanism, problem.planning, settings, problem.planning.limits.actuators_effort
 
 
 def _settings(table: dict, mechanism: Mechanism) -> Tracking:

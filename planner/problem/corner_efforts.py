@@ -1,0 +1,57 @@
+"""What machines at the corners of a problem's ranges need for a motion, as an expression and along samples."""
+
+import functools
+from collections.abc import Callable, Sequence
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
+from linkplan.planner.problem.robust import Corner
+
+
+def corner_efforts(
+    mechanism: Mechanism, corners: Sequence[Corner], call: Callable[..., ca.SX], payload: ca.SX, motion: tuple[ca.SX, ...]
+) -> list[ca.SX]:
+    """Return the efforts (n_u,) of each corner that a motion (q, v, a) needs.
+
+    Args:
+        mechanism: with an actuator for each degree of freedom.
+        corners: of the ranges.
+        call: a function of the reduced dynamics by name, of the machine as modelled.
+        payload: its numbers (7,), none without one.
+        motion: q (n_q,), v and a (n_s,).
+    """
+    q, v, a = motion
+    gamma, effort_map = call("velocity_map", q), call("effort_map", q)
+    rates = gamma @ v
+    needed: dict[float, ca.SX] = {}
+    found = []
+    for corner in corners:
+        factor = corner.payload_factor
+        if factor not in needed:
+            if factor == 1:
+                needed[factor] = call("inverse_dynamics", q, v, a)
+            else:
+                scaled = ca.vertcat(factor * payload[0], payload[1:4], factor * payload[4:7])
+                needed[factor] = mechanism.parametric_dynamics().inverse_dynamics(q, v, a, scaled)
+        tau = needed[factor]
+        for joint, viscous, coulomb in corner.friction:
+            tau = tau + gamma[joint, :].T * (viscous * rates[joint] + coulomb)
+        found.append(ca.solve(effort_map, tau) / corner.torque_factor)
+    return found
+
+
+def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a) -> np.ndarray:
+    """Return the efforts (n, n_corners, n_u) [N.m or N] of each corner along samples q (n, n_q), v, a (n, n_s)."""
+    found = sampled(_function(mechanism, corners), q, v, a)
+    return found.reshape(len(q), len(corners), mechanism.n_u)
+
+
+@functools.lru_cache(maxsize=16)
+def _function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
+    q, v, a = ca.SX.sym("q", mechanism.n_q), ca.SX.sym("v", mechanism.dof), ca.SX.sym("a", mechanism.dof)
+    payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
+    efforts = corner_efforts(mechanism, corners, lambda name, *x: getattr(mechanism.dynamics, name)(*x), payload, (q, v, a))
+    return ca.Function("corners", [q, v, a], [ca.densify(ca.vertcat(*efforts))])
