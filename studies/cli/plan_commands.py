@@ -8,6 +8,7 @@ from linkplan.planner.files.plan_folder import record, write_plan
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.robustness import price_of
 from linkplan.studies.cli.common import output_folder, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
@@ -27,7 +28,12 @@ def run_plan(arguments: argparse.Namespace) -> int:
         say(f"saved in {target}")
     elif target is not None:
         say(f"nothing written: {plan.status}")
-    show(arguments, record(plan), plan_text(plan))
+    said, text = record(plan), plan_text(plan)
+    price = price_of(plan, say)
+    if price is not None:
+        said["price"] = {"objective": price.objective, "nominal": price.nominal, "share": price.share, "unit": price.unit}
+        text = f"{text}\n{price.sentence()}"
+    show(arguments, said, text)
     return DONE if plan.status == "optimal" else NO
 
 

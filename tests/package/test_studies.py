@@ -107,7 +107,10 @@ class Nameless:
     ("use", "words"),
     [
         (lambda plan: linkplan.track(plan, "smc"), "unknown tracker 'smc'; legal: pd, pd+ff, lqr, lqi, gs-pd+ff, ct, mpc"),
-        (lambda plan: linkplan.track(plan, 7), "a tracker is one of pd, pd+ff, lqr, lqi, gs-pd+ff, ct, mpc, an object with a name and effort"),
+        (
+            lambda plan: linkplan.track(plan, 7),
+            "a tracker is one of pd, pd+ff, lqr, lqi, gs-pd+ff, ct, mpc, an object with a name and effort",
+        ),
         (lambda plan: linkplan.track(plan, lambda reference: None), "returns an object with a name and effort"),  # noqa: ARG005
         (lambda plan: linkplan.track(plan, Nameless()), "a tracker's name is a word"),
         (lambda plan: linkplan.track(plan, Idle(value=[0.0, 0.0])), "shape (1,), got shape (2,)"),

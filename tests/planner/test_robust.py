@@ -1,0 +1,136 @@
+"""Reserve and ranges: effort limits kept at every corner, by second routes; what they cost; what cannot be asked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.controllers.reference import sample
+from linkplan.controllers.rollout import ControlLoop, run
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.payload import SHANK
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.corner_efforts import corner_efforts_along
+from linkplan.planner.problem.robust import Corner, Robust
+from linkplan.planner.robustness import price_of
+from linkplan.studies.compare.compare import build_tracker
+from tests.support.mechanisms import FIVE_BAR
+from tests.support.plans import optimal
+
+HEAVY = ["robust.payload_factor=[0.8, 1.2]"]
+
+
+def planned(name: str, *overrides: str):
+    return plan_motion(load_problem(name, list(overrides)))
+
+
+def samples(plan) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    trajectory, mechanism = plan.trajectory, plan.problem.mechanism
+    time = trajectory.dense_times(7)
+    q = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
+    return time, q, trajectory.velocity_at(time), trajectory.acceleration_at(time)
+
+
+def test_least_time_over_a_range_of_payloads_is_that_of_the_heaviest():
+    """Of a motion from rest to rest of one freedom the heavier machine needs more effort everywhere."""
+    robust = planned("knee-sprint", *HEAVY)
+    problem = load_problem("knee-sprint")
+    heavy = load_mechanism("optimus-knee", payload=SHANK.scaled(1.2))
+    alone = plan_motion(replace(problem, mechanism=heavy, source={}))
+    assert alone.objective > 1.05 * planned("knee-sprint").objective
+    assert robust.objective == pytest.approx(alone.objective, rel=1e-7)
+
+
+def test_a_corner_s_efforts_are_the_inverse_dynamics_of_its_own_machine():
+    plan = optimal("knee-reach")
+    _, q, v, a = samples(plan)
+    corner = Corner(payload_factor=0.7, torque_factor=0.9, friction=((0, 0.05, 0.0),))
+    found = corner_efforts_along(plan.problem.mechanism, (corner,), q, v, a)[:, 0]
+    other = load_mechanism("optimus-knee", payload=SHANK.scaled(0.7))
+    wanted = (needed_effort(other, q, v, a)[0] + 0.05 * v) / 0.9
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
+
+
+def test_corners_of_several_freedoms_are_solved_for_together():
+    mechanism = load_mechanism(FIVE_BAR)
+    rng = np.random.default_rng(2)
+    q = np.tile(mechanism.home, (4, 1))
+    v, a = rng.normal(size=(4, mechanism.dof)), rng.normal(size=(4, mechanism.dof))
+    found = corner_efforts_along(mechanism, (Corner(torque_factor=0.5),), q, v, a)[:, 0]
+    np.testing.assert_allclose(found, 2 * needed_effort(mechanism, q, v, a)[0], rtol=1e-9)
+
+
+def test_dry_friction_is_kept_against_either_direction():
+    corners = Robust(coulomb={0: (0.0, 2.0)}).corners
+    assert sorted(one.friction[0][2] for one in corners) == [-2.0, 2.0]
+
+
+def test_a_certificate_names_the_corner_at_which_a_plan_fails():
+    plan = optimal("knee-sprint")
+    certificate = certify(replace(plan.problem, robust=Robust(payload_factor=(0.8, 1.2))), plan.trajectory)
+    assert certificate.failures
+    assert "act_O with payload 1.2" in certificate.failures[0]
+
+
+def test_a_weaker_torque_constant_is_a_reserve():
+    weak = planned("knee-sprint", "robust.torque_constant_factor=[0.9, 1.0]")
+    kept = planned("knee-sprint", "limits.reserve=0.1")
+    assert weak.objective == pytest.approx(kept.objective, rel=1e-6)
+    assert kept.certificate.peak_effort[0] == pytest.approx(90.0)
+    np.testing.assert_allclose(kept.problem.limits.actuators_effort, [[-100.0, 100.0]])
+
+
+def test_what_forbids_a_robust_motion_is_named():
+    plan = planned("knee-reach", "robust.payload_factor=[1.0, 2.0]")
+    assert plan.status == "infeasible"
+    assert "payload 2" in plan.message
+
+
+def test_the_price_is_what_the_machine_as_modelled_does_better():
+    plan = planned("knee-sprint", "limits.reserve=0.1")
+    price = price_of(plan)
+    assert price.nominal == pytest.approx(optimal("knee-sprint").objective, rel=1e-9)
+    assert f"{100 * (plan.objective / price.nominal - 1):+.3g} %" in price.sentence()
+    assert price_of(optimal("knee-sprint")) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["knee-sprint", "knee-sine-shank"])
+@pytest.mark.parametrize("kind", ["lqr", "mpc"])
+def test_a_plan_with_a_reserve_is_tracked_with_a_fifth_more_payload_and_a_period_of_delay(kind, name):
+    plan = planned(name, *HEAVY, "limits.reserve=0.05")
+    problem = plan.problem
+    reference = sample(problem.mechanism, plan.trajectory, 1e-4, 2 * plan.trajectory.duration_s)
+    loop = ControlLoop(effort_limit=problem.limits.actuators_effort, mass_factor=1.2, delay_periods=1)
+    followed = run(problem.mechanism, reference, build_tracker(kind, plan, reference), loop)
+    assert 0.01 < np.degrees(np.abs(followed.error).max()) < 0.5
+    assert followed.gap_m.max() < 10e-6
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ("robust.payload_factor=[1.2, 0.8]", "low <= high"),
+        ("robust.payload_factor=[0.0, 0.8]", "positive factors"),
+        ("robust.payload_factor=1.2", "[low, high]"),
+        ("robust.payload_factr=[0.8, 1.2]", "payload_factor"),
+        ("robust.viscous_friction={ Q = [0.0, 1.0] }", "'Q'"),
+        ("robust.coulomb_friction={ O = [-1.0, 1.0] }", "from zero on"),
+        ("limits.reserve=1.0", "limits.reserve"),
+    ],
+)
+def test_ranges_that_mean_nothing_are_refused_in_one_line(asked, said):
+    with pytest.raises(LinkplanError) as refused:
+        load_problem("knee-reach", [asked])
+    assert said in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_a_range_of_payloads_needs_a_payload():
+    with pytest.raises(LinkplanError, match=r"needs a mechanism\.payload"):
+        load_problem("knee-sprint-bare", HEAVY)
