@@ -13,17 +13,18 @@ from pathlib import Path
 
 from linkplan.models.catalogue import is_folder, is_there, nearest_source
 from linkplan.models.errors import ProblemError
-from linkplan.models.names import nearest
 from linkplan.models.reading import read_toml
 from linkplan.planner.files.problem_file import beside
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import refuse_saved_plan
 from linkplan.planner.files.toml_text import inline
+from linkplan.planner.keys.batch_sections import BatchFile
+from linkplan.planner.keys.reading import read
 
-KEYS = ("problem", "set", "case", "sweep")
-CASE_KEYS = ("name", "set")
 # More cases than this are a slip of the keyboard: at a fifth of a second each they take half an hour.
 MAX_CASES = 10_000
+# Names of folders have fewer bytes than this on any disk, with room for what is put behind them.
+MOST_BYTES = 100
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -59,62 +60,31 @@ def read_batch(path: str | Path) -> Batch:
     tables = read_toml(path, f"batch '{path}'")
     if "motion" in tables and "problem" not in tables:
         raise ProblemError(f"batch '{path}' is a problem file, which plan takes; {legal}")
-    for key in tables:
-        if key not in KEYS:
-            raise ProblemError(f"unknown key '{key}' in a batch{nearest(key, KEYS)}; keys are {', '.join(KEYS)}")
-    problem = tables.get("problem")
-    if not isinstance(problem, str) or not problem:
-        raise ProblemError(f"problem of a batch is a built-in name or a TOML file, got {problem!r}")
+    if "problem" not in tables:
+        raise ProblemError("problem of a batch is a built-in name or a TOML file, got None")
+    asked = read(BatchFile, tables, "")
+    problem = asked.problem
     if problem not in PROBLEMS:
         problem = str(beside(problem, path.parent))
-    common = _settings(tables.get("set", []), "set")
     if ("case" in tables) == ("sweep" in tables):
         raise ProblemError("a batch has [[case]] tables or a [sweep] table, one of the two")
-    listed = _listed(tables["case"]) if "case" in tables else _swept(tables["sweep"])
-    cases = tuple(Case(name=name, settings=settings) for name, settings in listed)
+    if len(asked.case) > MAX_CASES:
+        raise ProblemError(f"a batch has {MAX_CASES} cases at the most, got {len(asked.case)}")
+    listed = [(case.name or f"case-{k + 1}", case.set) for k, case in enumerate(asked.case)] or _swept(asked.sweep)
+    cases = tuple(Case(name=name, settings=tuple(settings)) for name, settings in listed)
     names = [case.name for case in cases]
+    for name in names:
+        if not name.isprintable() or len(name.encode()) >= MOST_BYTES:
+            raise ProblemError(f"case.name is a word that can name a folder, got {name!r}")
     twice = sorted(name for name, times in Counter(names).items() if times > 1)
     if twice:
         raise ProblemError(f"cases of a batch have names of their own; twice: {', '.join(twice)}")
-    return Batch(problem=problem, common=common, cases=cases)
+    return Batch(problem=problem, common=tuple(asked.set), cases=cases)
 
 
-def _settings(value: object, where: str) -> tuple[str, ...]:
-    if not isinstance(value, list) or not all(isinstance(item, str) for item in value):
-        raise ProblemError(f'{where} of a batch is a list of "key=value", got {value!r}')
-    return tuple(value)
-
-
-def _listed(value: object) -> Iterator[tuple[str, tuple[str, ...]]]:
-    if not isinstance(value, list) or not value or not all(isinstance(item, dict) for item in value):
-        raise ProblemError(f"case of a batch is a list of tables ([[case]]), got {value!r}")
-    if len(value) > MAX_CASES:
-        raise ProblemError(f"a batch has {MAX_CASES} cases at the most, got {len(value)}")
-    for number, item in enumerate(value):
-        for key in item:
-            if key not in CASE_KEYS:
-                raise ProblemError(f"unknown key 'case.{key}'{nearest(key, CASE_KEYS)}; keys are {', '.join(CASE_KEYS)}")
-        name = item.get("name", f"case-{number + 1}")
-        if not isinstance(name, str) or not _is_a_folder_name(name):
-            raise ProblemError(f"case.name is a word that can name a folder, got {name!r}")
-        yield name, _settings(item.get("set", []), f"set of case '{name}'")
-
-
-def _is_a_folder_name(name: str) -> bool:
-    return (
-        name.isprintable()
-        and bool(name)
-        and name[0] != "."
-        and not set(name) & set('/\\:*?"<>|')
-        and len(name.encode()) < 100
-    )
-
-
-def _swept(value: object) -> list[tuple[str, tuple[str, ...]]]:
-    if not isinstance(value, dict) or not value:
-        raise ProblemError(f"sweep of a batch is a table of key = list of values, got {value!r}")
+def _swept(table: dict) -> list[tuple[str, list[str]]]:
     axes = []
-    for key, values in _flat(value):
+    for key, values in _flat(table):
         if not isinstance(values, list) or not values:
             raise ProblemError(f"sweep.{key} is a list of values, got {values!r}")
         axes.append([(key, item) for item in values])
@@ -125,7 +95,7 @@ def _swept(value: object) -> list[tuple[str, tuple[str, ...]]]:
         raise ProblemError(f"a batch has {MAX_CASES} cases at the most, the sweep makes {total}")
     cases = []
     for number, combination in enumerate(itertools.product(*axes)):
-        settings = tuple(f"{key}={inline(item)}" for key, item in combination)
+        settings = [f"{key}={inline(item)}" for key, item in combination]
         cases.append((f"{number + 1:0{len(str(total))}d}", settings))
     return cases
 

@@ -6,7 +6,7 @@
 """
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 from msgspec import Meta
 
@@ -104,7 +104,11 @@ Corners = Annotated[
 ]
 Coordinates = Annotated[
     dict[Axis, Number],
-    Meta(min_length=1, extra={"said": "a table of those coordinates that matter, such as { x = 0.1, z = 0.2 }"}),
+    Meta(
+        min_length=1,
+        extra={"said": "a table of those coordinates that matter, such as { x = 0.1, z = 0.2 }"},
+        extra_json_schema={"propertyNames": {"enum": list(get_args(Axis))}},
+    ),
 ]
 Place = Point | Coordinates
 Path = Annotated[list[Number], Meta(min_length=2, extra={"said": "a list of two or more positions"})]
@@ -118,7 +122,14 @@ Breaks = Annotated[
 ]
 Names = Annotated[list[str], Meta(min_length=1, extra={"said": "a list of joint names"})]
 Settings = Annotated[list[str], Meta(extra={"said": 'a list of "section.key=value"'})]
-Weights = Annotated[dict[Term, Weight], Meta(min_length=1, extra={"said": "a table of at least one of them = its weight"})]
+Weights = Annotated[
+    dict[Term, Weight],
+    Meta(
+        min_length=1,
+        extra={"said": "a table of at least one of them = its weight"},
+        extra_json_schema={"propertyNames": {"enum": list(get_args(Term))}},
+    ),
+]
 
 _JOINTS = {"of": "joint = value", "noun": "joint"}
 _STATE = _JOINTS | {"item": " of joint {}"}

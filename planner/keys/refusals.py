@@ -53,7 +53,7 @@ def unknown_key(kind: Any, value: object, where: str) -> str | None:
         if key not in legal and where:
             return f"unknown key '{where}.{key}'{meant(key, legal)}; keys are {', '.join(legal)}"
         if key not in legal:
-            return f"unknown table or key '{key}'{meant(key, legal)}; tables are {', '.join(legal)}"
+            return f"unknown table or key '{key}'{meant(key, legal)}; legal are {', '.join(legal)}"
     return None
 
 
@@ -67,7 +67,7 @@ def words(kind: Any) -> str:
     container: Any = get_origin(bare) or bare
     if container is Literal:
         named = get_args(bare)
-        return f"one of {', '.join(named)}" if len(named) > 1 else f'"{named[0]}"'
+        return f"one of {', '.join(named)}" if len(named) > 1 else f'"{"".join(named)}"'
     if container is dict:
         return f"a table of {about['of']}"
     if container is list:

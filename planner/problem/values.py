@@ -1,6 +1,7 @@
 """Values of a problem: numbers, each refused in one line that names its key as problem files have it."""
 
 from collections.abc import Mapping
+from pathlib import PurePath
 from typing import Any
 
 import numpy as np
@@ -39,9 +40,11 @@ def whole(value: object, key: str, low: int, high: int) -> int:
 
 
 def plain(value: Any) -> Any:
-    """Return a value as TOML has it, a copy: numpy's numbers and arrays as Python's, tuples as lists; others as they are."""
+    """Return a copy of a value in the types of a TOML file where it has one of them, else as it is, for the reader to refuse."""
     if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
+        return plain(value.tolist())
     if isinstance(value, Mapping):
         return {str(name): plain(item) for name, item in value.items()}
-    return [plain(item) for item in value] if isinstance(value, list | tuple) else value
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, PurePath) else value

@@ -2,9 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
-from linkplan.models.errors import LinkplanError
+from linkplan.models.errors import LinkplanError, LockedError, UnassembledError
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
+from linkplan.planner.files.tables import Tables
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.studies.check.check_report import path_text
 from linkplan.studies.check.inspection import Inspection, inspect, inspection_record
@@ -50,6 +53,25 @@ class WholeCheck:
             " reach; the JSON record has all of them"
         ]
         return "\n\n".join([inspection_text(self.found), *paths, *(left_out if brief else [])])
+
+
+def mechanism_and_problem(
+    name: str, tables: Tables, folder: Path | None
+) -> tuple[Mechanism, PlanningProblem | None, tuple[str, ...]]:
+    """Return a problem file's mechanism, its problem where there is one, and why a problem that there is cannot be planned.
+
+    Raises:
+        LinkplanError: when the mechanism itself cannot be, or is locked or not assembled.
+    """
+    if "motion" not in tables:
+        return mechanism_from_tables(tables, folder), None, ()
+    try:
+        problem = problem_from_tables(name, tables, folder)
+    except (LockedError, UnassembledError):
+        raise
+    except LinkplanError as error:
+        return mechanism_from_tables(tables, folder), None, (f"the problem cannot be planned: {error}",)
+    return problem.mechanism, problem, ()
 
 
 def check_whole(

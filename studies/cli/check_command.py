@@ -3,9 +3,8 @@
 import argparse
 from pathlib import Path
 
-from linkplan.models.errors import LinkplanError, LockedError, UnassembledError
+from linkplan.models.errors import LockedError, UnassembledError
 from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
 from linkplan.studies.check.refused_model import RefusedModel
 from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
@@ -14,15 +13,16 @@ from linkplan.studies.cli.printing import show
 
 def run_check(arguments: argparse.Namespace) -> int:
     """Report on a mechanism and what it does along its way; 1 where problems are found."""
-    from linkplan.studies.check.whole_check import check_whole
+    from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem
 
     target = output_folder(arguments)
-    asked = tables_of(arguments.model, arguments.set)
+    name, tables, folder, is_problem = tables_of(arguments.model, arguments.set)
     try:
-        mechanism, problem, note = _to_check(*asked)
+        sections = tables if is_problem else {"mechanism": tables["mechanism"]}
+        mechanism, problem, notes = mechanism_and_problem(name, sections, folder)
     except (LockedError, UnassembledError) as error:
-        return _refused(arguments, target, RefusedModel(name=Path(asked[0]).stem, error=error))
-    whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), [] if note is None else [note])
+        return _refused(arguments, target, RefusedModel(name=Path(name).stem, error=error))
+    whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), notes)
     found, said = whole.found, whole.record()
     if target is not None:
         from linkplan.studies.check.draw_kinematic_loop_report import path_figure
@@ -46,16 +46,3 @@ def _refused(arguments: argparse.Namespace, target: Path | None, found: RefusedM
         write_whole(target, lambda place: write_json(place / "check.json", said), "check.json")
     show(arguments, said, found.text())
     return NO
-
-
-def _to_check(name: str, tables: dict, folder: Path | None, is_problem: bool):
-    """Return the mechanism to check, its problem if there is one, and why the problem that there is cannot be used."""
-    if not is_problem or "motion" not in tables:
-        return mechanism_from_tables(tables, folder), None, None
-    try:
-        problem = problem_from_tables(name, tables, folder)
-    except (LockedError, UnassembledError):
-        raise
-    except LinkplanError as error:
-        return mechanism_from_tables(tables, folder), None, f"the problem cannot be planned: {error}"
-    return problem.mechanism, problem, None

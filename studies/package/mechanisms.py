@@ -11,7 +11,8 @@ from linkplan.models.errors import LinkplanError, LockedError, UnassembledError
 from linkplan.models.mechanism import Mechanism
 from linkplan.plain import plain
 from linkplan.planner.files.problem_file import mechanism_from_tables
-from linkplan.subjects import Subject, poses_of, subject_of
+from linkplan.planner.files.tables import read_tables
+from linkplan.subjects import Subject, is_problem, poses_of, subject_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -59,7 +60,8 @@ def check(
 ) -> CheckResult:
     """Return what is to be known of a mechanism before planning, along a problem's motion where one is given.
 
-    A model that is no mechanism as it stands, locked or not assembled, is reported on too: `problems` says why.
+    A model that is no mechanism as it stands, locked or not assembled, is reported on too: `problems` says why. So is the
+    mechanism of a problem file that cannot be planned, and `notes` says why not.
 
     Args:
         subject: a mechanism, a `Problem`, or the name or path of either.
@@ -70,15 +72,19 @@ def check(
         LinkplanError: for a pose that is beyond reach, or a subject that cannot be read.
     """
     from linkplan.studies.check.refused_model import RefusedModel
-    from linkplan.studies.check.whole_check import check_whole
+    from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem
 
+    notes: tuple[str, ...] = ()
     try:
-        mechanism, problem = subject_of(subject)
+        if isinstance(subject, str | Path) and is_problem(subject):
+            mechanism, planning, notes = mechanism_and_problem(*read_tables(subject))
+        else:
+            mechanism, problem = subject_of(subject)
+            planning = None if problem is None else problem.planning
     except (LockedError, UnassembledError) as error:
         text = str(subject)
         return CheckResult(found=RefusedModel(name="the model" if "<" in text else Path(text).stem, error=error))
-    planning = None if problem is None else problem.planning
-    return CheckResult(found=check_whole(mechanism, planning, poses_of(mechanism, at_deg, at_m)))
+    return CheckResult(found=check_whole(mechanism, planning, poses_of(mechanism, at_deg, at_m), notes))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)

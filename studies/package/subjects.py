@@ -23,8 +23,7 @@ def subject_of(subject: Subject) -> tuple[Mechanism, Problem | None]:
         LinkplanError: when it is none, or its file cannot be used.
     """
     if isinstance(subject, str | Path):
-        is_problem = str(subject) in PROBLEMS or Path(str(subject)[:255]).suffix == ".toml"
-        if not is_problem:
+        if not is_problem(subject):
             return mechanism_from_tables({"mechanism": {"model": str(subject)}}), None
         subject = Problem.from_file(subject)
     if isinstance(subject, Problem):
@@ -32,6 +31,11 @@ def subject_of(subject: Subject) -> tuple[Mechanism, Problem | None]:
     if isinstance(subject, Mechanism):
         return subject, None
     raise ProblemError(f"a study is asked about a mechanism, a Problem, or the name or path of either, got {subject!r}")
+
+
+def is_problem(name: str | Path) -> bool:
+    """Return whether a name or path is a problem's, and no model's."""
+    return str(name) in PROBLEMS or Path(str(name)[:255]).suffix == ".toml"
 
 
 def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[dict[str, float]]:
