@@ -26,7 +26,7 @@ from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.trackers.linear import added
 from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.controllers.trackers.tracker import AnyTracker, TrackerWithMemory
-from linkplan.models.errors import ModelError, ProblemError, one_line
+from linkplan.models.errors import LinkplanError, ModelError, ProblemError, one_line
 from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 
@@ -40,9 +40,10 @@ class Ensemble:
     """The logs of n simulations at their control instants, time first: (t, n, ...); NaN after a simulation was frozen.
 
     `time_s` (t, n) is each one's true time; `pose` (t, n, n_q) and `velocity` (t, n, n_s) [rad or m, and per second] are its
-    true states; `commanded` is the tracker's output, `applied` the mean of what acted in the period, both (t, n, n_u) [N.m or N];
-    `power` (t, n) [W] the actuators' mechanical power, each one's size taken; `gap_m` (n,) the largest distance that ever
-    was between two points that a closure ties. `done` (n,) counts the logged instants; `failure` says why one was frozen.
+    true states; `commanded` is the tracker's output, `applied` the mean of what acted in the period, both (t, n, n_u)
+    [N.m or N]; `power` (t, n) [W] the actuators' mechanical power, each one's size taken; `gap_m` (n,) the largest distance
+    that ever was between two points that a closure ties. `done` (n,) counts the logged instants; `failure` says why one was
+    frozen.
     """
 
     tracker: str
@@ -95,14 +96,22 @@ def run_ensemble(
         machines: what is wrong with each.
         threads: of the simulator; 0 for one for each core.
 
+    A machine that cannot be built is one that failed before its first instant.
+
     Raises:
-        LinkplanError: when a machine cannot be built.
+        ModelError: for a mechanism that batches cannot simulate.
     """
     refuse_unfit(mechanism)
     substeps = max(1, int(np.ceil(reference.period_s / float(mechanism.model.opt.timestep) - 1e-9)))
     base = plant(mechanism, reference, loop, Imperfections(), substeps)
-    plants = [base if as_modelled(one) else plant(mechanism, reference, loop, one, substeps) for one in machines]
-    log = _Log(mechanism, reference.n, len(plants))
+    log = _Log(mechanism, reference.n, len(machines))
+    plants = []
+    for i, one in enumerate(machines):
+        try:
+            plants.append(base if as_modelled(one) else plant(mechanism, reference, loop, one, substeps))
+        except LinkplanError as error:
+            log.failure[i], log.done[i] = one_line(error), 0
+            plants.append(base)
     mujoco.set_mju_user_warning(_ignore)  # a blow-up is this function's answer, not a line in a log file
     try:
         _simulate(log, mechanism, reference, steps_of(tracker), loop, machines, base.model, plants, substeps, threads)
@@ -172,6 +181,13 @@ def _simulate(
     memory = law.start(n)
     ids: np.ndarray | None = None  # of the simulations that run; None for all
     rows: np.ndarray | slice = slice(None)
+    built = np.array([failure is None for failure in log.failure])
+    if not built.all():
+        ids = rows = np.flatnonzero(built)
+        memory, sensors, drives = memory[built], sensors.kept(built), drives.kept(built)
+        pushes = None if pushes is None else pushes.kept(built)
+        if not len(ids):
+            return
     for k in range(reference.n):
         check()
         q, x, v = qpos[rows].copy(), qpos[rows][:, independent], qvel[rows][:, independent].copy()

@@ -17,6 +17,7 @@ from linkplan.models.errors import AssemblyError, ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.names import nearest
 from linkplan.models.poses.assembly import close_at
+from linkplan.planner.files.imperfections_file import imperfections_of
 from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.limits_file import KEYS as LIMIT_KEYS
 from linkplan.planner.files.limits_file import limits_of, motors_of
@@ -26,6 +27,7 @@ from linkplan.planner.files.named_coordinates import coordinates_note, other_coo
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.files.trajectory_file import read_trajectory
 from linkplan.planner.files.values import word
+from linkplan.planner.problem.imperfections import KEYS as IMPERFECTIONS
 from linkplan.planner.problem.objective import TERMS, Objective, objective_from
 from linkplan.planner.problem.planning_problem import CONTACTS, KINDS, GuessedPath, PlanningProblem
 from linkplan.planner.problem.reference import Sine
@@ -54,6 +56,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
         "lqr_position_m",
         "lqr_velocity_m_s",
     ),
+    "imperfections": IMPERFECTIONS,
 }
 # A dependent joint named in start_deg or goal_deg must stand this near to where the closed loop has it.
 _POSE_TOLERANCE = np.radians(0.05)
@@ -99,6 +102,7 @@ def problem_from_tables(
             f"mechanism '{mechanism.name}' has no usable actuator; a plan needs one"
             + "".join(f"; {item.text}" for item in audit(mechanism.model))
         )
+    imperfections_of(section["imperfections"], mechanism)  # refused now, though planning knows nothing of them
     notes = []
     others = other_coordinates(section, mechanism)
     if others is not None:

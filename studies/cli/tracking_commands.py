@@ -21,6 +21,10 @@ def run_track(arguments: argparse.Namespace) -> int:
     from linkplan.studies.compare.comparison_text import comparison_text
 
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)
+    if arguments.sample is not None:
+        from linkplan.studies.cli.experiment_command import run_replay
+
+        return run_replay(arguments)
     target, say = output_folder(arguments), progress(arguments)
     mismatch_given = _check_mismatch(arguments)
     plan = plan_asked(arguments, say)
