@@ -102,7 +102,8 @@ def _results(
             deaths += 1
             if deaths > _MOST_DEATHS:
                 raise LinkplanError(
-                    f"worker processes were killed {deaths} times; what is done is kept, and the same command goes on from it"
+                    f"worker processes were killed {deaths} times; what is done is kept, and the same command goes on"
+                    " from it"
                 ) from error
             say("a worker process was killed; what it was at is run again")
 

@@ -29,8 +29,8 @@ def values_of(factors: Sequence[Factor], design: str, samples: int, levels: int,
         count = levels ** len(random)
         if count > MOST_SAMPLES:
             raise ProblemError(
-                f"a grid of {levels} levels in {len(random)} factors has {count:.3g} samples, at most {MOST_SAMPLES}; a Latin"
-                " hypercube takes any number"
+                f"a grid of {levels} levels in {len(random)} factors has {count:.3g} samples, at most {MOST_SAMPLES}; a"
+                " Latin hypercube takes any number"
             )
         middles = (np.arange(levels) + 0.5) / levels
         chances = np.array(list(itertools.product(middles, repeat=len(random)))).reshape(count, len(random))

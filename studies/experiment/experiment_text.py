@@ -26,16 +26,15 @@ def experiment_text(name: str, summary: Summary, design: str, seed: int, tube: s
     head = [
         "tracker",
         f"peak [{effort}]",
-        f"rms [{effort}]",
         "energy [J]",
         f"chatter [{effort}]",
-        "saturated [%]",
+        "at limit [%]",
         "gap [um]",
     ]
     rows = [
         [
             one.name,
-            *(one.means[metric].value for metric in ("peak_effort", "rms_effort", "energy_j", "chatter")),
+            *(one.means[metric].value for metric in ("peak_effort", "energy_j", "chatter")),
             100 * one.means["saturated_share"].value,
             one.means["loop_gap_um"].value,
         ]
@@ -59,7 +58,7 @@ def estimated(one: Estimate) -> str:
         return "-"
     if not math.isfinite(one.half) or one.half == 0:
         return f"{one.value:.3g}"
-    digits = max(0, 1 - math.floor(math.log10(one.half)))
+    digits = max(0, -math.floor(math.log10(one.half)))
     if digits > 6:
         return f"{one.value:.3g} ± {one.half:.1g}"
     return f"{one.value:.{digits}f} ± {one.half:.{digits}f}"
@@ -68,4 +67,4 @@ def estimated(one: Estimate) -> str:
 def _share(one: Estimate) -> str:
     if not math.isfinite(one.value):
         return "-"
-    return f"{100 * one.value:.1f} ({100 * one.low:.1f}-{100 * one.high:.1f})"
+    return f"{100 * one.value:.0f} ({100 * one.low:.0f}-{100 * one.high:.0f})"

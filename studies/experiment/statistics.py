@@ -1,7 +1,7 @@
 """Means and shares with 95 % confidence intervals.
 
-A mean's is Student's; a share's is Wilson's (Journal of the American Statistical Association 22, 1927), which holds near 0 and 1
-too. Both take samples for independent: a Latin hypercube's mean varies less than that, so that its interval is a wide one.
+A mean's is Student's; a share's is Wilson's (Journal of the American Statistical Association 22, 1927), which holds near 0
+and 1 too. Both take samples for independent: a Latin hypercube's mean varies less than that, so that its interval is a wide one.
 """
 
 from dataclasses import dataclass
