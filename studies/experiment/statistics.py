@@ -1,7 +1,8 @@
 """Means and shares with 95 % confidence intervals.
 
 A mean's is Student's; a share's is Wilson's (Journal of the American Statistical Association 22, 1927), which holds near 0
-and 1 too. Both take samples for independent: a Latin hypercube's mean varies less than that, so that its interval is a wide one.
+and 1 too. Both take samples for independent: a Latin hypercube's mean varies less than that, so that its interval is
+a wide one.
 """
 
 from dataclasses import dataclass
@@ -54,7 +55,7 @@ def share_of(hits: int, n: int, confidence: float = CONFIDENCE) -> Estimate:
         (p + z * z / (2 * n)) / (1 + z * z / n),
         z * np.sqrt(p * (1 - p) / n + z * z / (4 * n * n)) / (1 + z * z / n),
     )
-    return Estimate(value=p, low=max(0.0, float(middle - half)), high=min(1.0, float(middle + half)), n=n)
+    return Estimate(value=p, low=float(middle - half) if hits else 0.0, high=float(middle + half) if hits < n else 1.0, n=n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -96,7 +96,8 @@ def test_killed_twice_with_two_workers_it_is_the_file_of_one_that_was_left_alone
     assert sorted(path.name for path in tmp_path.iterdir()) == ["alone", "killed"]
 
 
-def test_what_is_done_is_not_run_again(tmp_path, short_blocks, monkeypatch):
+@pytest.mark.usefixtures("short_blocks")
+def test_what_is_done_is_not_run_again(tmp_path, monkeypatch):
     ran = []
     real = conducting.run_block
 
@@ -122,7 +123,8 @@ def test_what_is_done_is_not_run_again(tmp_path, short_blocks, monkeypatch):
     assert not parts.unfinished(tmp_path / "x").exists()
 
 
-def test_another_experiment_is_refused_where_one_stands_whole_or_not(tmp_path, short_blocks, monkeypatch):
+@pytest.mark.usefixtures("short_blocks")
+def test_another_experiment_is_refused_where_one_stands_whole_or_not(tmp_path, monkeypatch):
     done(tmp_path / "x")
     other = Settings(trackers=("pd", "pd+ff"), samples=6, seed=1)
     with pytest.raises(PlanFileError, match=r"another experiment's results \(seed was 0, now 1\); name a new folder"):
@@ -141,7 +143,8 @@ def test_two_at_once_are_told_apart(tmp_path):
             pass
 
 
-def test_a_full_disk_is_one_line_and_what_was_done_is_kept(tmp_path, short_blocks, monkeypatch):
+@pytest.mark.usefixtures("short_blocks")
+def test_a_full_disk_is_one_line_and_what_was_done_is_kept(tmp_path, monkeypatch):
     import pyarrow.parquet as parquet
 
     real, count = parquet.write_table, []
@@ -195,7 +198,7 @@ def test_a_tracker_that_fails_on_some_machines_is_counted_and_the_others_stand(t
 
 
 def test_a_machine_that_cannot_be_built_is_counted_too(tmp_path):
-    overrides = (SHORT, "imperfections.link_length_factor={ coupler = [0.4, 1.8] }")
+    overrides = (SHORT, "imperfections.link_length_factor={ coupler = [0.5, 3.0] }")
     outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=12), overrides=overrides)
     (said, count), *_ = outcome.summary.trackers[0].failures.items()
     assert "does not close at the start" in said
