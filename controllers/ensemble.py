@@ -128,7 +128,7 @@ def run_ensemble(
         commanded=log.commanded,
         applied=log.applied,
         power=log.power,
-        gap_m=log.gap,
+        gap_m=np.sqrt(log.gap_squared),
         done=log.done,
         failure=tuple(log.failure),
         timestep_s=np.array([one.model.opt.timestep for one in plants]),
@@ -143,7 +143,7 @@ class _Log:
         self.velocity = np.full((t, n, mechanism.dof), np.nan)
         self.commanded, self.applied = (np.full((t, n, mechanism.n_u), np.nan) for _ in range(2))
         self.power = np.full((t, n), np.nan)
-        self.gap = np.zeros(n)
+        self.gap_squared = np.zeros(n)
         self.done = np.full(n, t)
         self.failure: list[str | None] = [None] * n
 
@@ -190,12 +190,13 @@ def _simulate(
             return
     for k in range(reference.n):
         check()
-        q, x, v = qpos[rows].copy(), qpos[rows][:, independent], qvel[rows][:, independent].copy()
-        s, s_rate, sensors = measure(sensors, k, x.copy(), v)
+        q, v = qpos[rows].copy(), qvel[rows][:, independent].copy()
+        x = q[:, independent]
+        s, s_rate, sensors = measure(sensors, k, x, v)
         command, memory, failed = _asked(law, k, s, s_rate, memory, len(actuators))
-        sound = (np.abs(x) < _BAD).all(axis=1) & (np.abs(v) < _BAD).all(axis=1)
-        fine = sound & np.isfinite(command).all(axis=1)
-        if not fine.all():
+        if not (np.abs(x).max() < _BAD and np.abs(v).max() < _BAD and np.isfinite(command.sum())):
+            sound = (np.abs(x) < _BAD).all(axis=1) & (np.abs(v) < _BAD).all(axis=1)
+            fine = sound & np.isfinite(command).all(axis=1)
             here = np.arange(n) if ids is None else ids
             for i in np.flatnonzero(~fine):
                 said = failed.get(int(i), "the tracker gave an effort that is no number")
@@ -216,12 +217,13 @@ def _simulate(
             if pushes is not None:
                 forces[rows], efforts[rows] = pushes.over(k * substeps + j)
             batch.step(ids=ids)
-            acted = acted + effort
+            acted = effort if j == 0 else acted + effort
             if j == 0:
                 speed = speeds[rows][:, outputs].copy()
-        log.applied[k, rows] = acted / substeps
-        log.power[k, rows] = added(np.abs(log.applied[k, rows] * speed))
-        log.gap[rows] = np.fmax(log.gap[rows], gap_now(rows))
+        mean = acted / substeps if substeps > 1 else acted
+        log.applied[k, rows] = mean
+        log.power[k, rows] = added(np.abs(mean * speed))
+        log.gap_squared[rows] = np.fmax(log.gap_squared[rows], gap_now(rows))
 
 
 def _asked(
