@@ -26,7 +26,7 @@ from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.trackers.linear import added
 from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.controllers.trackers.tracker import AnyTracker, TrackerWithMemory
-from linkplan.models.errors import ModelError, ProblemError, one_line
+from linkplan.models.errors import LinkplanError, ModelError, ProblemError, one_line
 from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 
@@ -40,9 +40,10 @@ class Ensemble:
     """The logs of n simulations at their control instants, time first: (t, n, ...); NaN after a simulation was frozen.
 
     `time_s` (t, n) is each one's true time; `pose` (t, n, n_q) and `velocity` (t, n, n_s) [rad or m, and per second] are its
-    true states; `commanded` is the tracker's output, `applied` the mean of what acted in the period, both (t, n, n_u) [N.m or N];
-    `power` (t, n) [W] the actuators' mechanical power, each one's size taken; `gap_m` (n,) the largest distance that ever
-    was between two points that a closure ties. `done` (n,) counts the logged instants; `failure` says why one was frozen.
+    true states; `commanded` is the tracker's output, `applied` the mean of what acted in the period, both (t, n, n_u)
+    [N.m or N]; `power` (t, n) [W] the actuators' mechanical power, each one's size taken; `gap_m` (n,) the largest distance
+    that ever was between two points that a closure ties. `done` (n,) counts the logged instants; `failure` says why one was
+    frozen.
     """
 
     tracker: str
@@ -95,14 +96,22 @@ def run_ensemble(
         machines: what is wrong with each.
         threads: of the simulator; 0 for one for each core.
 
+    A machine that cannot be built is one that failed before its first instant.
+
     Raises:
-        LinkplanError: when a machine cannot be built.
+        ModelError: for a mechanism that batches cannot simulate.
     """
     refuse_unfit(mechanism)
     substeps = max(1, int(np.ceil(reference.period_s / float(mechanism.model.opt.timestep) - 1e-9)))
     base = plant(mechanism, reference, loop, Imperfections(), substeps)
-    plants = [base if as_modelled(one) else plant(mechanism, reference, loop, one, substeps) for one in machines]
-    log = _Log(mechanism, reference.n, len(plants))
+    log = _Log(mechanism, reference.n, len(machines))
+    plants = []
+    for i, one in enumerate(machines):
+        try:
+            plants.append(base if as_modelled(one) else plant(mechanism, reference, loop, one, substeps))
+        except LinkplanError as error:
+            log.failure[i], log.done[i] = one_line(error), 0
+            plants.append(base)
     mujoco.set_mju_user_warning(_ignore)  # a blow-up is this function's answer, not a line in a log file
     try:
         _simulate(log, mechanism, reference, steps_of(tracker), loop, machines, base.model, plants, substeps, threads)
@@ -119,7 +128,7 @@ def run_ensemble(
         commanded=log.commanded,
         applied=log.applied,
         power=log.power,
-        gap_m=log.gap,
+        gap_m=np.sqrt(log.gap_squared),
         done=log.done,
         failure=tuple(log.failure),
         timestep_s=np.array([one.model.opt.timestep for one in plants]),
@@ -134,7 +143,7 @@ class _Log:
         self.velocity = np.full((t, n, mechanism.dof), np.nan)
         self.commanded, self.applied = (np.full((t, n, mechanism.n_u), np.nan) for _ in range(2))
         self.power = np.full((t, n), np.nan)
-        self.gap = np.zeros(n)
+        self.gap_squared = np.zeros(n)
         self.done = np.full(n, t)
         self.failure: list[str | None] = [None] * n
 
@@ -172,14 +181,22 @@ def _simulate(
     memory = law.start(n)
     ids: np.ndarray | None = None  # of the simulations that run; None for all
     rows: np.ndarray | slice = slice(None)
+    built = np.array([failure is None for failure in log.failure])
+    if not built.all():
+        ids = rows = np.flatnonzero(built)
+        memory, sensors, drives = memory[built], sensors.kept(built), drives.kept(built)
+        pushes = None if pushes is None else pushes.kept(built)
+        if not len(ids):
+            return
     for k in range(reference.n):
         check()
-        q, x, v = qpos[rows].copy(), qpos[rows][:, independent], qvel[rows][:, independent].copy()
-        s, s_rate, sensors = measure(sensors, k, x.copy(), v)
+        q, v = qpos[rows].copy(), qvel[rows][:, independent].copy()
+        x = q[:, independent]
+        s, s_rate, sensors = measure(sensors, k, x, v)
         command, memory, failed = _asked(law, k, s, s_rate, memory, len(actuators))
-        sound = (np.abs(x) < _BAD).all(axis=1) & (np.abs(v) < _BAD).all(axis=1)
-        fine = sound & np.isfinite(command).all(axis=1)
-        if not fine.all():
+        if not (np.abs(x).max() < _BAD and np.abs(v).max() < _BAD and np.isfinite(command.sum())):
+            sound = (np.abs(x) < _BAD).all(axis=1) & (np.abs(v) < _BAD).all(axis=1)
+            fine = sound & np.isfinite(command).all(axis=1)
             here = np.arange(n) if ids is None else ids
             for i in np.flatnonzero(~fine):
                 said = failed.get(int(i), "the tracker gave an effort that is no number")
@@ -200,12 +217,13 @@ def _simulate(
             if pushes is not None:
                 forces[rows], efforts[rows] = pushes.over(k * substeps + j)
             batch.step(ids=ids)
-            acted = acted + effort
+            acted = effort if j == 0 else acted + effort
             if j == 0:
                 speed = speeds[rows][:, outputs].copy()
-        log.applied[k, rows] = acted / substeps
-        log.power[k, rows] = added(np.abs(log.applied[k, rows] * speed))
-        log.gap[rows] = np.fmax(log.gap[rows], gap_now(rows))
+        mean = acted / substeps if substeps > 1 else acted
+        log.applied[k, rows] = mean
+        log.power[k, rows] = added(np.abs(mean * speed))
+        log.gap_squared[rows] = np.fmax(log.gap_squared[rows], gap_now(rows))
 
 
 def _asked(

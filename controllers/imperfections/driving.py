@@ -18,7 +18,8 @@ class Driving:
 
     A command acts after `whole` periods, `late` simulator steps and a `fraction` of one; slot k mod p of the queue holds the
     command of instant k. `left` is what a lag leaves over a step, `mean` its mean over the step; `most` the largest change
-    in a step; `output` the lagged effort.
+    in a step; `output` the lagged effort. `punctual`: all commands act at the beginning of a period; `together`: after so
+    many of them, None where that differs.
     """
 
     limit: np.ndarray
@@ -30,6 +31,8 @@ class Driving:
     left: np.ndarray
     mean: np.ndarray
     most: np.ndarray
+    punctual: bool
+    together: int | None
     lagged: bool
     scaled: bool
     rounded: bool
@@ -73,6 +76,8 @@ def driving(
         left=left,
         mean=mean,
         most=rate * np.array(timesteps_s)[:, None],
+        punctual=not (np.any(late) or np.any(fraction)),
+        together=int(whole[0]) if np.ptp(whole) == 0 else None,
         lagged=bool(np.any(np.isfinite(bandwidth)) or np.any(np.isfinite(rate))),
         scaled=bool(np.any(factor != 1.0)),
         rounded=bool(np.any(resolution > 0)),
@@ -97,10 +102,9 @@ def take(drives: Driving, k: int, command: np.ndarray) -> Driving:
 
 def act(drives: Driving, k: int, j: int) -> tuple[np.ndarray, Driving]:
     """Return the mean efforts (n, n_u) that act over simulator step j of period k, and the drives after it."""
-    p, rows = drives.queue.shape[1], np.arange(len(drives.queue))
-    effort = drives.queue[rows, (k - drives.whole) % p]
-    if np.any(drives.late) or np.any(drives.fraction):
-        before = drives.queue[rows, (k - drives.whole - 1) % p]
+    effort = _queued(drives, k)
+    if not drives.punctual:
+        before = _queued(drives, k - 1)
         share = np.minimum(np.maximum(drives.late + drives.fraction - j, 0.0), 1.0)[:, None]  # of the command before
         effort = share * before + (1.0 - share) * effort
     if drives.lagged:
@@ -110,3 +114,11 @@ def act(drives: Driving, k: int, j: int) -> tuple[np.ndarray, Driving]:
         mean = effort + (start - effort) * drives.mean
         effort, drives = np.where(end == settled, mean, 0.5 * (start + end)), replace(drives, output=end)
     return (effort * drives.factor if drives.scaled else effort), drives
+
+
+def _queued(drives: Driving, k: int) -> np.ndarray:
+    """Return the commands (n, n_u) that have arrived by period k."""
+    p = drives.queue.shape[1]
+    if drives.together is not None:
+        return drives.queue[:, (k - drives.together) % p]
+    return drives.queue[np.arange(len(drives.queue)), (k - drives.whole) % p]

@@ -12,7 +12,7 @@ Rows = np.ndarray | slice
 
 
 def gaps(batch: Batch, models: Sequence[mujoco.MjModel]) -> Callable[[Rows], np.ndarray]:
-    """Return the function that gives the largest gap (r,) [m] between tied points in rows of a batch, at its last step."""
+    """Return the function of a batch's rows that gives the largest gap's square (r,) [m2] of tied points after a step."""
     model = models[0]
     points = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
     ties = [i for i in range(model.neq) if model.eq_active0[i] and int(model.eq_type[i]) in points]
@@ -38,7 +38,7 @@ def gaps(batch: Batch, models: Sequence[mujoco.MjModel]) -> Callable[[Rows], np.
         worst = squares[0]
         for square in squares[1:]:
             worst = np.fmax(worst, square)
-        return np.sqrt(worst)
+        return worst
 
     return now
 

@@ -21,9 +21,10 @@ FIELDS = (
 
 def spread(batch: Batch, base: mujoco.MjModel, models: Sequence[mujoco.MjModel]) -> None:
     """Give a batch of the base model each simulation's own fields, where any model's differs from the base's."""
+    unlike = [model for model in models if model is not base]
     for name in FIELDS:
         common = getattr(base, name)
-        if not all(np.array_equal(getattr(model, name), common) for model in models):
+        if not all(np.array_equal(getattr(model, name), common) for model in unlike):
             batch.expand(name)[:] = [getattr(model, name) for model in models]
     timesteps = [model.opt.timestep for model in models]
     if any(step != base.opt.timestep for step in timesteps):

@@ -3,7 +3,8 @@
 Whatever runs a tracker asks it through `steps_of` (stepping.py), which knows all kinds:
 
 * `Tracker`: `effort(k, position, velocity)`, for one state. Where the class says `batched = True`, its `effort` takes
-  leading batch axes as well, position and velocity (..., n_s) -> efforts (..., n_u); without it, states are given one by one.
+  leading batch axes as well, position and velocity (..., n_s) -> efforts (..., n_u); without it, states are given one by
+  one.
 * `TrackerWithMemory`: `start(n)` and `step(k, position, velocity, memory)`, always for a batch of n states, a single run
   being a batch of one. The memory is the loop's: the law is given it and returns the next one, and keeps nothing.
 

@@ -32,6 +32,7 @@ _EARLIER = {
         rf"|plans/[^/]+/{_PLAN}|compare/[^/]+/compare\.(json|png)|bode/[^/]+/{_BODE}",
         "versions",
     ),
+    "experiment.json": (r"experiment\.(json|png)|results\.parquet", "experiment"),
     "batch.json": (rf"batch\.json|[^/]+/{_PLAN}", "cases"),
 }
 # A folder that holds one of these is a result.

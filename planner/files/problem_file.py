@@ -18,6 +18,7 @@ from linkplan.models.errors import AssemblyError, ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.sites import site_index
+from linkplan.planner.files.imperfections_file import imperfections_of
 from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.limits_file import actuator_index, closure_index, limits_of, motors_of, robust_of
 from linkplan.planner.files.motion_file import motion_of
@@ -102,6 +103,7 @@ def problem_from_tables(
     guess = read_section(GuessSection, tables, "guess", known)
     for section, kind in _WHOLE.items():
         read_section(kind, tables, section)
+    imperfections_of(tables.get("imperfections", {}), mechanism)  # refused now, though planning knows nothing of them
     notes = []
     others = other_coordinates(tables, mechanism)
     if others is not None:

@@ -230,6 +230,7 @@ class MotorSection(Section, frozen=True):
 
 _TOGETHER = {"torque_constant": ["resistance_ohm"], "resistance_ohm": ["torque_constant"]}
 Motor = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
+_IMPERFECTIONS = Meta(extra={"of": "quantity = value"})
 _MOTORS = Meta(extra={"of": "actuator = its motor", "noun": "actuator of [motors]"})
 
 
@@ -341,6 +342,9 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     objective: Annotated[ObjectiveSection, key("what is least", default="by the kind of motion")] = ObjectiveSection()
     limits: Annotated[LimitsSection, key("what holds at every instant", default="the model's own")] = LimitsSection()
     robust: Annotated[RobustSection, key("what is not known of the machine", default="all is as modelled")] = RobustSection()
+    imperfections: Annotated[
+        dict[str, Any], _IMPERFECTIONS, key("of simulated machines: what is drawn from where", default="none")
+    ] = {}
     motors: Annotated[dict[str, Motor], _MOTORS, key("by actuator: the motor behind it", default="unknown")] = {}
     guess: Annotated[GuessSection, key("where the search starts from", default="found by the planner")] = GuessSection()
     mesh: Annotated[MeshSection, key("how the motion is written down", default="chosen")] = MeshSection()

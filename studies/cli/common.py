@@ -103,8 +103,10 @@ def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
         set_all(tables, overrides)
         return plan_motion(problem_from_tables(name, tables, folder), say)
     for override in overrides:
-        if not override.startswith("tracking."):
-            raise ProblemError(f"--set {override}: a saved plan is fixed; only tracking.* can be set on it")
+        if not override.startswith(("tracking.", "imperfections.")):
+            raise ProblemError(
+                f"--set {override}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it"
+            )
     plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
     if note is not None:
         say(note)

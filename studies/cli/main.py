@@ -27,6 +27,7 @@ _MODULES = {
     "batch": "plan_commands",
     "track": "tracking_commands",
     "compare": "tracking_commands",
+    "experiment": "experiment_command",
     "view": "tracking_commands",
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
@@ -85,6 +86,8 @@ def build_parser() -> Parser:
     track = command("track", "run one tracker on a plan in MuJoCo")
     track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _tracker(track)
+    text = "run this sample of an experiment again; PLAN is the experiment's folder"
+    track.add_argument("--sample", type=int, metavar="N", help=text)
     _mismatch(track, 1.0, 0)
 
     compare = command("compare", "run trackers side by side on a plan, nominal and with a mismatch")
@@ -92,6 +95,9 @@ def build_parser() -> Parser:
     text = "names with commas between them, as track takes them; or all (default: %(default)s)"
     compare.add_argument("--trackers", default="pd, pd+ff, lqr", metavar="NAMES", help=text)
     _mismatch(compare, 1.2, 1)
+
+    experiment = command("experiment", "run trackers on many imperfect machines, the same ones for each")
+    _experiment(experiment)
 
     bode = command(
         "bode", "frequency response, margins and sampled stability of a feedback loop, predicted and measured in MuJoCo"
@@ -152,6 +158,23 @@ def _loop(parser: argparse.ArgumentParser) -> None:
 def _tracker(parser: argparse.ArgumentParser) -> None:
     text = "pd, pd+ff, lqr, lqi, gs-pd+ff, ct or mpc; your own as module:object (default: %(default)s)"
     parser.add_argument("--tracker", default="pd+ff", metavar="NAME", help=text)
+
+
+def _experiment(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a built-in problem, a TOML file or a saved plan's folder")
+    _anyway(parser)
+    parser.add_argument("--samples", type=int, default=200, metavar="N", help="machines (default: %(default)s)")
+    parser.add_argument("--trackers", default="pd,pd+ff,lqr", metavar="NAMES", help="with commas (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random numbers (default: %(default)s)")
+    text = "how samples lie: latin-hypercube or grid (default: %(default)s)"
+    parser.add_argument("--design", default="latin-hypercube", metavar="HOW", help=text)
+    parser.add_argument("--levels", type=int, default=3, metavar="N", help="of a grid (default: %(default)s)")
+    text = "success: no hinge is farther from the path (default: %(default)s)"
+    parser.add_argument("--tube-deg", type=float, default=1.0, metavar="A", help=text)
+    text = "success: no slide is farther from the path (default: %(default)s)"
+    parser.add_argument("--tube-m", type=float, default=0.01, metavar="L", help=text)
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
+    parser.add_argument("--threads", type=int, default=0, metavar="N", help="of the simulator in each (default: all cores)")
 
 
 def _anyway(parser: argparse.ArgumentParser) -> None:
@@ -270,6 +293,8 @@ def _interrupted(before: _Before) -> int:
     what, folder = "nothing was written", _folder_at(before.target)
     if folder is not None and folder != before.folder:
         what = f"the result is in '{before.target}', whole"
+    elif before.command == "experiment" and before.target and os.path.isdir(f"{before.target.rstrip('/')}.unfinished"):
+        what = f"what is done is in '{before.target.rstrip('/')}.unfinished', and the same command goes on from it"
     refuse(before.command, f"interrupted; {what}")
     return BY_SIGNAL + (ended_by() or signal.SIGINT)
 

@@ -19,6 +19,10 @@ def run_track(arguments: argparse.Namespace) -> int:
     from linkplan.studies.compare.comparison_text import comparison_text
     from linkplan.studies.compare.user_tracker import tracker_named
 
+    if arguments.sample is not None:
+        from linkplan.studies.cli.experiment_command import run_replay
+
+        return run_replay(arguments)
     asked = tracker_named(arguments.tracker)
     target, say = output_folder(arguments), progress(arguments)
     mismatch_given = _check_mismatch(arguments)

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from tests.bench.ensemble import bench_ensemble
 from tests.bench.loop import bench_loop
 from tests.bench.measurement import bench_measurement
 from tests.bench.packages import between_nodes
@@ -26,6 +27,7 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "plans": bench_plans,
     "sizes": lambda: bench_sizes(RESULTS),
     "loop": bench_loop,
+    "ensemble": bench_ensemble,
     "measurement": bench_measurement,
     "scaling": lambda: bench_scaling(RESULTS),
     "precision": lambda: bench_precision(RESULTS),

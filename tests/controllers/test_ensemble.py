@@ -130,6 +130,7 @@ class _Counting:
         return np.zeros((n, 1))
 
     def step(self, k, position, velocity, memory):
+        assert position.shape == velocity.shape == (len(memory), 1)
         assert np.all(memory == k)
         return memory.copy(), memory + 1
 

@@ -195,7 +195,7 @@ def coasting(**imperfect) -> float:
     class Idle:
         name = "idle"
 
-        def effort(self, k, position, velocity):
+        def effort(self, *_):
             return np.zeros(mechanism.n_u)
 
     found = run_ensemble(mechanism, reference, Idle(), ControlLoop(effort_limit=mechanism.effort_limit), [

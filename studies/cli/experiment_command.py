@@ -1,0 +1,93 @@
+"""The command `experiment`: trackers on many imperfect machines; and a sample of one run again by `track`."""
+
+import argparse
+from pathlib import Path
+
+from linkplan.models.errors import ProblemError
+from linkplan.planner.files.folders import write_json, write_whole
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.files.tables import read_tables
+from linkplan.studies.cli.common import output_folder, plan_asked, set_all
+from linkplan.studies.cli.exit_codes import DONE, NO
+from linkplan.studies.cli.printing import progress, show
+
+
+def run_experiment(arguments: argparse.Namespace) -> int:
+    """Run an experiment, or go on with one; 1 where the plan has no motion."""
+    from linkplan.planner.planning import plan_motion
+    from linkplan.studies.experiment import study
+    from linkplan.studies.experiment.experiment import Settings, plan_digest
+    from linkplan.studies.experiment.experiment_text import experiment_text
+
+    settings = Settings(
+        trackers=tuple(name.strip() for name in arguments.trackers.split(",")),
+        samples=arguments.samples,
+        seed=arguments.seed,
+        design=arguments.design,
+        levels=arguments.levels,
+        tube_deg=arguments.tube_deg,
+        tube_m=arguments.tube_m,
+    )
+    for name, least in (("workers", 1), ("threads", 0)):
+        if getattr(arguments, name) < least:
+            raise ProblemError(f"--{name} is a whole number of at least {least}, got {getattr(arguments, name)}")
+    target = output_folder(arguments)
+    say, source = progress(arguments), arguments.plan
+    if source in PROBLEMS or Path(source).is_file():
+        name, tables, folder = read_tables(source)
+        set_all(tables, arguments.set)
+        problem = problem_from_tables(name, tables, folder)
+        digest, asked = None, {"name": name, **problem.source}
+
+        def plan():
+            return plan_motion(problem, say).require()
+    else:
+        saved = plan_asked(arguments, say)
+        digest, asked = plan_digest(saved), {"name": saved.problem.name, **saved.problem.source}
+
+        def plan():
+            return saved
+
+    outcome = study.run_experiment(
+        asked, digest, plan, settings, target, say, workers=arguments.workers, threads=arguments.threads
+    )
+    tube = " or ".join(
+        text
+        for kind, text in (("hinge", f"{settings.tube_deg:g} deg"), ("slide", f"{settings.tube_m:g} m"))
+        if any(joint.kind == kind for joint in outcome.experiment.plan.problem.mechanism.independent_joints)
+    )
+    name = outcome.experiment.plan.problem.name
+    text = experiment_text(name, outcome.summary, settings.design, settings.seed, tube)
+    show(arguments, outcome.record, text)
+    return DONE
+
+
+def run_replay(arguments: argparse.Namespace) -> int:
+    """Run one sample of an experiment again; 1 where it fails or is unstable."""
+    from linkplan.studies.compare.compare import Comparison, comparison_record
+    from linkplan.studies.compare.comparison_text import comparison_text
+    from linkplan.studies.compare.draw_tracking import comparison_figure
+    from linkplan.studies.compare.time_series import save_time_series
+    from linkplan.studies.experiment.replay import replay
+    from linkplan.studies.experiment.study import saved_experiment
+
+    target = output_folder(arguments)
+    experiment = saved_experiment(Path(arguments.plan))
+    rollout, said = replay(experiment, arguments.tracker, arguments.sample)
+    plan = experiment.plan
+    title = f"sample {arguments.sample}"
+    comparison = Comparison(plan=plan, nominal={arguments.tracker: rollout}, mismatch=None, mismatched={}, title=title)
+    record = comparison_record(comparison) | {"tracker": arguments.tracker, "sample": said}
+
+    def save(place: Path) -> None:
+        write_json(place / "track.json", record)
+        save_time_series(comparison, place)
+        comparison_figure(comparison, place / "track.png")
+
+    if target is not None:
+        write_whole(target, save, "track.json")
+    values = "\n".join(f"  {name} = {value:.6g}" for name, value in said["imperfections"].items())
+    failure = f"\n{said['failure']}" if said["failure"] else ""
+    show(arguments, record, f"{comparison_text(comparison)}{failure}\nimperfections:\n{values}")
+    return DONE if said["failure"] is None and rollout.stable else NO

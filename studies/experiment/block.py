@@ -1,0 +1,58 @@
+"""The unit of an experiment's work: a block of samples under every tracker, as columns."""
+
+import numpy as np
+
+from linkplan.controllers.ensemble import bytes_each, run_ensemble
+from linkplan.studies.compare.compare import build_tracker
+from linkplan.studies.experiment.experiment import Experiment
+from linkplan.studies.experiment.metrics import measured, metrics_of, within_tube
+
+# Samples of a block: what a kill loses at the most, and what a worker takes at a time.
+BLOCK = 128
+# Logs of simulations that are stepped together take no more than this.
+_MOST_BYTES = 256 << 20
+
+
+def block_count(n: int) -> int:
+    """Return the number of blocks of n samples."""
+    return -(-n // BLOCK)
+
+
+def samples_of(block: int, n: int) -> range:
+    """Return the samples of a block."""
+    return range(block * BLOCK, min(n, (block + 1) * BLOCK))
+
+
+def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int | None = None) -> dict[str, list]:
+    """Return the results of a block's samples, sample by sample and tracker by tracker: columns of equal length.
+
+    Args:
+        experiment: the whole.
+        block: which of its blocks.
+        threads: of the simulator; 0 for one for each core.
+        batch: how many simulations are stepped together, at the most; no figure depends on it.
+    """
+    samples = samples_of(block, experiment.n)
+    mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
+    together = max(1, min(batch or BLOCK, _MOST_BYTES // bytes_each(mechanism, reference.n)))
+    found: dict[tuple[int, str], dict] = {}
+    for name in experiment.settings.trackers:
+        tracker = build_tracker(name, experiment.plan, reference)
+        for first in range(samples.start, samples.stop, together):
+            part = range(first, min(samples.stop, first + together))
+            machines = [experiment.machine(sample) for sample in part]
+            ensemble = run_ensemble(mechanism, reference, tracker, experiment.loop, machines, threads)
+            for i, sample in enumerate(part):
+                found[sample, name] = {
+                    "success": within_tube(ensemble, i, experiment.yardstick),
+                    "failure": ensemble.failure[i],
+                    **measured(ensemble, i, experiment.yardstick),
+                }
+    keys = [(sample, name) for sample in samples for name in experiment.settings.trackers]
+    columns: dict[str, list] = {"sample": [key[0] for key in keys], "tracker": [key[1] for key in keys]}
+    for name in ("success", "failure", *metrics_of(mechanism)):
+        columns[name] = [found[key][name] for key in keys]
+    for factor, values in zip(experiment.section.factors, experiment.values.T, strict=True):
+        if np.ptp(values) > 0:
+            columns[f"imperfection.{factor.label}"] = [float(values[key[0]]) for key in keys]
+    return columns

@@ -1,0 +1,56 @@
+"""The imperfections that an experiment takes where a problem file names none: those of a careful build, documented.
+
+The sizes are those of a driven joint with an absolute encoder of 19 bits, a current loop of some hundred hertz and a
+controller whose commands act about a period late; docs/experiments.md has the table.
+"""
+
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.plan import Plan
+
+# Of the effort limit (of the planned peak where there is none): a step of a 12-bit command, and the most dry friction.
+_STEP_SHARE, _FRICTION_SHARE = 1.0 / 2048, 0.02
+_ENCODER_STEPS = 2**19
+_PATH_STEPS = 2**16  # of a slide's encoder, over the model's size
+
+
+def default_imperfections(plan: Plan) -> dict:
+    """Return the table [imperfections] that stands for a careful build of the plan's mechanism."""
+    mechanism = plan.problem.mechanism
+    limit = np.abs(plan.problem.limits.effort).max(axis=1)
+    peak = np.asarray(plan.certificate.peak_effort, dtype=float)
+    size = np.where(np.isfinite(limit), limit, np.maximum(peak, 1e-9))
+    table: dict = {
+        "period_factor": {"normal": [1.0, 1e-4]},
+        "delay_periods": [0.5, 1.5],
+        "velocity_filter_hz": 1000.0,
+        "torque_bandwidth_hz": [500.0, 1500.0],
+        "torque_constant_factor": {"normal": [1.0, 0.03]},
+        "payload_mass_factor": [0.9, 1.1],
+        "link_length_factor": {"normal": [1.0, 2e-4]},
+    }
+    kinds = {joint.kind for joint in mechanism.independent_joints}
+    if "hinge" in kinds:
+        table |= {
+            "encoder_resolution_deg": 360.0 / _ENCODER_STEPS,
+            "encoder_offset_deg": {"normal": [0.0, 0.02]},
+            "start_error_deg": {"normal": [0.0, 0.05]},
+        }
+    if "slide" in kinds:
+        step = mechanism.extent_m / _PATH_STEPS
+        table |= {
+            "encoder_resolution_m": step,
+            "encoder_offset_m": {"normal": [0.0, 10 * step]},
+            "start_error_m": {"normal": [0.0, 20 * step]},
+        }
+    actuators = list(zip(mechanism.actuators, size.tolist(), strict=True))
+    table["torque_resolution"] = {actuator.name: _STEP_SHARE * most for actuator, most in actuators}
+    driven = {joint: most for actuator, most in actuators if (joint := _joint(mechanism, actuator)) is not None}
+    if driven:
+        table["coulomb_friction"] = {joint: [0.0, _FRICTION_SHARE * most] for joint, most in driven.items()}
+    return table
+
+
+def _joint(mechanism: Mechanism, actuator) -> str | None:
+    return None if actuator.joint is None else mechanism.joints[actuator.joint].name

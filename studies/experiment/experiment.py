@@ -1,0 +1,164 @@
+"""An experiment: which trackers, which machines, how many, and what counts as success. All that its results depend on."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.controllers.ensemble import refuse_unfit
+from linkplan.controllers.imperfections.imperfections import Imperfections
+from linkplan.controllers.imperfections.plant import plant
+from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.models.errors import ProblemError
+from linkplan.models.names import choose
+from linkplan.planner.files.folders import plain_record
+from linkplan.planner.files.imperfections_file import ImperfectionsSection, imperfections_of
+from linkplan.planner.files.plan_folder import versions
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.values import number, whole
+from linkplan.studies.compare.compare import tracking_reference
+from linkplan.studies.experiment.defaults import default_imperfections
+from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES, values_of
+from linkplan.studies.experiment.machines import machine_of
+from linkplan.studies.experiment.metrics import Yardstick
+
+FORMAT = 1
+# A motion that ends is held for this share of its duration after it, where the problem does not say: errors settle there.
+_REST = 0.25
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings:
+    """What is asked of an experiment beside its plan: trackers, samples, design and seed, and the tube of success.
+
+    A grid's number of samples follows from its levels.
+    """
+
+    trackers: tuple[str, ...] = TRACKERS
+    samples: int = 200
+    seed: int = 0
+    design: str = "latin-hypercube"
+    levels: int = 3
+    tube_deg: float = 1.0
+    tube_m: float = 0.01
+
+    def __post_init__(self) -> None:
+        names = tuple(self.trackers)
+        if not names or len(set(names)) < len(names):
+            raise ProblemError(f"trackers of an experiment are one or more, each once, got {', '.join(names) or 'none'}")
+        for name in names:
+            choose("tracker", name, TRACKERS, ProblemError)
+        whole(self.samples, "samples", 1, MOST_SAMPLES)
+        whole(self.seed, "seed", 0, 2**63 - 1)
+        whole(self.levels, "levels", 1, 1000)
+        choose("design", self.design, DESIGNS, ProblemError)
+        number(self.tube_deg, "tube_deg", positive=True)
+        number(self.tube_m, "tube_m", positive=True)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Experiment:
+    """Trackers of one plan on many machines: `values` (n, d) of the section's factors, in a problem file's units."""
+
+    plan: Plan
+    settings: Settings
+    section: ImperfectionsSection
+    values: np.ndarray
+    reference: SampledReference
+    loop: ControlLoop
+    yardstick: Yardstick
+
+    @property
+    def n(self) -> int:
+        """The number of samples."""
+        return len(self.values)
+
+    def machine(self, sample: int) -> Imperfections:
+        """Return a sample's machine: the same for every tracker, in any experiment with these settings."""
+        mechanism = self.plan.problem.mechanism
+        return machine_of(self.section, self.values[sample], mechanism, (self.settings.seed, 1, sample))
+
+
+def experiment_of(plan: Plan, settings: Settings) -> Experiment:
+    """Return the experiment of a plan's own [imperfections], or of the default ones where it has none.
+
+    Raises:
+        ProblemError: for imperfections that cannot be used.
+        LinkplanError: for a mechanism that batches cannot simulate, or a machine in the middle that cannot be built.
+    """
+    problem = plan.problem
+    mechanism = problem.mechanism
+    refuse_unfit(mechanism)
+    section = imperfections_of(imperfections_asked(plan), mechanism)
+    values = values_of(section.factors, settings.design, settings.samples, settings.levels, settings.seed)
+    trajectory, tracking = plan.trajectory, problem.tracking
+    ends = not trajectory.periodic
+    if tracking.duration_s is None and ends:
+        tracking = replace(tracking, duration_s=(1 + _REST) * trajectory.duration_s)
+    reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
+    loop = ControlLoop(effort_limit=np.array(problem.limits.effort), delay_periods=int(problem.tracking.delay_periods))
+    hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
+    middle = np.median(values, axis=0)
+    plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # refused now, in one line
+    yardstick = Yardstick(
+        mechanism=mechanism,
+        reference=reference,
+        tube=np.where(hinge, np.radians(settings.tube_deg), settings.tube_m),
+        end_s=trajectory.duration_s if ends else None,
+        effort_limit=loop.effort_limit,
+    )
+    return Experiment(
+        plan=plan,
+        settings=settings,
+        section=section,
+        values=values,
+        reference=reference,
+        loop=loop,
+        yardstick=yardstick,
+    )
+
+
+def imperfections_asked(plan: Plan) -> dict:
+    """Return the table [imperfections] of a plan's problem, the default one where it has none."""
+    return dict(plan.problem.source.get("imperfections") or default_imperfections(plan))
+
+
+def settings_record(settings: Settings) -> dict:
+    """Return settings by name."""
+    return {name: getattr(settings, name) for name in Settings.__slots__}
+
+
+def settings_from(record: Mapping) -> Settings:
+    """Return settings of their record."""
+    return Settings(**{**record, "trackers": tuple(record["trackers"])})
+
+
+def asked_record(source: Mapping, digest: str | None, settings: Settings) -> dict:
+    """Return all that an experiment's results depend on: the problem's tables, or a saved plan's digest, and versions."""
+    said = {
+        "format": FORMAT,
+        "problem": source,
+        "plan": digest,
+        "settings": settings_record(settings),
+        "versions": versions(),
+    }
+    return json.loads(json.dumps(plain_record(said)))
+
+
+def hash_of(record: Mapping) -> str:
+    """Return the hash of a record: whether results are of the same experiment."""
+    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
+
+
+def plan_digest(plan: Plan) -> str:
+    """Return the hash of a plan's motion."""
+    trajectory = plan.trajectory
+    arrays: Sequence[np.ndarray] = (trajectory.breaks_s, trajectory.position, trajectory.velocity, trajectory.effort)
+    digest = hashlib.sha256()
+    for array in (*arrays, trajectory.start_pose):
+        digest.update(np.ascontiguousarray(array).tobytes() + b"|")
+    return digest.hexdigest()

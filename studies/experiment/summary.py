@@ -1,0 +1,106 @@
+"""What an experiment says: each tracker's figures with their intervals, trackers in pairs, the worst samples."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.studies.experiment.metrics import Metric
+from linkplan.studies.experiment.statistics import Estimate, Pair, mean_of, pair_of, share_of
+
+# Worst samples that are named for each tracker.
+_WORST = 3
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class TrackerSummary:
+    """One tracker over all samples: means by metric, 95th percentiles, success, failures by reason, worst samples.
+
+    A worst sample is one that failed, or else one of the largest error.
+    """
+
+    name: str
+    means: Mapping[str, Estimate]
+    percentile95: Mapping[str, float]
+    success: Estimate
+    failures: Mapping[str, int]
+    worst: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Summary:
+    """All trackers, and each two of them on the same samples, by the rms error of the first unit."""
+
+    samples: int
+    trackers: tuple[TrackerSummary, ...]
+    pairs: tuple[Pair, ...]
+    metrics: Mapping[str, Metric]
+
+
+def summarise(results: Mapping[str, np.ndarray], trackers: Sequence[str], metrics: Mapping[str, Metric]) -> Summary:
+    """Return the summary of a results table's columns."""
+    rows = {name: results["tracker"] == name for name in trackers}
+    main = next(name for name in metrics if name.startswith("rms_error"))
+    largest = next(name for name in metrics if name.startswith("max_error"))
+    found = []
+    for name in trackers:
+        at = rows[name]
+        failure = results["failure"][at]
+        failed = np.array([text is not None for text in failure])
+        values = {metric: results[metric][at].astype(float) for metric in metrics}
+        order = np.argsort(-np.where(failed, np.inf, values[largest]), kind="stable")
+        texts = [str(text) for text in failure[failed]]
+        found.append(
+            TrackerSummary(
+                name=name,
+                means={metric: mean_of(values[metric]) for metric in metrics},
+                percentile95={metric: _percentile(values[metric]) for metric in metrics},
+                success=share_of(int(np.sum(results["success"][at])), int(np.sum(at))),
+                failures={text: texts.count(text) for text in sorted(set(texts))},
+                worst=tuple(int(sample) for sample in results["sample"][at][order[:_WORST]]),
+            )
+        )
+    pairs = [
+        pair_of(a, b, main, results[main][rows[a]].astype(float), results[main][rows[b]].astype(float))
+        for i, a in enumerate(trackers)
+        for b in trackers[i + 1 :]
+    ]
+    samples = int(np.sum(rows[trackers[0]]))
+    return Summary(samples=samples, trackers=tuple(found), pairs=tuple(pairs), metrics=metrics)
+
+
+def _percentile(values: np.ndarray) -> float:
+    kept = values[np.isfinite(values)]
+    return float(np.percentile(kept, 95)) if len(kept) else float("nan")
+
+
+def summary_record(summary: Summary) -> dict:
+    """Return a summary by name: every figure with its interval, every metric with its unit and direction."""
+
+    def said(one: Estimate) -> dict:
+        return {"value": one.value, "interval95": [one.low, one.high], "n": one.n}
+
+    trackers = {
+        one.name: {
+            "mean": {metric: said(value) for metric, value in one.means.items()},
+            "percentile95": dict(one.percentile95),
+            "success": said(one.success),
+            "failures": dict(one.failures),
+            "worst_samples": list(one.worst),
+        }
+        for one in summary.trackers
+    }
+    pairs = [
+        {
+            "first": pair.first,
+            "second": pair.second,
+            "metric": pair.metric,
+            "difference": said(pair.difference),
+            "wins_of_first": said(pair.wins),
+        }
+        for pair in summary.pairs
+    ]
+    metrics = {
+        name: {"text": metric.text, "unit": metric.unit, "better": metric.better} for name, metric in summary.metrics.items()
+    }
+    return {"samples": summary.samples, "trackers": trackers, "pairs": pairs, "metrics": metrics}

@@ -1,0 +1,259 @@
+"""Experiments: the same file whatever ran it, however often it was killed; the same machines for all; samples again."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from functools import cache
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import LinkplanError, PlanFileError, ProblemError
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.planning import silent
+from linkplan.studies.experiment import block as blocks
+from linkplan.studies.experiment import conduct as conducting
+from linkplan.studies.experiment import parts
+from linkplan.studies.experiment.experiment import Settings, experiment_of
+from linkplan.studies.experiment.replay import replay
+from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment
+from tests.support.data import ROOT
+from tests.support.plans import optimal
+
+SHORT = "tracking.duration_s=0.01"
+# Four whole blocks and a beginning.
+SAMPLES = 4 * blocks.BLOCK + 8
+FEW = Settings(trackers=("pd", "pd+ff"), samples=6)
+
+
+def done(target, settings=FEW, problem="knee-reach", overrides=(SHORT,), **how):
+    plan = optimal(problem, *overrides)
+    return run_experiment({"name": problem}, None, lambda: plan, settings, target, silent, **how)
+
+
+def content(folder):
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@pytest.fixture
+def short_blocks(monkeypatch):
+    """Let blocks be of two samples."""
+    monkeypatch.setattr(blocks, "BLOCK", 2)
+
+
+def test_every_tracker_meets_the_same_machines_and_every_figure_is_a_number(tmp_path):
+    outcome = done(tmp_path / "x")
+    results = outcome.results
+    assert list(results["sample"]) == [i for i in range(6) for _ in range(2)]
+    assert set(results["tracker"]) == {"pd", "pd+ff"}
+    factors = [name for name in results if name.startswith("imperfection.")]
+    assert len(factors) > 5
+    for name in factors:
+        pairs = results[name].reshape(6, 2)
+        assert np.array_equal(pairs[:, 0], pairs[:, 1])
+        assert len(set(pairs[:, 0])) == 6
+    for name, metric in outcome.summary.metrics.items():
+        assert metric.unit
+        if name != "settling_s":  # the motion has not ended by then
+            assert np.all(np.isfinite(results[name]))
+    assert not np.any(results["failure"].astype(bool))
+    record = json.loads((tmp_path / "x" / RECORD).read_text())
+    assert record["trackers"]["pd"]["mean"]["rms_error_deg"]["n"] == 6
+    assert record["imperfections"]["delay_periods"] == [0.5, 1.5]
+
+
+def test_the_results_are_the_same_at_any_batch_size_and_number_of_threads(tmp_path):
+    done(tmp_path / "one", threads=1, batch=1)
+    done(tmp_path / "many", threads=2, batch=5)
+    assert (tmp_path / "one" / RESULTS).read_bytes() == (tmp_path / "many" / RESULTS).read_bytes()
+    assert (tmp_path / "one" / RECORD).read_bytes() == (tmp_path / "many" / RECORD).read_bytes()
+
+
+@cache
+def command(*more: str) -> list[str]:
+    words = ["experiment", "knee-reach", "--set", SHORT, "--samples", str(SAMPLES), "--trackers", "pd"]
+    return [sys.executable, "-m", "linkplan", *words, *more]
+
+
+@pytest.mark.slow
+def test_killed_twice_with_two_workers_it_is_the_file_of_one_that_was_left_alone(tmp_path):
+    target, alone = tmp_path / "killed", tmp_path / "alone"
+    for wanted in (1, 3):
+        process = subprocess.Popen(command("--workers", "2", "-o", str(target)), cwd=ROOT, stderr=subprocess.DEVNULL)
+        there = parts.unfinished(target) / parts.PARTS
+        while len(list(there.glob("part-*"))) < wanted and process.poll() is None:
+            time.sleep(0.005)
+        process.send_signal(signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
+        assert not target.exists()
+    assert len(parts.done(parts.unfinished(target))) < 5
+    subprocess.run(command("-o", str(target)), cwd=ROOT, check=True, capture_output=True)
+    subprocess.run(command("--threads", "1", "-o", str(alone)), cwd=ROOT, check=True, capture_output=True)
+    assert (target / RESULTS).read_bytes() == (alone / RESULTS).read_bytes()
+    assert (target / RECORD).read_bytes() == (alone / RECORD).read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["alone", "killed"]
+
+
+@pytest.mark.usefixtures("short_blocks")
+def test_what_is_done_is_not_run_again(tmp_path, monkeypatch):
+    ran = []
+    real = conducting.run_block
+
+    def stopping(experiment, block, threads, batch):
+        if len(ran) == 2:
+            raise KeyboardInterrupt
+        ran.append(block)
+        return real(experiment, block, threads, batch)
+
+    monkeypatch.setattr(conducting, "run_block", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        done(tmp_path / "x")
+    assert ran == [0, 1]
+    assert not (tmp_path / "x").exists()
+    (parts.unfinished(tmp_path / "x") / parts.PARTS / ".part-00002.parquet.1").write_text("cut off")
+    monkeypatch.setattr(conducting, "run_block", lambda *given: (ran.append(given[1]), real(*given))[1])
+    done(tmp_path / "x")
+    assert ran == [0, 1, 2]
+    done(tmp_path / "y")
+    assert (tmp_path / "x" / RESULTS).read_bytes() == (tmp_path / "y" / RESULTS).read_bytes()
+    done(tmp_path / "x")
+    assert ran == [0, 1, 2, 0, 1, 2]  # whole already
+    assert not parts.unfinished(tmp_path / "x").exists()
+
+
+@pytest.mark.usefixtures("short_blocks")
+def test_another_experiment_is_refused_where_one_stands_whole_or_not(tmp_path, monkeypatch):
+    done(tmp_path / "x")
+    other = Settings(trackers=("pd", "pd+ff"), samples=6, seed=1)
+    with pytest.raises(PlanFileError, match=r"another experiment's results \(seed was 0, now 1\); name a new folder"):
+        done(tmp_path / "x", other)
+    monkeypatch.setattr(conducting, "run_block", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        done(tmp_path / "y")
+    with pytest.raises(PlanFileError, match=r"the parts of another experiment \(seed was 0, now 1\)"):
+        done(tmp_path / "y", other)
+
+
+def test_two_at_once_are_told_apart(tmp_path):
+    asked = {"settings": {"seed": 0}}
+    with parts.working(tmp_path / "x.unfinished", asked), pytest.raises(PlanFileError, match="another process is at work"):  # noqa: SIM117
+        with parts.working(tmp_path / "x.unfinished", asked):
+            pass
+
+
+@pytest.mark.usefixtures("short_blocks")
+def test_a_full_disk_is_one_line_and_what_was_done_is_kept(tmp_path, monkeypatch):
+    import pyarrow.parquet as parquet
+
+    real, count = parquet.write_table, []
+
+    def full(table, place):
+        count.append(place)
+        real(table, place)
+        if len(count) == 2:
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(parquet, "write_table", full)
+    with pytest.raises(PlanFileError, match="No space left on device; what is done is kept") as refused:
+        done(tmp_path / "x")
+    assert "\n" not in str(refused.value)
+    folder = parts.unfinished(tmp_path / "x")
+    assert [path.name for path in (folder / parts.PARTS).iterdir()] == ["part-00000.parquet"]
+
+
+def test_any_sample_can_be_run_again_to_the_same_bits(tmp_path):
+    outcome = done(tmp_path / "x")
+    again = saved_experiment(tmp_path / "x")
+    rollout, said = replay(again, "pd+ff", 3)
+    row = np.flatnonzero((outcome.results["sample"] == 3) & (outcome.results["tracker"] == "pd+ff"))[0]
+    for name in ("rms_error_deg", "chatter", "energy_j", "loop_gap_um"):
+        assert said[name] == outcome.results[name][row]
+    assert np.degrees(np.sqrt(np.mean(rollout.error**2))) == pytest.approx(said["rms_error_deg"])
+    with pytest.raises(ProblemError, match="from 0 to 5, got 6"):
+        replay(again, "pd", 6)
+
+
+class Failing:
+    """A law that fails for machines that start behind, and has no number for those far ahead."""
+
+    name = "pd"
+
+    def effort(self, k, position, velocity):
+        del k, velocity
+        if position[0] < np.radians(-49.07):
+            raise RuntimeError("behind")
+        return [np.nan if position[0] > np.radians(-49.07 + 0.03) else 0.0]
+
+
+def test_a_tracker_that_fails_on_some_machines_is_counted_and_the_others_stand(tmp_path, monkeypatch):
+    monkeypatch.setattr(blocks, "build_tracker", lambda *_: Failing())
+    outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=12))
+    one = outcome.summary.trackers[0]
+    assert set(one.failures) == {"the tracker failed: behind", "the tracker gave an effort that is no number"}
+    assert 0 < sum(one.failures.values()) < 12
+    assert one.means["rms_error_deg"].n == 12 - sum(one.failures.values())
+    assert outcome.results["failure"][one.worst[0]] is not None  # failures are the worst
+
+
+def test_a_machine_that_cannot_be_built_is_counted_too(tmp_path):
+    overrides = (SHORT, "imperfections.link_length_factor={ coupler = [0.5, 3.0] }")
+    outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=12), overrides=overrides)
+    (said, count), *_ = outcome.summary.trackers[0].failures.items()
+    assert "does not close at the start" in said
+    assert 0 < count < 12
+
+
+@pytest.mark.parametrize(
+    ("override", "said"),
+    [
+        ("imperfections.delay=1", "did you mean 'delay_periods'"),
+        ("imperfections.coulomb_friction={ K = 1 }", "names 'K'"),
+        ("imperfections.encoder_resolution_m=1e-3", "independent slides, of which the mechanism has none"),
+        ("imperfections.push_effort=1", "a push on nothing; name imperfections.push_joint"),
+        ("imperfections.push_body='crank'", "pushed with no force"),
+        ("imperfections.torque_constant_factor=[1.1, 0.9]", "from its low end to its high end"),
+    ],
+)
+def test_imperfections_that_cannot_be_are_refused_when_the_problem_is_read(override, said):
+    with pytest.raises(ProblemError, match=said):
+        load_problem("knee-reach", [override])
+
+
+def test_a_loop_too_soft_to_step_is_refused_before_any_sample_runs():
+    plan = optimal("knee-reach", SHORT, "imperfections.loop_time_constant_s=1e-5")
+    with pytest.raises(LinkplanError, match="time constant"):
+        experiment_of(plan, FEW)
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"trackers": ("pdd",)}, "unknown tracker 'pdd'"),
+        ({"trackers": ("pd", "pd")}, "each once"),
+        ({"samples": 0}, "samples is a whole number from 1"),
+        ({"design": "sobol"}, "design"),
+        ({"tube_deg": -1.0}, "tube_deg is a positive number"),
+    ],
+)
+def test_settings_that_cannot_be_are_refused(asked, said):
+    with pytest.raises(ProblemError, match=said):
+        Settings(**asked)
+
+
+def test_the_command_prints_within_eighty_columns_and_replays(tmp_path, ask, ask_json):
+    words = ["experiment", "knee-reach", "--set", SHORT, "--samples", "5", "-o", str(tmp_path / "x")]
+    code, out, _ = ask(*words)
+    assert code == 0
+    assert max(map(len, out.splitlines())) <= 80
+    assert "success" in out
+    code, said = ask_json(*words)
+    assert said["trackers"]["lqr"]["success"]["n"] == 5
+    code, said = ask_json("track", str(tmp_path / "x"), "--sample", "2", "--tracker", "lqr", "-o", str(tmp_path / "again"))
+    assert code == 0
+    assert said["sample"]["sample"] == 2
+    assert (tmp_path / "again" / "track.png").is_file()
+    code, _, err = ask("experiment", "knee-reach", "--set", SHORT, "--samples", "6", "-o", str(tmp_path / "x"))
+    assert code == 2
+    assert "samples was 5, now 6" in err

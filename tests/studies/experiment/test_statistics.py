@@ -1,0 +1,110 @@
+"""Intervals cover what they say; pairs are compared sample by sample; designs meet every part of every range."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import ProblemError
+from linkplan.planner.problem.imperfections import Factor, Spread, spread_of
+from linkplan.studies.experiment.design import values_of
+from linkplan.studies.experiment.experiment_text import estimated
+from linkplan.studies.experiment.statistics import Estimate, mean_of, pair_of, share_of
+
+REPEATS = 500
+# The share of intervals that cover, of 500: its own standard deviation is 1 %.
+COVERAGE, OFF = 0.95, 0.02
+
+
+def factor(kind: str, first: float, second: float = 0.0, key: str = "delay_periods") -> Factor:
+    return Factor(key=key, name="", spread=Spread(kind=kind, first=first, second=second))
+
+
+def test_paired_differences_are_covered_as_often_as_is_said():
+    generator, covered, widths = np.random.default_rng(3), 0, []
+    for _ in range(REPEATS):
+        common = generator.gamma(2.0, 1.0, 100)  # what makes a machine hard is hard for both trackers
+        a, b = common + generator.normal(0.3, 0.2, 100), common + generator.exponential(0.1, 100)
+        found = pair_of("a", "b", "rms", a, b).difference
+        covered += found.low <= 0.2 <= found.high
+        widths.append(found.half)
+    assert abs(covered / REPEATS - COVERAGE) <= OFF
+    assert np.mean(widths) < 0.05  # unpaired, they would be six times as wide
+
+
+def test_shares_are_covered_as_often_as_is_said():
+    generator = np.random.default_rng(5)
+    found = [share_of(int(generator.binomial(300, 0.3)), 300) for _ in range(REPEATS)]
+    assert abs(np.mean([one.low <= 0.3 <= one.high for one in found]) - COVERAGE) <= OFF
+
+
+def test_a_share_of_none_or_all_has_an_interval_still():
+    assert share_of(0, 200).low == 0
+    assert 0 < share_of(0, 200).high < 0.03
+    assert share_of(200, 200).high == 1
+    assert share_of(0, 0).n == 0
+
+
+def test_who_fails_a_sample_loses_it_and_what_neither_finishes_counts_for_none():
+    a, b = np.array([1.0, np.nan, np.nan, 2.0, 3.0]), np.array([2.0, 9.0, np.nan, 2.0, 1.0])
+    pair = pair_of("a", "b", "rms", a, b)
+    assert (pair.wins.value, pair.wins.n) == (pytest.approx(1 / 3), 3)
+    assert pair.difference.n == 3
+    assert pair.difference.value == pytest.approx(1 / 3)
+
+
+def test_a_mean_of_nothing_is_none():
+    assert mean_of(np.array([np.nan])).n == 0
+    assert estimated(mean_of(np.array([]))) == "-"
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "text"), [(4.5849, 0.042, "4.58 ± 0.04"), (123.4, 12.0, "123 ± 12"), (0.0389, 0.0026, "0.039 ± 0.003")]
+)
+def test_a_mean_is_printed_to_the_figures_that_its_interval_leaves(value, half, text):
+    assert estimated(Estimate(value=value, low=value - half, high=value + half, n=9)) == text
+
+
+def test_a_latin_hypercube_meets_every_part_of_every_range_once():
+    n = 40
+    factors = [factor("uniform", 1.0, 3.0), factor("fixed", 0.5), factor("normal", 10.0, 2.0)]
+    values = values_of(factors, "latin-hypercube", n, 3, seed=4)
+    assert sorted(np.floor((values[:, 0] - 1.0) / 2.0 * n).astype(int)) == list(range(n))
+    assert np.all(values[:, 1] == 0.5)
+    assert np.mean(values[:, 2]) == pytest.approx(10.0, abs=0.1)
+    assert np.std(values[:, 2]) == pytest.approx(2.0, rel=0.1)
+    assert np.array_equal(values, values_of(factors, "latin-hypercube", n, 3, seed=4))
+    assert not np.array_equal(values, values_of(factors, "latin-hypercube", n, 3, seed=5))
+
+
+def test_a_grid_is_every_combination():
+    values = values_of([factor("uniform", 0.0, 3.0), factor("uniform", 0.0, 30.0)], "grid", 99, 3, seed=0)
+    assert sorted(map(tuple, values)) == [(x, 10 * y) for x in (0.5, 1.5, 2.5) for y in (0.5, 1.5, 2.5)]
+
+
+def test_a_grid_of_too_many_samples_is_refused():
+    with pytest.raises(ProblemError, match=r"a grid of 10 levels in 7 factors has 1e\+07 samples"):
+        values_of([factor("uniform", 0.0, 1.0)] * 7, "grid", 1, 10, seed=0)
+
+
+def test_a_normal_value_is_cut_at_what_is_legal():
+    values = values_of([factor("normal", 0.1, 1.0)], "latin-hypercube", 100, 3, seed=0)
+    assert values.min() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("two", "is a number, a range"),
+        (True, "is a number, a range"),
+        ([1, 2, 3], "is a number, a range"),
+        ([2, 1], "from its low end to its high end"),
+        ({"normal": [0, 1], "uniform": [0, 1]}, "is a number, a range"),
+        ({"gauss": [0, 1]}, "is a number, a range"),
+        ({"normal": [0, -1]}, "standard deviation is a number of at least 0"),
+        (-1, "is from 0 to 1000"),
+        (float("nan"), "is a number"),
+    ],
+)
+def test_a_value_that_is_none_is_refused_by_its_key(value, said):
+    with pytest.raises(ProblemError, match=said) as refused:
+        spread_of(value, "delay_periods", "delay_periods")
+    assert "imperfections.delay_periods" in str(refused.value)
