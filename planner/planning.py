@@ -48,6 +48,12 @@ def _nothing_found(search: Search) -> bool:
 
 RUNGS: tuple[Rung, ...] = (
     Rung(
+        name="the phase plane along limits on power, its arcs held",
+        tried=starts.is_along_power,
+        climb=starts.along_power,
+        budget=HURRIED,
+    ),
+    Rung(
         name="several starts, the best of them (multistart)",
         tried=lambda search: search.problem.solver.starts > 1,
         climb=starts.best_of_several,

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 from linkplan.planner.plan import Plan
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Rung, Search, climb
-from linkplan.planner.search.starts import from_a_smooth_path, from_the_phase_plane
+from linkplan.planner.search.starts import along_power, from_a_smooth_path, from_the_phase_plane, is_along_power
 
 # Rungs that look for it.
 _RUNGS = (
-    Rung(name="a smooth path", climb=from_a_smooth_path, budget=PATIENT),
+    Rung(name="the phase plane along limits on power", tried=is_along_power, climb=along_power, budget=HURRIED),
+    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_a_smooth_path, budget=PATIENT),
     Rung(
         name="the phase plane",
         tried=lambda search: search.starts_are_worth_it and search.quickest is not None,
