@@ -200,7 +200,7 @@ def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:
     """Return progress that ends in the objective of the best of the plans so far that pass, where there is one."""
 
     def told(text: str) -> None:
-        passed = [plan.objective for plan in plans if plan.status == "optimal" and plan.objective is not None]
+        passed = [plan.objective for plan in plans if plan.passed and plan.objective is not None]
         say(f"{text}; best certified {min(passed):.6g}" if passed else text)
 
     return told

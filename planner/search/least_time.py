@@ -24,7 +24,7 @@ _SHARE = 0.5
 
 def shortest_motion(search: Search) -> Plan | None:
     """Return the certified plan of least time within a reach's limits; None where it was not found."""
-    found = [plan for plan in search.least_times if plan is not None and plan.status == "optimal"]
+    found = [plan for plan in search.least_times if plan is not None and plan.passed]
     if not found and not search.shortest:
         motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         free = replace(search.within(PATIENT), objective="time", motion=motion, guess=None)
@@ -32,6 +32,6 @@ def shortest_motion(search: Search) -> Plan | None:
         now = time.monotonic()
         other = replace(search.of_another(free), deadline=now + _SHARE * (search.deadline - now))
         plan = climb(other, _RUNGS)
-        search.shortest.append(plan if plan is not None and plan.status == "optimal" else None)
+        search.shortest.append(plan if plan is not None and plan.passed else None)
     found += [plan for plan in search.shortest if plan is not None]
     return min(found, key=lambda plan: plan.trajectory.duration_s, default=None)

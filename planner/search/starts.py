@@ -105,7 +105,7 @@ def along_power(search: Search, budget: Budget) -> Plan | None:
         found = solve_from(problem, guess, mesh, durations, what, search.history, search.say, warm=True)
         if found is not None:
             plan = certified(problem, found, search.history, search.say)
-            return plan if plan.status == "optimal" else None
+            return plan if plan.passed else None
         higher = raised(problem.mesh) or problem.mesh.scheme
         problem = replace(problem, mesh=replace(problem.mesh, scheme=higher))
     return None
@@ -131,7 +131,7 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
             if not search.starts_are_worth_it:
                 return None
         missed = plan_from(search, budget, what, guess)
-        if search.verdicts or search.stopped or (missed is not None and missed.status == "optimal"):
+        if search.verdicts or search.stopped or (missed is not None and missed.passed):
             break
     return missed
 
@@ -149,7 +149,7 @@ def quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     """Return a least-time plan that is quicker than the one found; None where there is none."""
     known = search.best.trajectory.duration_s
     plan = plan_from(search, budget, "the phase plane", search.quickest, worth=_WORTH * known, mended=False)
-    passes = plan is not None and plan.status == "optimal"
+    passes = plan is not None and plan.passed
     return plan if passes and plan.trajectory.duration_s < known else None
 
 
@@ -200,7 +200,7 @@ def best_of_several(search: Search, budget: Budget) -> Plan | None:
             search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
             return None
         plan = certified(problem, solved, search.history, search.say)
-        if plan.status == "optimal":
+        if plan.passed:
             told = {"starts": wanted, "starts_solved": len(found), "best_start": number}
             return replace(plan, details={**plan.details, **told})
         missed = missed or plan
