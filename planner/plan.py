@@ -12,15 +12,19 @@ from linkplan.planner.refinement.history import Step
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 
+# What a plan's status may be, and of these what has a motion that passes.
+STATUSES, PASSED = ("optimal", "feasible", "infeasible", "failed"), ("optimal", "feasible")
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Plan:
     """A motion with its certificate, or none and the reason.
 
-    `status` is "optimal" (converged and certified), "infeasible" (no motion keeps the limits) or "failed" (no answer was
-    found); `message` says it in a sentence. `objective` is in SI: effort [N2 m2 s or N2 s], time [s], tracking
-    [rad2 s or m2 s]. `details` holds further figures by name, unit in the name. `solved` is
-    the last program with its solution as the starting point, for solving again; None for a motion that was not solved for.
+    `status` is one of `STATUSES`: "optimal" (converged and certified), "feasible" (certified, not known to be the best
+    of the motions near to it), "infeasible" (no motion keeps the limits) or "failed" (no answer was found); `message` says
+    it in a sentence. `objective` is in SI: effort [N2 m2 s or N2 s], time [s], tracking [rad2 s or m2 s]. `details` holds
+    further figures by name, unit in the name. `solved` is the last program with its solution as the starting point, for
+    solving again; None for a motion that was not solved for.
     """
 
     problem: PlanningProblem
@@ -34,13 +38,18 @@ class Plan:
     solved: Transcribed | None = None
     solved_again: bool = False  # with a built program, from the last solution
 
+    @property
+    def passed(self) -> bool:
+        """Whether it has a motion that passes its certificate, be it the best one or not."""
+        return self.status in PASSED
+
     def require(self) -> "Plan":
-        """Return this plan if it is optimal.
+        """Return this plan if its motion passes its certificate.
 
         Raises:
-            InfeasibleError: carrying the plan, if it is not.
+            InfeasibleError: carrying the plan, if it does not.
         """
-        if self.status != "optimal":
+        if not self.passed:
             raise InfeasibleError(self.message, self)
         return self
 

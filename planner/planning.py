@@ -48,6 +48,12 @@ def _nothing_found(search: Search) -> bool:
 
 RUNGS: tuple[Rung, ...] = (
     Rung(
+        name="the phase plane along limits on power, its arcs held",
+        tried=starts.is_along_power,
+        climb=starts.along_power,
+        budget=HURRIED,
+    ),
+    Rung(
         name="several starts, the best of them (multistart)",
         tried=lambda search: search.problem.solver.starts > 1,
         climb=starts.best_of_several,
@@ -194,7 +200,7 @@ def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:
     """Return progress that ends in the objective of the best of the plans so far that pass, where there is one."""
 
     def told(text: str) -> None:
-        passed = [plan.objective for plan in plans if plan.status == "optimal" and plan.objective is not None]
+        passed = [plan.objective for plan in plans if plan.passed and plan.objective is not None]
         say(f"{text}; best certified {min(passed):.6g}" if passed else text)
 
     return told

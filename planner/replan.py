@@ -63,7 +63,7 @@ class Planner:
                 if plan is not None:
                     return plan
             plan = plan_motion(problem, self._say)
-            if plan.status == "optimal" and plan.solved is not None:
+            if plan.passed and plan.solved is not None:
                 self._keep(problem, plan.solved)
             return plan
 
@@ -99,7 +99,7 @@ class Planner:
                 return None
         objective = own_objective(solution.transcribed, solution.objective, trajectory)
         plan = finished(problem, trajectory, certificate, objective, history, None)
-        if plan.status != "optimal":
+        if not plan.passed:
             return None
         self._last = replace(solution.transcribed, start=solution.x)
         return replace(plan, solved_again=True)

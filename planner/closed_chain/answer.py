@@ -20,15 +20,18 @@ def finished(
     objective: float,
     history: Sequence[Step],
     message: str | None,
+    *,
+    optimal: bool = True,
 ) -> Plan:
     """Return the plan of a certified motion, however it was come by: it is judged here and nowhere else.
 
-    "optimal" where the certificate passes, contacts along the motion included, and the tolerance that was asked for is met.
+    It passes where the certificate does, contacts along the motion included, and the tolerance that was asked for is met:
+    "optimal" where the motion is the best of those near to it as far as is known, else "feasible".
     """
     certificate = with_contacts(problem, trajectory, certificate)
     plan = Plan(
         problem=problem,
-        status="optimal",
+        status="optimal" if optimal else "feasible",
         message=message or "",
         objective=objective,
         trajectory=trajectory,
@@ -37,7 +40,8 @@ def finished(
     )
     failure = _failure(plan)
     details: dict[str, float] = {}
-    sentence = message or f"{problem.objective.name.replace('_', ' ')}-optimal motion of {trajectory.duration_s:.6g} s"
+    best = f"{problem.objective.name.replace('_', ' ')}-optimal " if optimal else ""
+    sentence = message or f"{best}motion of {trajectory.duration_s:.6g} s"
     errors = tracking_errors(plan)
     if errors is not None and message is None and problem.objective.has("tracking"):
         joint = problem.mechanism.independent_joints[0]

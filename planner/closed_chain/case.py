@@ -7,12 +7,13 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
-from linkplan.planner.closed_chain.formulate import SMOOTHING
+from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate
 from linkplan.planner.closed_chain.guess import Guess, motion_of
-from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
+from linkplan.planner.closed_chain.transcribe import choose_scales, trajectory_of, transcribe
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import Aims, Findings
+from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.tightening import AT_NODES, Tightening, tightenings_of
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.trajectory import Trajectory
@@ -94,6 +95,15 @@ class MechanismCase:
 def case_of(problem: PlanningProblem, *, kinks: bool = True) -> MechanismCase:
     """Return the case of a problem; `kinks` says whether kinks of efforts that do not jump are looked for."""
     return MechanismCase(problem, problem, kinks=kinks)
+
+
+def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
+    """Return what a guess along limits on power holds along its arcs."""
+    system = formulate(problem, choose_scales(problem, guess)).build_system()
+    kinds = np.array(system.kinds[system.n_equations :])
+    paths = np.zeros((len(guess.power_arcs), len(kinds)), dtype=int)
+    paths[:, kinds == "power"] = guess.power_arcs[:, np.isfinite(problem.limits.power).any(axis=1)]
+    return FixedArcs(efforts=guess.bang_efforts, paths=paths)
 
 
 def _aims(problem: PlanningProblem, *, kinks: bool) -> Aims:

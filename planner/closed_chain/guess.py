@@ -46,6 +46,8 @@ class Guess:
     # (n_switches,) instants between its phase boundaries at which its efforts switch
     switch_times_s: np.ndarray | None = None
     bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts between those and the phase boundaries
+    # (n_segments, n_u) 1 or -1 where an actuator is at its upper or lower limit on power there, its bang effort then NaN
+    power_arcs: np.ndarray | None = None
 
 
 def motion_of(trajectory: Trajectory) -> Guess:

@@ -24,13 +24,12 @@ from linkplan.planner.files.motion_table import MotionTable, motion_table
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
-from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.plan import PASSED, STATUSES, Plan, not_honoured
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
 FORMAT = 1
 # A plan of the largest mesh has some hundred kilobytes of words; more than this is something else.
 MOST_JSON_BYTES = 64_000_000
-STATUSES = ("optimal", "infeasible", "failed")
 
 
 def versions() -> dict[str, str]:
@@ -214,7 +213,7 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
     if misses:
         certificate = replace(certificate, failures=misses)
         status, message = "failed", f"failed: the motion on disk does not pass its certificate: {'; '.join(misses)}"
-    if status != "optimal" and not anyway:
+    if status not in PASSED and not anyway:
         raise CertificateError(f"plan '{folder}' is not used: {message}")
     return Plan(
         problem=problem,

@@ -7,6 +7,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from linkplan.models.interrupts import check
+from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.refinement.case import Aims, Case, CertificateT, Findings, Found, MotionT, attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, standing_off
 from linkplan.planner.refinement.history import Say, Step
@@ -107,8 +108,9 @@ def refine(
     aims, kept, position_rows = case.aims, case, False
     finest = _MOST * case.problem.mesh.intervals
     comfortable = finest if aims.tolerance_given else _COMFORTABLE
-    found = replace(found, fixed=None)
-    if aims.switches:
+    if not (found.fixed is not None and found.fixed.everything and not at_bounds(found.solution)):
+        found = replace(found, fixed=None)
+    if aims.switches and found.fixed is None:
         found = settle_switch_times(case, found, history, say)
     at = _judged(case, found, history)
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
@@ -167,7 +169,9 @@ def refine(
             marked = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
         else:
             higher = higher or _higher(kept, at.certificate, marked)
-        if _grown(at.found.mesh, marked | over) <= comfortable:
+        # Held throughout, limits overrun between the nodes by what the mesh errs by: tightened by that, the motion is late.
+        held = fixed is not None and fixed.everything and fixed.paths.any()
+        if _grown(at.found.mesh, marked | over) <= (finest if held else comfortable):
             marked = marked | over
         what = "finer mesh"
         if position_rows and not begun and at.certificate is not None:
@@ -315,7 +319,7 @@ def _higher(case: Case[Any, CertificateT], certificate: CertificateT | None, mar
         return None
     growth = certificate.growth[marked]
     even = marked.mean() >= _EVERYWHERE and growth.max() <= _STANDS_OUT * max(float(np.median(growth)), 1e-300)
-    return _raised(case) if even or case.problem.mesh.refine == "degree" else None
+    return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 
 
 def _higher_on_arcs(case: Case[MotionT, CertificateT], at: _Judged[MotionT, CertificateT], over: np.ndarray) -> str | None:
@@ -327,13 +331,13 @@ def _higher_on_arcs(case: Case[MotionT, CertificateT], at: _Judged[MotionT, Cert
         return None  # an arc that is not held may end inside an interval, which wants a switch time
     overrun = at.findings.overrun[over]
     even = len(overrun) >= _AN_ARC and overrun.max() <= _STANDS_OUT * float(np.median(overrun))
-    return _raised(case) if even or case.problem.mesh.refine == "degree" else None
+    return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 
 
-def _raised(case: Case[Any, Any]) -> str | None:
-    """Return the case's transcription two degrees up; None where there is none, or none is wanted."""
-    family = re.fullmatch(r"(radau|gauss)-(\d)", case.problem.mesh.scheme)
-    if family is None or case.problem.mesh.refine == "intervals" or int(family[2]) == MAX_DEGREE:
+def raised(mesh: MeshSettings) -> str | None:
+    """Return the transcription two degrees up from that of a mesh; None where there is none, or none is wanted."""
+    family = re.fullmatch(r"(radau|gauss)-(\d)", mesh.scheme)
+    if family is None or mesh.refine == "intervals" or int(family[2]) == MAX_DEGREE:
         return None
     return f"{family[1]}-{min(int(family[2]) + 2, MAX_DEGREE)}"
 

@@ -23,7 +23,7 @@ from linkplan.planner.transcription.mesh import Mesh, graded, segmented
 
 # A solve with switch times replaces the one before when it is no worse than by the error of a mesh without them.
 NO_WORSE = 1e-4
-# A segment's duration within this share of its room to a bound is at it.
+# A segment's duration within this share of its room to a bound, in its logarithm, is at it.
 _AT_BOUND = 1e-3
 # Switch times next to arcs within the limits settle in a few solves: until the objective gains less than this share,
 # relative.
@@ -160,11 +160,15 @@ def _known(transcribed: Transcribed, fixed: FixedArcs) -> bool:
 
 
 def at_bounds(solution: Solution) -> bool:
-    """Return whether a segment is as long as it was allowed to become, or as short: its ends have further to go."""
+    """Return whether a segment is as long as it was allowed to become, or as short: its ends have further to go.
+
+    By factors: a bang may be a millionth of what it might become, and yet far from the least that it might.
+    """
     transcribed, place = solution.transcribed, solution.transcribed.program.layout.durations()
-    lower, upper, at = transcribed.lower[place], transcribed.upper[place], solution.x[place]
-    near = _AT_BOUND * (upper - lower)
-    return bool(np.any((near > 0) & ((at - lower < near) | (upper - at < near))))
+    free = transcribed.lower[place] < transcribed.upper[place]
+    lower, upper, at = (values[place][free] for values in (transcribed.lower, transcribed.upper, solution.x))
+    near = _AT_BOUND * np.log(upper / lower)
+    return bool(np.any((np.log(at / lower) < near) | (np.log(upper / at) < near)))
 
 
 def mesh_with_switches(boundaries_s: np.ndarray, switch_times_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:

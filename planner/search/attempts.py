@@ -52,7 +52,7 @@ def plan_from(
             return None
         # A motion that was found in few iterations is worth more of them where it is refined.
         missed = refined(search, search.within(replace(budget, iterations=None)), found, mended=mended)
-        if missed.status == "optimal":
+        if missed.passed:
             return missed
     found = missed is not None and missed.trajectory is not None
     if found and unavoidable(problem, missed.trajectory, missed.certificate):
@@ -82,7 +82,7 @@ def refined(search: Search, problem: PlanningProblem, found: Found, *, mended: b
     """Return the plan of a first solution; where its certificate does not pass, by way of the search's repairs."""
     plan = certified(problem, found, search.history, search.say)
     for repair in search.repairs if mended else [repair for repair in search.repairs if repair.always]:
-        if plan.status != "optimal" and repair.tried(search, problem, plan):
+        if not plan.passed and repair.tried(search, problem, plan):
             plan = repair.mend(search, problem, found) or plan
     return plan
 
@@ -100,22 +100,22 @@ def certified(
     better, change = unsmoothed(case, better, history, say)
     solution = better.solution
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
-    plan = finished(problem, better.motion, better.certificate, objective, history, None)
+    against = arcs_against_their_limits(solution)
+    plan = finished(problem, better.motion, better.certificate, objective, history, None, optimal=not len(against))
     moved = change if better.solution is not solved_for else better.moved
     said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > MOVES else ""
-    against = arcs_against_their_limits(solution)
     if len(against):
         said += (
             f"; the arc at t = {against[0]:.4g} s would rather leave its limit (Pontryagin's principle): not a local optimum"
         )
-    if plan.status == "optimal":
+    if plan.passed:
         plan = replace(plan, message=plan.message + said)
     return replace(plan, solved=replace(solution.transcribed, start=solution.x))
 
 
 def without_solving(problem: PlanningProblem, motion: Trajectory, objective: float, history: list[Step], said: str) -> Plan:
-    """Return the plan of a motion that was put together and not solved for."""
-    return finished(problem, motion, certify(problem, motion), objective, history, said)
+    """Return the plan of a motion that was put together and not solved for: "feasible" where it passes."""
+    return finished(problem, motion, certify(problem, motion), objective, history, said, optimal=False)
 
 
 def unsound(plan: Plan) -> bool:
@@ -137,7 +137,7 @@ def from_next_to_it(search: Search, problem: PlanningProblem, found: Found) -> P
     """Return the plan whose finer meshes begin next to the coarser one's answer; None where it does not pass."""
     kinks = not lost_at_kinks(problem)
     plan = certified(problem, found, search.history, search.say, warm=True, kinks=kinks)
-    return plan if plan.status == "optimal" else None
+    return plan if plan.passed else None
 
 
 def constant_efforts_would_do(search: Search, problem: PlanningProblem, plan: Plan) -> bool:
@@ -155,4 +155,4 @@ def with_constant_efforts(search: Search, problem: PlanningProblem, found: Found
     what = "efforts constant over intervals"
     again = solve_from(plain, motion_of(found.motion), mesh, durations, what, search.history, search.say)
     plan = None if again is None else certified(plain, again, search.history, search.say)
-    return plan if plan is not None and plan.status == "optimal" else None
+    return plan if plan is not None and plan.passed else None

@@ -74,7 +74,7 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
     durations, what = at.shares * at.start.duration_s, "at its full length"
     found = solve_from(final, at.start, at.mesh, durations, what, search.history, search.say, warm=True)
     plan = None if found is None else certified(final, found, search.history, search.say, warm=True)
-    if plan is None or plan.status != "optimal":
+    if plan is None or not plan.passed:
         return None
     said = (
         f"; its last {DURATION_FACTOR - 1:.0%} of duration saved less than {SAVED:.1%}, longer motions were not tried"

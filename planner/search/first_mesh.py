@@ -14,6 +14,8 @@ _SAMPLES = 4001
 PER_SWING = 40
 # And each segment between switch times.
 _LEAST_IN_SEGMENT = 3
+# Samples of each segment on a mesh graded by efforts, closer together by this share of it next to its ends.
+_IN_SEGMENT, _AT_ENDS = 301, 1e-6
 
 
 def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
@@ -33,19 +35,54 @@ def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> t
     It is finer where the guess is quick: next to a singular pose a motion does in a hundredth of its time what elsewhere
     takes a half. Every interval has an equal share of time, way and change of speed together.
     """
-    boundaries = np.array([0.0, guess.duration_s]) if guess.boundaries_s is None else guess.boundaries_s
+    boundaries = _boundaries(guess)
     ends = np.sort(np.concatenate([boundaries, switch_times_s]))
     times = np.linspace(0.0, guess.duration_s, _SAMPLES)
+    progress = np.concatenate([[0.0], np.cumsum(_pace(guess, times))])
+    return _spread(times, n_intervals * progress / progress[-1], ends, boundaries)
+
+
+def mesh_along_power(guess: Guess, n_intervals: int) -> tuple[Mesh, np.ndarray]:
+    """Return a graded mesh for a guess along limits on power, and its segments' durations [s].
+
+    Along a limit the effort P / w falls off from a bang however short: an interval more for each time that it halves.
+    """
+    boundaries = _boundaries(guess)
+    ends = np.sort(np.concatenate([boundaries, guess.switch_times_s]))
+    graded = np.geomspace(_AT_ENDS, 0.5, _IN_SEGMENT)
+    inside = np.concatenate([graded, 1.0 - graded[-2::-1]])
+    times = np.concatenate([ends, *(begin + inside * (end - begin) for begin, end in itertools.pairwise(ends))])
+    times = np.unique(times)
+    halvings = np.zeros(len(times) - 1)
+    middle = 0.5 * (times[1:] + times[:-1])
+    assert guess.effort is not None  # that of legs along limits on power
+    along = guess.power_arcs[np.searchsorted(ends, middle) - 1] != 0
+    size = np.log2(np.maximum(np.abs(guess.effort(middle)), np.finfo(float).tiny))
+    halvings[1:] = np.where(along[1:] & along[:-1], np.abs(np.diff(size, axis=0)), 0.0).max(axis=1)
+    progress = np.concatenate([[0.0], np.cumsum(n_intervals * _pace(guess, times) + halvings)])
+    return _spread(times, progress, ends, boundaries)
+
+
+def _boundaries(guess: Guess) -> np.ndarray:
+    return np.array([0.0, guess.duration_s]) if guess.boundaries_s is None else guess.boundaries_s
+
+
+def _pace(guess: Guess, times: np.ndarray) -> np.ndarray:
+    """Return the shares (n - 1,) of a guess between its samples: of time, way and change of speed together."""
     position, velocity = guess.position(times), guess.velocity(times)
     pace = np.diff(times)[:, None] / guess.duration_s
     for values in (position, velocity):
         steps = np.abs(np.diff(values, axis=0))
         pace = np.hstack([pace, steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)])
-    progress = np.concatenate([[0.0], np.cumsum(pace.mean(axis=1))])
+    return pace.mean(axis=1)
+
+
+def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundaries: np.ndarray) -> tuple[Mesh, np.ndarray]:
+    """Return the mesh of segments between `ends` [s] with an interval for each unit of progress (n,) at times (n,) [s]."""
     at_ends = np.interp(ends, times, progress)
     fraction, segment = [], []
     for k, (begin, end) in enumerate(itertools.pairwise(at_ends)):
-        count = max(_LEAST_IN_SEGMENT, int(np.round(n_intervals * (end - begin) / progress[-1])))
+        count = max(_LEAST_IN_SEGMENT, int(np.round(end - begin)))
         breaks = np.interp(np.linspace(begin, end, count + 1), progress, times)
         breaks[[0, -1]] = ends[k], ends[k + 1]
         fraction.append(np.diff(breaks) / (ends[k + 1] - ends[k]))

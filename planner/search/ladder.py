@@ -106,14 +106,14 @@ class Search:
 
     @property
     def best(self) -> Plan | None:
-        """The answer so far: a verdict, the last plan that passes, the first that does not; None without any."""
-        passed = [plan for plan in self.plans if plan.status == "optimal"]
-        return next(iter([*self.verdicts, *reversed(passed), *self.plans]), None)
+        """The answer so far: a verdict, the last plan that is optimal, or feasible, else the first; None without any."""
+        passed = sorted((plan for plan in reversed(self.plans) if plan.passed), key=lambda plan: plan.status != "optimal")
+        return next(iter([*self.verdicts, *passed, *self.plans]), None)
 
     @property
     def solved(self) -> bool:
         """Whether a plan passes."""
-        return any(plan.status == "optimal" for plan in self.plans)
+        return any(plan.passed for plan in self.plans)
 
     @property
     def missed(self) -> bool:
@@ -177,6 +177,6 @@ def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
     best = search.best
     if best is None:
         return None
-    cut = best.status == "optimal" and search.stopped == OUT_OF_TIME
+    cut = best.passed and search.stopped == OUT_OF_TIME
     said = f"; the best found within its {search.problem.solver.max_time_s:g} s (solver.max_time_s)" if cut else ""
     return replace(best, problem=search.problem, history=tuple(search.history), message=best.message + said)

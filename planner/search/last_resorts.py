@@ -31,7 +31,7 @@ def from_a_coarser_mesh(search: Search, budget: Budget) -> Plan | None:
     mesh, durations = first_mesh(problem, guess, n_intervals)
     found = solve_from(problem, guess, mesh, durations, "a coarser mesh", search.history, search.say)
     plan = None if found is None else certified(problem, found, search.history, search.say)
-    return plan if plan is not None and plan.status == "optimal" else None
+    return plan if plan is not None and plan.passed else None
 
 
 def efforts_suffice(search: Search) -> bool:

@@ -5,11 +5,12 @@ from dataclasses import replace
 
 from linkplan.planner.plan import Plan
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Rung, Search, climb
-from linkplan.planner.search.starts import from_a_smooth_path, from_the_phase_plane
+from linkplan.planner.search.starts import along_power, from_a_smooth_path, from_the_phase_plane, is_along_power
 
 # Rungs that look for it.
 _RUNGS = (
-    Rung(name="a smooth path", climb=from_a_smooth_path, budget=PATIENT),
+    Rung(name="the phase plane along limits on power", tried=is_along_power, climb=along_power, budget=HURRIED),
+    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_a_smooth_path, budget=PATIENT),
     Rung(
         name="the phase plane",
         tried=lambda search: search.starts_are_worth_it and search.quickest is not None,
@@ -23,7 +24,7 @@ _SHARE = 0.5
 
 def shortest_motion(search: Search) -> Plan | None:
     """Return the certified plan of least time within a reach's limits; None where it was not found."""
-    found = [plan for plan in search.least_times if plan is not None and plan.status == "optimal"]
+    found = [plan for plan in search.least_times if plan is not None and plan.passed]
     if not found and not search.shortest:
         motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         free = replace(search.within(PATIENT), objective="time", motion=motion, guess=None)
@@ -31,6 +32,6 @@ def shortest_motion(search: Search) -> Plan | None:
         now = time.monotonic()
         other = replace(search.of_another(free), deadline=now + _SHARE * (search.deadline - now))
         plan = climb(other, _RUNGS)
-        search.shortest.append(plan if plan is not None and plan.status == "optimal" else None)
+        search.shortest.append(plan if plan is not None and plan.passed else None)
     found += [plan for plan in search.shortest if plan is not None]
     return min(found, key=lambda plan: plan.trajectory.duration_s, default=None)

@@ -52,10 +52,11 @@ def from_margins(search: Search, budget: Budget) -> Plan | None:
             continue
         for clear in reversed(kept_clear(problem, what, guess, search.history, search.say)):
             plan = certified(clear.problem, clear.found, search.history, search.say, warm=True)
-            if plan.status == "optimal":
+            if plan.passed:
                 margin = clear.problem.limits.singular_margin
                 kept = f"kept clear of singular poses by {margin:.2g} of home's |det J_z|"
-                return replace(plan, problem=search.problem, message=f"{plan.message}, {kept}: none was found without that")
+                message = f"{plan.message}, {kept}: none was found without that"
+                return replace(plan, problem=search.problem, status="feasible", message=message)
     return None
 
 

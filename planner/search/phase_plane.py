@@ -37,10 +37,11 @@ _SAME = 1e-6
 
 def least_time_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
     """Return a reach in the least time that the phase plane knows, whatever duration is asked; None where there is none."""
-    return _planes(problem, start_pose)(1.0) if _applies(problem) else None
+    return _planes(problem, start_pose)(1.0) if phase_plane_applies(problem) else None
 
 
-def _applies(problem: PlanningProblem) -> bool:
+def phase_plane_applies(problem: PlanningProblem) -> bool:
+    """Return whether a problem is one of the phase plane's: a reach of one degree of freedom, its efforts all limited."""
     if problem.mechanism.dof != 1 or problem.motion.kind != "reach" or problem.motion.stays:
         return False
     if any(w.time_s is not None or not np.all(np.isfinite(w.position)) for w in problem.motion.waypoints):
@@ -58,7 +59,7 @@ def least_share(problem: PlanningProblem, start_pose: np.ndarray, duration: floa
         start_pose: closed, at its start.
         duration: the longest that the motion may take [s].
     """
-    if not _applies(problem):
+    if not phase_plane_applies(problem):
         return None
     guess_with = _planes(problem, start_pose)
 

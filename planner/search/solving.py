@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.case import case_of, held_arcs_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.refinement.history import Say, Step
@@ -25,5 +25,11 @@ def solve_from(
     warm: bool = False,
     bang_efforts: np.ndarray | None = None,
 ) -> Found | None:
-    """Return what one solve of a problem leads to; None where it finds no motion. Arguments as of `attempt`."""
-    return attempt(case_of(problem), guess, mesh, durations, what, history, say, warm=warm, bang_efforts=bang_efforts)
+    """Return what one solve of a problem leads to; None where it finds no motion. Arguments as of `attempt`.
+
+    The arcs of a guess along limits on power are held.
+    """
+    fixed = None if guess.power_arcs is None else held_arcs_of(problem, guess)
+    return attempt(
+        case_of(problem), guess, mesh, durations, what, history, say, warm=warm, bang_efforts=bang_efforts, fixed=fixed
+    )

@@ -8,12 +8,14 @@ import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses, users_guess
 from linkplan.planner.plan import Plan
+from linkplan.planner.refinement.refine import raised
 from linkplan.planner.search.attempts import certified, plan_from
 from linkplan.planner.search.detours import detour_may_pay
 from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
-from linkplan.planner.search.first_mesh import first_mesh
+from linkplan.planner.search.first_mesh import first_mesh, mesh_along_power
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
-from linkplan.planner.search.phase_plane import phase_plane_guess, stretched
+from linkplan.planner.search.phase_plane import phase_plane_applies, phase_plane_guess, stretched
+from linkplan.planner.search.power_legs import power_guess
 from linkplan.planner.search.solving import solve_from
 
 # Perturbed guesses tried after the first failure, where the user asks for no further starts.
@@ -24,6 +26,9 @@ _MOST_TRIED = 20
 _SLOW = 1.002
 # A duration that the phase plane's motion exceeds by this factor is hopeless: its grid of turns costs swings some percent.
 _FAR_SHORT = 1.3
+# Meshes on which arcs along limits on power are held, so many times finer and each of a higher degree, until one is solved:
+# what a coarse one errs by leaves a held arc no room.
+_FINER = (1, 2, 4)
 # A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
 _WORTH = 0.999
 
@@ -73,6 +78,39 @@ def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, G
     yield "the phase plane", phase_plane_guess(problem, search.start_pose, quickest)
 
 
+def is_along_power(search: Search) -> bool:
+    """Return whether a least time of one degree of freedom may lie along limits on power that the phase plane can hold."""
+    problem, motion = search.problem, search.problem.motion
+    return (
+        search.only_time_counts
+        and motion.duration_s is None
+        and problem.guess is None
+        and problem.mesh.effort == "polynomial"
+        and bool(np.any(np.isfinite(problem.limits.power)))
+        and phase_plane_applies(problem)
+    )
+
+
+def along_power(search: Search, budget: Budget) -> Plan | None:
+    """Return the least-time plan whose arcs the phase plane knows, along limits on power; None where it does not pass."""
+    guess, problem = power_guess(search.problem, search.start_pose), search.within(budget)
+    if guess is None or not (problem.motion.min_duration_s or 0.0) <= guess.duration_s <= longest(problem):
+        return None
+    speed, (low, high) = guess.velocity(guess.switch_times_s), problem.limits.speed[problem.mechanism.independent[0]]
+    if np.any((speed < low) | (speed > high)):
+        return None
+    for finer in _FINER:
+        mesh, durations = mesh_along_power(guess, finer * problem.mesh.intervals)
+        what = "the phase plane, its arcs held"
+        found = solve_from(problem, guess, mesh, durations, what, search.history, search.say, warm=True)
+        if found is not None:
+            plan = certified(problem, found, search.history, search.say)
+            return plan if plan.passed else None
+        higher = raised(problem.mesh) or problem.mesh.scheme
+        problem = replace(problem, mesh=replace(problem.mesh, scheme=higher))
+    return None
+
+
 def from_swings(search: Search, budget: Budget) -> Plan | None:
     """Return the plan that a swing away from the goal, or beyond it, leads to."""
     swings = swinging_guesses(search.problem, search.start_pose)
@@ -93,7 +131,7 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
             if not search.starts_are_worth_it:
                 return None
         missed = plan_from(search, budget, what, guess)
-        if search.verdicts or search.stopped or (missed is not None and missed.status == "optimal"):
+        if search.verdicts or search.stopped or (missed is not None and missed.passed):
             break
     return missed
 
@@ -111,7 +149,7 @@ def quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     """Return a least-time plan that is quicker than the one found; None where there is none."""
     known = search.best.trajectory.duration_s
     plan = plan_from(search, budget, "the phase plane", search.quickest, worth=_WORTH * known, mended=False)
-    passes = plan is not None and plan.status == "optimal"
+    passes = plan is not None and plan.passed
     return plan if passes and plan.trajectory.duration_s < known else None
 
 
@@ -162,7 +200,7 @@ def best_of_several(search: Search, budget: Budget) -> Plan | None:
             search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
             return None
         plan = certified(problem, solved, search.history, search.say)
-        if plan.status == "optimal":
+        if plan.passed:
             told = {"starts": wanted, "starts_solved": len(found), "best_start": number}
             return replace(plan, details={**plan.details, **told})
         missed = missed or plan

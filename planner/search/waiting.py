@@ -73,7 +73,7 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
         for warm in (True, False):
             found = solve_from(problem, guess, mesh, durations, what, search.history, search.say, warm=warm)
             plan = None if found is None else refined(search, problem, found)
-            if plan is not None and plan.status == "optimal":
+            if plan is not None and plan.passed:
                 return plan
     return _rest_and_motion(search, budget, quick)
 
@@ -101,7 +101,7 @@ def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None
             f" {'before' if end == 'start' else 'after'} it; that longer motions are no better was not shown"
         )
         plan = without_solving(problem, whole, objective, search.history, said)
-        if plan.status == "optimal":
+        if plan.passed:
             return plan
     return None
 
@@ -118,7 +118,7 @@ def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None
     what = "the least-time motion with a little more time"
     found = solve_from(problem, start, mesh, durations, what, search.history, search.say, warm=True)
     plan = None if found is None else certified(problem, found, search.history, search.say, warm=True, kinks=False)
-    return plan if plan is not None and plan.status == "optimal" else None
+    return plan if plan is not None and plan.passed else None
 
 
 def _joined(motion: Trajectory, wait: float, effort: np.ndarray, *, first: bool) -> Trajectory:

@@ -110,7 +110,7 @@ def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
     plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
     if note is not None:
         say(note)
-    if plan.status != "optimal":
+    if not plan.passed:
         say(f"run anyway: {plan.message}")
     return plan
 

@@ -23,7 +23,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     name, tables, folder = read_tables(arguments.problem)
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
-    if plan.status == "optimal" and target is not None:
+    if plan.passed and target is not None:
         write_whole(target, lambda place: save_plan(plan, place, target, jumps=arguments.jumps))
         say(f"saved in {target}")
     elif target is not None:
@@ -34,7 +34,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         said["price"] = {"objective": price.objective, "nominal": price.nominal, "share": price.share, "unit": price.unit}
         text = f"{text}\n{price.sentence()}"
     show(arguments, said, text)
-    return DONE if plan.status == "optimal" else NO
+    return DONE if plan.passed else NO
 
 
 def run_batch(arguments: argparse.Namespace) -> int:
@@ -53,11 +53,11 @@ def run_batch(arguments: argparse.Namespace) -> int:
         """Plan every case and write it as it comes: of ten thousand plans only rows and records are kept."""
         for case, plan in plan_batch(batch, say):
             rows.append(case_row(case, plan))
-            if plan.status != "optimal":
+            if not plan.passed:
                 failures.append(f"{case.name}: {plan.message}")
             if place is not None or arguments.json:
                 cases[case.name] = case_record(case, plan)
-            if place is not None and target is not None and plan.status == "optimal":
+            if place is not None and target is not None and plan.passed:
                 (place / case.name).mkdir()
                 write_plan(plan, place / case.name, target / case.name)
         if place is not None:

@@ -34,7 +34,7 @@ def run_track(arguments: argparse.Namespace) -> int:
     if target is not None:
         write_whole(target, lambda place: _save_tracking(comparison, said, place, "track"), "track.json")
     show(arguments, said, comparison_text(comparison))
-    return DONE if plan.status == "optimal" and next(iter(comparison.nominal.values())).stable else NO
+    return DONE if plan.passed and next(iter(comparison.nominal.values())).stable else NO
 
 
 def _single(plan: Plan, asked, arguments: argparse.Namespace, mismatch_given: bool):
@@ -80,7 +80,7 @@ def run_compare(arguments: argparse.Namespace) -> int:
     if target is not None:
         write_whole(target, lambda place: _save_tracking(comparison, said, place, "compare", document), "compare.json")
     show(arguments, said, comparison_text(comparison))
-    return DONE if plan.status == "optimal" and any(rollout.stable for rollout in comparison.nominal.values()) else NO
+    return DONE if plan.passed and any(rollout.stable for rollout in comparison.nominal.values()) else NO
 
 
 def _save_tracking(comparison, said: dict, place: Path, name: str, document: dict | None = None) -> None:
@@ -120,4 +120,4 @@ def run_view(arguments: argparse.Namespace) -> int:
     play(plan.problem.mechanism, rollout, arguments.slow, arguments.seconds)
     if arguments.json:
         show(arguments, {"plan": plan.problem.name, "tracker": arguments.tracker, "stable": rollout.stable}, "")
-    return DONE if plan.status == "optimal" else NO
+    return DONE if plan.passed else NO

@@ -113,12 +113,15 @@ class Plan:
 
     @property
     def status(self) -> str:
-        """How it ended: "optimal" (converged and certified), "infeasible" (no motion keeps the limits) or "failed"."""
+        """How it ended: "optimal" (converged and certified), "feasible" (certified), "infeasible" or "failed".
+
+        A feasible motion is not known to be the best of those near to it: `message` says why.
+        """
         return self.answer.status
 
     @property
     def message(self) -> str:
-        """The answer in a sentence: of a plan that is not optimal, which limit, which joint, when, by how much."""
+        """The answer in a sentence: of a plan without a motion, which limit, which joint, when, by how much."""
         return self.answer.message
 
     @property
@@ -142,12 +145,12 @@ class Plan:
         return self.answer.history
 
     def require(self) -> Plan:
-        """Return this plan if it is optimal.
+        """Return this plan if its motion is certified, be it optimal or feasible.
 
         Raises:
-            InfeasibleError: a `LinkplanError` with the message, carrying the plan as `.plan`, if it is not.
+            InfeasibleError: a `LinkplanError` with the message, carrying the plan as `.plan`, if it has none.
         """
-        if self.status != "optimal":
+        if not self.answer.passed:
             raise InfeasibleError(self.message, self)
         return self
 

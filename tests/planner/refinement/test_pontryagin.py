@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.planning import plan_motion
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.switch_search import mesh_with_switches
+from linkplan.planner.search import attempts
 from tests.support.bodies import HINGE, QUARTER_TURN, body_plan, body_problem
 
 NAN = np.nan
@@ -46,3 +48,13 @@ def test_a_push_the_wrong_way_in_between_is_found():
 def test_an_answer_says_nothing_where_all_is_right():
     plan = body_plan(HINGE, QUARTER_TURN + 'duration_s = "free"\n', "objective.minimize=time")
     assert "Pontryagin" not in plan.message
+
+
+@pytest.mark.slow
+def test_a_plan_with_an_arc_that_would_rather_leave_its_limit_is_feasible_and_no_optimum(monkeypatch):
+    monkeypatch.setattr(attempts, "arcs_against_their_limits", lambda _: np.array([0.1]))
+    plan = plan_motion(body_problem(HINGE, QUARTER_TURN + 'duration_s = "free"\n', "objective.minimize=time"))
+    assert plan.certificate.passed
+    assert (plan.status, plan.passed, plan.require()) == ("feasible", True, plan)
+    assert "Pontryagin" in plan.message
+    assert "optimal motion" not in plan.message

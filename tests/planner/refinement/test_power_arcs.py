@@ -7,16 +7,19 @@ from scipy.interpolate import CubicSpline
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.margins import closure_forces
 from linkplan.planner.files.problem_file import load_problem
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.held_arcs import held_throughout
 from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.search.starts import along_power
 from tests.support.least_time import Curves, curves_of, least_time, least_time_within
 from tests.support.mechanisms import FLAT_PARALLELOGRAM
 
 # Against the exact least time, relative.
 EXACT = 1e-6
+# The ladder without the rung that knows the arcs beforehand.
+ALONE = tuple(rung for rung in RUNGS if rung.climb is not along_power)
 QUICK = ("objective.minimize=time", "motion.duration_s=free")
 LIMIT = np.array([[-2.0, 2.0]])
 NAN = np.nan
@@ -40,9 +43,12 @@ power_w = { O = 5.0 }
 @pytest.mark.parametrize(
     ("name", "settings"),
     [
-        ("slider-crank-turn", (*QUICK, "limits.power_w.act_O=3")),  # the bang at rest is a 600th of the motion
+        ("slider-crank-turn", (*QUICK, "limits.power_w.act_O=1")),  # the bang at rest is a 4000th of the motion
+        ("slider-crank-turn", (*QUICK, "limits.power_w.act_O=3")),
         ("slider-crank-turn", (*QUICK, "limits.power_w.act_O=10")),
         ("slider-crank-turn", (*QUICK, "limits.power_w.act_O=100")),
+        ("knee-sprint", ("limits.power_w.act_O=1",)),  # a 300 000th
+        ("knee-sprint", ("limits.power_w.act_O=10",)),
         ("knee-sprint", ("limits.power_w.act_O=400",)),
         ("knee-sprint", ("limits.power_w.act_O=[-50,400]",)),
     ],
@@ -54,13 +60,29 @@ def test_a_least_time_along_a_power_limit_is_exact(name, settings):
     assert plan.trajectory.duration_s == pytest.approx(least_time(problem), rel=EXACT)
 
 
-@pytest.mark.slow
-def test_a_parallelogram_within_five_watts_is_exact(tmp_path):
+@pytest.fixture
+def parallelogram(tmp_path):
+    """Return the function from settings to the problem of a parallelogram within five watts."""
     model = FLAT_PARALLELOGRAM.replace('<motor joint="O"/>', '<motor name="O" joint="O" ctrlrange="-20 20"/>')
     (tmp_path / "parallelogram.xml").write_text(model, encoding="utf-8")
     (tmp_path / "problem.toml").write_text(PARALLELOGRAM, encoding="utf-8")
-    problem = load_problem(tmp_path / "problem.toml")
-    plan = plan_motion(problem)
+    return lambda *settings: load_problem(tmp_path / "problem.toml", settings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("limit", "rungs"), [(0.5, RUNGS), (20.0, ALONE)])
+def test_a_parallelogram_within_five_watts_is_exact(parallelogram, limit, rungs):
+    """With 20 N.m its bangs last a 60 000th of the motion, on which the power overruns its limit between coarse nodes."""
+    problem = parallelogram(f"limits.effort.O=[{-limit}, {limit}]")
+    plan = plan_motion(problem, rungs=rungs)
+    assert plan.status == "optimal", plan.message
+    assert plan.trajectory.duration_s == pytest.approx(least_time(problem), rel=EXACT)
+
+
+@pytest.mark.slow
+def test_arcs_along_a_power_limit_are_read_from_a_solution_too():
+    problem = load_problem("slider-crank-turn", (*QUICK, "limits.power_w.act_O=3"))
+    plan = plan_motion(problem, rungs=ALONE)
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(least_time(problem), rel=EXACT)
 

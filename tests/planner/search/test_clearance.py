@@ -48,7 +48,7 @@ def clear_plan() -> Plan:
 @pytest.mark.slow
 def test_a_motion_kept_clear_keeps_the_problem_that_was_asked_and_says_so():
     plan = clear_plan()
-    assert plan.status == "optimal"
+    assert plan.status == "feasible"  # the best of those that keep clear, which nobody asked for
     assert plan.problem.limits.singular_margin == 0.0
     assert certify(plan.problem, plan.trajectory).passed
     assert "kept clear of singular poses by" in plan.message

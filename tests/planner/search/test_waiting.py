@@ -36,12 +36,12 @@ def plan(search):
 @pytest.mark.slow
 def test_a_rest_and_a_motion_are_a_certified_motion_of_the_duration_asked(search, plan):
     assert plan is not None
-    assert plan.status == "optimal", plan.message
+    assert plan.status == "feasible", plan.message  # it does not claim to be the best
     assert plan.certificate.passed
     assert plan.trajectory.duration_s == pytest.approx(DURATION_S, rel=1e-12)
     np.testing.assert_allclose(plan.trajectory.position[0, 0], search.problem.motion.start)
     np.testing.assert_allclose(plan.trajectory.position[-1, -1], search.problem.motion.goal, atol=1e-9)
-    assert "was not shown" in plan.message  # it does not claim to be the best
+    assert "was not shown" in plan.message
 
 
 @pytest.mark.slow

@@ -4,12 +4,15 @@ import errno
 import json
 import os
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from linkplan.planner.files.plan_folder import read_plan
 from tests.support.data import ROOT
 from tests.support.figures import curves, saved_figures
+from tests.support.plans import planned
 from tests.support.tolerances import KNEE, SOURCE_GAP_M
 from tests.support.tolerances_loops import LAST_SAMPLE_S, POSE_DEG
 from tests.support.tolerances_planner import CLOSURE_M, ROUNDING, SINE_RMS_DEG
@@ -123,6 +126,18 @@ def test_plan_gives_the_promised_keys_and_saves_a_whole_folder(ask_json, tmp_pat
     files = {path.name for path in (tmp_path / "reach").iterdir()}
     assert files == {".linkplan.json", "plan.json", "trajectory.npz", "trajectory.csv", "plan.png"}
     assert json.loads((tmp_path / "reach" / "plan.json").read_text())["status"] == "optimal"
+
+
+@pytest.mark.slow
+def test_a_feasible_motion_is_saved_and_tracked_under_its_own_word(ask_json, tmp_path, monkeypatch):
+    feasible = replace(planned("knee-reach"), status="feasible", message="a rest and a motion")
+    monkeypatch.setattr("linkplan.studies.cli.plan_commands.plan_motion", lambda *_: feasible)
+    code, said = ask_json("plan", "knee-reach", "-o", str(tmp_path / "reach"))
+    assert (code, said["status"]) == (0, "feasible")
+    again = read_plan(tmp_path / "reach")
+    assert (again.status, again.message) == ("feasible", "a rest and a motion")
+    assert again.require() is again
+    assert ask_json("track", str(tmp_path / "reach"))[0] == 0
 
 
 @pytest.mark.slow

@@ -1,0 +1,238 @@
+"""Least-time motions of one degree of freedom along limits on power: the phase plane's legs, integrated over time.
+
+A leg with all that effort and power allow from where a motion begins, another back from where it ends, and where they
+cross the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Along a power limit P the effort is P / w:
+it falls off from a bang at rest that may last a hundred-thousandth of the motion, which neither a grid over the way nor a
+mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is held along it; the instants
+themselves are left to the solver.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.search.phase_plane import Guess, Part, parts_of
+
+# Poses along a part of the way.
+_POSES = 2001
+# Tolerance of the integration, and the longest it goes on, in the time that full effort would take.
+_TOLERANCE, _LONGEST = 1e-7, 1e6
+# Next to the ends, this share of the way, the legs are not yet apart.
+_BESIDE = 1e-7
+# Instants within each of the integration's steps at which arcs are looked at, and halvings that find where they end.
+_LOOKS, _HALVINGS = 4, 60
+# What an actuator is held at: its effort's limit (1 upper, -1 lower), or its power's.
+_POWER = 2
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Field:
+    """All that effort and power allow along a part of the way.
+
+    M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
+    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `way` +1 or -1.
+    """
+
+    curves: Callable[[Any], np.ndarray]
+    effort: np.ndarray
+    power: np.ndarray
+    way: float
+
+    def held(self, maps: np.ndarray, v: float, *, towards: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Return what actuators are held at (n_u,), and the efforts (n_u,) that pushes towards the end, or brakes."""
+        upper = (maps * self.way > 0) == towards
+        effort = np.where(upper, self.effort[:, 1], self.effort[:, 0])
+        rate = maps * v
+        spent, held = effort * rate, np.where(upper, 1, -1)
+        for side, over in ((1, spent > self.power[:, 1]), (0, spent < self.power[:, 0])):
+            effort[over] = self.power[over, side] / rate[over]
+            held[over] = _POWER * (2 * side - 1)
+        return held, effort
+
+    def at(self, s: float, v: float, *, towards: bool) -> tuple[np.ndarray, np.ndarray, float]:
+        """Return what is held (n_u,), the efforts (n_u,), and the acceleration at a place and speed."""
+        inertia, still, square, linear, *maps = self.curves(s)
+        held, effort = self.held(np.array(maps), v, towards=towards)
+        return held, effort, float((still + square * v**2 + linear * v + np.dot(maps, effort)) / inertia)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Leg:
+    """A leg over its own time (begin, end) [s]; `later` [s] is when its time is 0 in the motion."""
+
+    field: _Field
+    state: Callable[[Any], np.ndarray]  # (2,) or (2, n): place and speed
+    steps: np.ndarray
+    towards: bool
+    begin: float
+    end: float
+    later: float = 0.0
+
+    def time_at(self, place: float) -> float:
+        """Return when it passes a place [s]."""
+        return float(scipy.optimize.brentq(lambda t: self.state(t)[0] - place, self.begin, self.end, xtol=1e-15))
+
+    def speed_at(self, place: float) -> float:
+        """Return how fast it passes a place."""
+        return float(self.state(self.time_at(place))[1])
+
+    def held_at(self, t: float) -> tuple[int, ...]:
+        """Return what is held at an instant of its own."""
+        return tuple(int(one) for one in self.field.at(*self.state(t), towards=self.towards)[0])
+
+    def arcs(self) -> list[tuple[float, tuple[int, ...]]]:
+        """Return its arcs in turn: when each ends [s], in the motion's time, and what is held along it."""
+        knots = np.unique(np.clip(self.steps, self.begin, self.end))
+        looks = np.interp(np.arange(_LOOKS * (len(knots) - 1) + 1) / _LOOKS, np.arange(len(knots)), knots)
+        looks = 0.5 * (looks[1:] + looks[:-1])
+        held, found = [self.held_at(t) for t in looks], []
+        for k in range(1, len(looks)):
+            if held[k] != held[k - 1]:
+                before, after = looks[k - 1], looks[k]
+                for _ in range(_HALVINGS):
+                    middle = 0.5 * (before + after)
+                    before, after = (middle, after) if self.held_at(middle) == held[k - 1] else (before, middle)
+                found.append((self.later + after, held[k - 1]))
+        return [*found, (self.later + self.end, held[-1])]
+
+
+def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+    """Return the quickest reach that never turns back but where it must, along limits on power, and its arcs.
+
+    None where there is none, where no power is at its limit, or where the problem asks for more than the phase plane knows.
+
+    Args:
+        problem: whose efforts are limited; of its other limits, all but those on power are left out.
+        start_pose: closed (n_q,), at the start.
+    """
+    legs, boundaries = [], [0.0]
+    try:
+        for part in parts_of(problem.motion):
+            pair = _legs(_field(problem, part, start_pose), part, boundaries[-1])
+            if pair is None:
+                return None
+            legs += pair
+            ahead, back = pair
+            for place in part.places[1:-1]:
+                leg = ahead if ahead.field.way * (ahead.state(ahead.end)[0] - place) > 0 else back
+                boundaries.append(leg.later + leg.time_at(place))
+            boundaries.append(back.later + back.end)
+    except AssemblyError:  # the way is not open
+        return None
+    arcs = [arc for leg in legs for arc in leg.arcs()]
+    held = np.array([one for _, one in arcs])
+    if not np.any(np.abs(held) == _POWER):
+        return None
+    return _guess(problem, start_pose, legs, arcs, np.array(boundaries))
+
+
+def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> _Field:
+    """Return what effort and power allow between the first place of a part and its last."""
+    dynamics, start, goal = problem.mechanism.dynamics, part.places[0], part.places[-1]
+    place = np.linspace(start, goal, _POSES)
+    there = follow(problem.mechanism, np.linspace(problem.motion.start[0], start, _POSES)[:, None], start_pose)[-1]
+    q = follow(problem.mechanism, place[:, None], there)
+    inertia, maps = sampled(dynamics.reduced_inertia, q)[:, 0, 0], sampled(dynamics.effort_map, q)[:, 0]
+    none = np.zeros((_POSES, len(problem.limits.effort)))
+    still, fast, back = (
+        inertia * sampled(dynamics.acceleration, q, np.full((_POSES, 1), v), none)[:, 0, 0] for v in (0.0, 1.0, -1.0)
+    )
+    values = np.column_stack([inertia, still, 0.5 * (fast + back) - still, 0.5 * (fast - back), maps])
+    way = float(np.sign(goal - start))
+    curves = scipy.interpolate.PchipInterpolator(place[:: int(way)], values[:: int(way)])
+    return _Field(curves=curves, effort=problem.limits.effort, power=problem.limits.power, way=way)
+
+
+def _legs(field: _Field, part: Part, later: float) -> list[_Leg] | None:
+    """Return the leg up to the switch and the one from there, the first begun `later` [s]; None where they do not meet."""
+    start, goal, way = part.places[0], part.places[-1], field.way
+    values = field.curves(np.linspace(start, goal, _POSES))
+    span, force = abs(goal - start), np.abs(values[:, 1]) + np.abs(values[:, 4:]) @ np.abs(field.effort).max(axis=1)
+    fastest = float(np.sqrt(2 * span * (force / values[:, 0]).max()))
+
+    def leg(begin: float, v: float, end: float, *, towards: bool) -> _Leg:
+        def rates(_t: float, y: np.ndarray) -> list[float]:
+            return [y[1], field.at(*y, towards=towards)[2]]
+
+        def there(_t: float, y: np.ndarray) -> float:
+            return y[0] - end
+
+        def stalled(_t: float, y: np.ndarray) -> float:
+            return way * y[1]
+
+        there.terminal = stalled.terminal = True
+        stalled.direction = -1.0
+        until = _LONGEST * span / fastest
+        found = scipy.integrate.solve_ivp(
+            rates, (0.0, until if towards else -until), [begin, v], method="Radau", events=(there, stalled),
+            dense_output=True, rtol=_TOLERANCE, atol=_TOLERANCE * np.array([span, fastest]),
+        )  # fmt: skip
+        ends = np.sort([0.0, found.t[-1]])
+        return _Leg(field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1])
+
+    ahead, back = leg(start, part.speeds[0], goal, towards=True), leg(goal, part.speeds[1], start, towards=False)
+    low = max(way * start, way * back.state(back.begin)[0]) + _BESIDE * span
+    high = min(way * goal, way * ahead.state(ahead.end)[0]) - _BESIDE * span
+
+    def apart(at: float) -> float:
+        return way * (ahead.speed_at(way * at) - back.speed_at(way * at))
+
+    if not low < high or not apart(low) < 0 < apart(high):
+        return None
+    switch = way * scipy.optimize.brentq(apart, low, high)
+    one = _cut(ahead, 0.0, ahead.time_at(switch), later)
+    return [one, _cut(back, back.time_at(switch), 0.0, later + one.end - back.time_at(switch))]
+
+
+def _cut(leg: _Leg, begin: float, end: float, later: float) -> _Leg:
+    return _Leg(field=leg.field, state=leg.state, steps=leg.steps, towards=leg.towards, begin=begin, end=end, later=later)
+
+
+def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[_Leg], arcs: list, boundaries: np.ndarray) -> Guess:
+    """Return legs as a guess, with their arcs between switch times and phase boundaries."""
+    ends = np.array([leg.later + leg.end for leg in legs])
+    n_u, duration = len(problem.limits.effort), float(ends[-1])
+
+    def of(times: np.ndarray, what: Callable[[_Leg, np.ndarray], np.ndarray], size: int) -> np.ndarray:
+        values, which = np.zeros((len(times), size)), np.minimum(np.searchsorted(ends, times), len(legs) - 1)
+        for k, leg in enumerate(legs):
+            mine = which == k
+            if mine.any():
+                values[mine] = what(leg, np.clip(times[mine] - leg.later, leg.begin, leg.end))
+        return values
+
+    def motion(leg: _Leg, t: np.ndarray) -> np.ndarray:
+        found = [(s, v, *leg.field.at(s, v, towards=leg.towards)[1:]) for s, v in leg.state(t).T]
+        return np.array([[s, v, a, *effort] for s, v, effort, a in found])
+
+    def column(k: int, size: int = 1) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda times: of(np.asarray(times), motion, 3 + n_u)[:, k : k + size]
+
+    known = boundaries[1:-1]
+    instants = np.array([end for end, _ in arcs[:-1]])
+    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > _TOLERANCE * duration
+    switch_times = instants[apart]
+    inner = np.sort(np.concatenate([[0.0], switch_times, known, [duration]]))
+    at = np.searchsorted([end for end, _ in arcs[:-1]], 0.5 * (inner[1:] + inner[:-1]))
+    held = np.array([one for _, one in arcs])[at]
+    limit = problem.limits.effort
+    bang = np.where(held == 1, limit[:, 1], np.where(held == -1, limit[:, 0], np.nan))
+    return Guess(
+        position=column(0),
+        velocity=column(1),
+        acceleration=column(2),
+        effort=column(3, n_u),
+        duration_s=duration,
+        start_pose=start_pose,
+        boundaries_s=boundaries if len(boundaries) > 2 else None,
+        switch_times_s=switch_times,
+        bang_efforts=bang,
+        power_arcs=np.where(np.abs(held) == _POWER, np.sign(held), 0),
+    )
