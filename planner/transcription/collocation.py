@@ -1,18 +1,26 @@
 """Direct collocation: from a formulation on a mesh to numbers for a solver, and from its numbers back to curves."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from linkplan.planner.transcription.bounds import bang_coefficients, bounds, given_nodes, linear_rows, row_bounds
-from linkplan.planner.transcription.compiled import cached, compile_beside, compiled, key_of
+from linkplan.planner.transcription.compiled import CodeT, cached, chain_key, compile_beside, compiled, node_key
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, fitted
-from linkplan.planner.transcription.interval import IntervalFunctions, build_interval
+from linkplan.planner.transcription.interval import (
+    ChainFunctions,
+    IntervalFunctions,
+    build_chain,
+    interval_of,
+    open_end_path,
+)
 from linkplan.planner.transcription.junctions import find_junctions, places
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.transcription.node import NodeFunctions, build_node
 from linkplan.planner.transcription.program import Program, build_program
 from linkplan.planner.transcription.schemes import Scheme
 
@@ -121,8 +129,6 @@ def collocate(
     linear, linear_lower, linear_upper = linear_rows(
         formulation, layout, mesh, bang_coefficients(bang_efforts, mesh, layout) if least_limit else None
     )
-    cost = np.zeros(layout.size)
-    cost[layout.extra()] = 1.0
     junctions = None
     if 1 not in chosen.open_ends and not least_limit:  # one equation at a node where arcs meet
         junctions = find_junctions(formulation, mesh, durations, start, bang_efforts, constrained_paths)
@@ -132,7 +138,7 @@ def collocate(
     breaks = mesh.breaks(durations)
     row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, constrained_paths, junctions)
     return Transcribed(
-        program=build_program(layout, mesh, interval, linear, cost, formulation.endpoint),
+        program=build_program(layout, mesh, interval, linear, _linear_cost(layout), formulation.endpoint),
         scheme=chosen,
         formulation=formulation,
         parameters=_parameters(formulation, chosen, interval.n_open_ends, mesh, breaks),
@@ -186,21 +192,46 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
 
 def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: str) -> IntervalFunctions:
     """Return the functions of one interval: compiled ones where they are wanted or at hand."""
-    system = formulation.build_system()
+    system, rows = formulation.build_system(), formulation.rows
+    at_once = mode == "always" or (mode == "auto" and n_intervals >= _WORTH_COMPILING)
 
-    def build() -> IntervalFunctions:
-        return build_interval(system, chosen, formulation.rows)
+    def code(kind: type[CodeT], key: Callable[[], str], build: Callable[[], CodeT]) -> CodeT:
+        if mode == "never":
+            return build()
+        if at_once:
+            return compiled(key(), kind, build)
+        named = key()
+        found = cached(named, kind)
+        if found is None:
+            found = build()
+            compile_beside(named, found)
+        return found
 
-    if mode == "never":
-        return build()
-    key = key_of(system, chosen, formulation.rows)
-    if mode == "always" or n_intervals >= _WORTH_COMPILING:
-        return compiled(key, build)
-    found = cached(key)
-    if found is None:
-        found = build()
-        compile_beside(key, found)
-    return found
+    node = code(
+        NodeFunctions, lambda: node_key(system, chosen, rows), lambda: build_node(system, open_end_path(chosen, rows))
+    )
+    chain = code(
+        ChainFunctions,
+        lambda: chain_key(system, chosen, rows, node),
+        lambda: build_chain(system, chosen, rows, node),
+    )
+    return interval_of(system, chosen, rows, node, chain)
+
+
+def with_compiled_code(transcribed: Transcribed) -> Transcribed:
+    """Return a program with compiled functions in place of interpreted ones, which give the same numbers."""
+    begin = time.perf_counter()
+    old, formulation = transcribed.program, transcribed.formulation
+    interval = _interval(formulation, transcribed.scheme, old.mesh.n_intervals, "always")
+    program = build_program(old.layout, old.mesh, interval, old.linear, _linear_cost(old.layout), formulation.endpoint)
+    return replace(transcribed, program=program, build_s=transcribed.build_s + time.perf_counter() - begin)
+
+
+def _linear_cost(layout: Layout) -> np.ndarray:
+    """Return the gradient (n,) of an objective's linear part: what a whole program adds is what is minimised."""
+    cost = np.zeros(layout.size)
+    cost[layout.extra()] = 1.0
+    return cost
 
 
 def _row_bounds(
