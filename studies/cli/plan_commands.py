@@ -27,7 +27,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
         say(f"saved in {target}")
     elif target is not None:
         say(f"nothing written: {plan.status}")
-    show(arguments, record(plan), plan_text(plan))
+    show(arguments, lambda: record(plan), plan_text(plan))
     return DONE if plan.status == "optimal" else NO
 
 
