@@ -1,8 +1,9 @@
 """Direct collocation: from a formulation on a mesh to numbers for a solver, and from its numbers back to curves."""
 
+import functools
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.node import NodeFunctions, build_node
 from linkplan.planner.transcription.program import Program, build_program
 from linkplan.planner.transcription.schemes import Scheme
+from linkplan.planner.transcription.triplets import Triplets
 
 # Efforts stay this share inside their limits, so that no rounding in evaluating the polynomial carries them outside.
 _ROUNDING = 4e-15
@@ -138,7 +140,7 @@ def collocate(
     breaks = mesh.breaks(durations)
     row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, constrained_paths, junctions)
     return Transcribed(
-        program=build_program(layout, mesh, interval, linear, _linear_cost(layout), formulation.endpoint),
+        program=_program(layout, mesh, interval, linear, formulation.endpoint),
         scheme=chosen,
         formulation=formulation,
         parameters=_parameters(formulation, chosen, interval.n_open_ends, mesh, breaks),
@@ -195,26 +197,21 @@ def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: 
     system, rows = formulation.build_system(), formulation.rows
     at_once = mode == "always" or (mode == "auto" and n_intervals >= _WORTH_COMPILING)
 
-    def code(kind: type[CodeT], key: Callable[[], str], build: Callable[[], CodeT]) -> CodeT:
-        if mode == "never":
-            return build()
+    def code(kind: type[CodeT], key: str, build: Callable[[], CodeT]) -> CodeT:
+        found = None if mode == "never" else cached(key, kind)
+        if found is not None:
+            return found
         if at_once:
-            return compiled(key(), kind, build)
-        named = key()
-        found = cached(named, kind)
-        if found is None:
-            found = build()
-            compile_beside(named, found)
+            return compiled(key, kind, build)
+        found = _built(_Asked(key=(key, kind), by=build))
+        if mode == "auto":
+            compile_beside(key, found)
         return found
 
-    node = code(
-        NodeFunctions, lambda: node_key(system, chosen, rows), lambda: build_node(system, open_end_path(chosen, rows))
-    )
-    chain = code(
-        ChainFunctions,
-        lambda: chain_key(system, chosen, rows, node),
-        lambda: build_chain(system, chosen, rows, node),
-    )
+    at_open_ends = open_end_path(chosen, rows)
+    node = code(NodeFunctions, node_key(system, at_open_ends), lambda: build_node(system, at_open_ends))
+    chain_named = chain_key(system, chosen, rows, node)
+    chain = code(ChainFunctions, chain_named, lambda: build_chain(system, chosen, rows, node))
     return interval_of(system, chosen, rows, node, chain)
 
 
@@ -223,15 +220,36 @@ def with_compiled_code(transcribed: Transcribed) -> Transcribed:
     begin = time.perf_counter()
     old, formulation = transcribed.program, transcribed.formulation
     interval = _interval(formulation, transcribed.scheme, old.mesh.n_intervals, "always")
-    program = build_program(old.layout, old.mesh, interval, old.linear, _linear_cost(old.layout), formulation.endpoint)
+    program = _program(old.layout, old.mesh, interval, old.linear, formulation.endpoint)
     return replace(transcribed, program=program, build_s=transcribed.build_s + time.perf_counter() - begin)
 
 
-def _linear_cost(layout: Layout) -> np.ndarray:
-    """Return the gradient (n,) of an objective's linear part: what a whole program adds is what is minimised."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Asked:
+    """What is built once for as long as it is asked for again: the same where its key is, and made `by` a function."""
+
+    key: tuple
+    by: Callable[[], Any] = field(compare=False)
+
+
+@functools.lru_cache(maxsize=16)
+def _built(asked: _Asked) -> Any:
+    return asked.by()
+
+
+def _program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linear: Triplets, endpoint) -> Program:
+    """Return the program over a mesh; what a whole program adds to an interval's cost is what is minimised."""
     cost = np.zeros(layout.size)
     cost[layout.extra()] = 1.0
-    return cost
+    numbers = (mesh.fraction, mesh.segment, mesh.phase, linear.rows, linear.columns, linear.values)
+    sizes = tuple(getattr(layout, name) for name in layout.__slots__)
+    key = (sizes, interval.node, interval.chain, endpoint, linear.shape, *(part.tobytes() for part in numbers))
+    return _built_program(_Asked(key=key, by=lambda: build_program(layout, mesh, interval, linear, cost, endpoint)))
+
+
+@functools.lru_cache(maxsize=4)
+def _built_program(asked: _Asked) -> Program:
+    return asked.by()
 
 
 def _row_bounds(

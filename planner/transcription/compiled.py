@@ -88,11 +88,12 @@ def _common_key() -> bytes:
     return digest.digest()
 
 
-def node_key(system: System, scheme: Scheme, rows: IntervalRows) -> str:
+@functools.lru_cache(maxsize=32)
+def node_key(system: System, at_open_ends: tuple[int, ...] = ()) -> str:
     """Return the cache key of a node's functions: a hash of its expressions and of what makes C of them."""
     digest = hashlib.sha256(_common_key())
     digest.update(system.node.serialize().encode())
-    digest.update(repr(("node", *_sizes(system), system.kinds, open_end_path(scheme, rows))).encode())
+    digest.update(repr(("node", *_sizes(system), system.kinds, at_open_ends)).encode())
     return f"k{digest.hexdigest()[:32]}"  # a letter first: CasADi makes an identifier of it
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from linkplan.planner.transcription.system import System
 
 Pattern = tuple[np.ndarray, np.ndarray]  # rows and columns of nonzeros, column by column
+_NOTHING: Pattern = (np.zeros(0, dtype=int), np.zeros(0, dtype=int))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -35,8 +36,8 @@ class NodeFunctions:
     open_end_hessian: ca.Function | None = None
     jacobian_pattern: Pattern
     hessian_pattern: Pattern
-    open_end_jacobian_pattern: Pattern = ((), ())
-    open_end_hessian_pattern: Pattern = ((), ())
+    open_end_jacobian_pattern: Pattern = _NOTHING
+    open_end_hessian_pattern: Pattern = _NOTHING
     open_end_rows: tuple[int, ...] = ()
     open_end_z: tuple[int, ...] = ()
 
