@@ -26,7 +26,7 @@ from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.library import compile_model
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
-from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree
+from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import Inertial, build_tree
@@ -73,6 +73,7 @@ class Mechanism:
     closed_m: float
     extent_m: float  # of what moves: a length to compare lengths with
     dynamics: ReducedDynamics
+    parametric: ReducedDynamics | None  # with the payload's numbers as inputs, where there is one
     coordinates: Coordinates
     passive_dofs: tuple[int, ...]
     notes: tuple[str, ...]
@@ -131,16 +132,9 @@ class Mechanism:
         Raises:
             ModelError: when there is no payload.
         """
-        if self.payload is None:
+        if self.parametric is None:
             raise ModelError(f"mechanism '{self.name}' has no payload to vary")
-        pi = ca.SX.sym("payload", len(self.payload.numbers()))
-        own = Inertial(mass=pi[0], com=pi[1:4], inertia=ca.diag(pi[4:7]))
-        tree = build_tree(self.model, self.qpos_of(self.reference), {self.model.body(BODY_NAME).id: own})
-        closures = read_closures(self.model, tree)
-        matrix = effort_matrix(self.model, tree, self.actuators)
-        rows, projected = self.closure_rows, self.projected
-        long = lengths(self.model, tree, self.actuators)
-        return reduce_tree(tree, closures, matrix, rows, self.independent, self.dependent, pi, projected, long)
+        return self.parametric
 
     def joint_index(self, name: str, error: type[Exception] = ModelError) -> int:
         """Return the index of a joint by name."""
@@ -231,7 +225,8 @@ def load_mechanism(
     if model.njnt == 0:
         raise ModelError(f"model '{name}' has no joint: there is nothing to move")
     reference_qpos = _reference_qpos(model)
-    tree = build_tree(model, reference_qpos)
+    pi = None if payload is None else ca.SX.sym("payload", len(payload.numbers()))
+    tree = build_tree(model, reference_qpos, _varied(model, pi))
     joints = read_joints(name, model, tree.coordinates)
     closures = read_closures(model, tree)
     actuators = read_actuators(model)
@@ -273,7 +268,8 @@ def load_mechanism(
         sparse, rows.tolist(), dependent.tolist(), pose, mobility.noise * _NOISE_ROOM, gapes=bool(mobility.freed_m)
     )
     long = lengths(model, tree, actuators)
-    dynamics = reduce_tree(tree, closures, B, rows, free, dependent, projected=projected, lengths=long)
+    parametric = reduce_tree(tree, closures, B, rows, free, dependent, pi, projected, long)
+    dynamics = parametric if payload is None else with_numbers(parametric, payload.numbers())
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
     passive_dofs, notes = (
         find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent) if closures else ((), [])
@@ -301,19 +297,25 @@ def load_mechanism(
         closed_m=loop.closed_m,
         extent_m=extent,
         dynamics=dynamics,
+        parametric=None if payload is None else parametric,
         coordinates=tree.coordinates,
         passive_dofs=passive_dofs,
         notes=tuple(notes),
-        source=_table_of(source, payload, home, independent, closure_tolerance_m, joints)
-        | ({} if solref is None else {"solref": solref}),
+        source=_table_of(source, payload, home, independent, closure_tolerance_m, solref, joints),
     )
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
     return mechanism
 
 
+def _varied(model: mujoco.MjModel, numbers: ca.SX | None) -> dict[int, Inertial]:
+    """Return the inertial parameters that a payload's numbers (7,) are; none where there is no payload."""
+    varied = {} if numbers is None else {model.body(BODY_NAME).id: numbers}
+    return {body: Inertial(mass=pi[0], com=pi[1:4], inertia=ca.diag(pi[4:7])) for body, pi in varied.items()}
+
+
 def _table_of(
-    source, payload: Payload | None, home, independent, tolerance_m: float | None, joints: tuple[Joint, ...]
+    source, payload: Payload | None, home, independent, tolerance_m: float | None, solref, joints: tuple[Joint, ...]
 ) -> dict[str, object]:
     """Return what a mechanism is loaded from as the [mechanism] table of a problem file."""
     table: dict[str, object] = {"model": str(source)}
@@ -326,7 +328,7 @@ def _table_of(
         table["independent"] = list(independent)
     if tolerance_m is not None:
         table["closure_tolerance_m"] = tolerance_m
-    return table
+    return table if solref is None else table | {"solref": solref}
 
 
 def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:

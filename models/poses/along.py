@@ -47,9 +47,19 @@ def needed_effort(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndar
 
     u = (Gamma^T B)^+ tau; what is missed is zero where there are enough actuators.
     """
+    tau, maps = demanded(mechanism, q, v, a)
+    effort = least_effort(tau, maps)
+    return effort, tau - np.einsum("ksu,ku->ks", maps, effort)
+
+
+def demanded(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the generalised effort tau (n, n_s) that a motion needs, and Gamma^T B (n, n_s, n_u) along it."""
     tau = sampled(mechanism.dynamics.inverse_dynamics, q, v, a)[:, :, 0]
-    maps = sampled(mechanism.dynamics.effort_map, q)
+    return tau, sampled(mechanism.dynamics.effort_map, q)
+
+
+def least_effort(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
+    """Return the least efforts (n, n_u) that give generalised ones (n, n_s), or come nearest to them."""
     same = len(maps) > 1 and bool(np.all(maps == maps[0]))  # motors on the coordinates themselves: one inverse for all
     inverse = np.broadcast_to(np.linalg.pinv(maps[0]), maps.transpose(0, 2, 1).shape) if same else np.linalg.pinv(maps)
-    effort = np.einsum("kus,ks->ku", inverse, tau)
-    return effort, tau - np.einsum("ksu,ku->ks", maps, effort)
+    return np.einsum("kus,ks->ku", inverse, tau)

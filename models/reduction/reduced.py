@@ -9,7 +9,7 @@ are independent all along, in overconstrained loops, E J stands in place of J: s
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import casadi as ca
 import numpy as np
@@ -21,6 +21,8 @@ from linkplan.models.tree.dynamics import Tree
 from linkplan.models.tree.sites import site_places
 from linkplan.models.tree.tendons import limited_tendons
 
+# The name of the input that parameters are.
+_PARAMETERS = "parameters"
 # Below the determinant that rounding leaves of one that vanishes: its root's slope stays finite.
 _TINY = 1e-40
 
@@ -134,7 +136,9 @@ def reduce_tree(
     kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
     def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
-        return ca.Function(name, inputs + further, [ca.densify(output) for output in outputs])
+        names = [f"i{k}" for k in range(len(inputs))] + [_PARAMETERS] * len(further)
+        results = [f"o{k}" for k in range(len(outputs))]
+        return ca.Function(name, inputs + further, [ca.densify(output) for output in outputs], names, results)
 
     return ReducedDynamics(
         closure=function("closure", [q], phi),
@@ -170,6 +174,20 @@ def reduce_tree(
         energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),
         site_places=ca.Function("site_places", [q], [ca.densify(site_places(tree))]),
     )
+
+
+def with_numbers(dynamics: ReducedDynamics, numbers: np.ndarray) -> ReducedDynamics:
+    """Return dynamics with numbers (k,) in place of their parameters, every function's last input."""
+
+    def given(function: ca.Function) -> ca.Function:
+        if function.name_in(function.n_in() - 1) != _PARAMETERS:
+            return function
+        inputs = [ca.SX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in() - 1)]
+        outputs = function.call([*inputs, ca.SX(ca.DM(numbers))])
+        return ca.Function(function.name(), inputs, outputs)
+
+    functions = {field.name: getattr(dynamics, field.name) for field in fields(ReducedDynamics)}
+    return ReducedDynamics(**{k: given(f) if isinstance(f, ca.Function) else f for k, f in functions.items()})
 
 
 def _projected_determinants(jacobian, q, other, dependent, chosen, A, dets, oriented, projected) -> tuple[ca.SX, ca.SX]:

@@ -11,7 +11,7 @@ from time import monotonic
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import joint_rates, needed_effort, sampled
+from linkplan.models.poses.along import demanded, joint_rates, least_effort, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
@@ -118,10 +118,11 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
 
     over = np.maximum(u - limits.effort[:, 1], limits.effort[:, 0] - u).max(axis=1)
     effort_excess = max(0.0, peak("effort_excess", over))
-    needed, _ = needed_effort(mechanism, q, v, a)
+    tau, maps = demanded(mechanism, q, v, a)
+    needed, carried = least_effort(tau, maps), np.einsum("ksu,ku->ks", maps, u)
     needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed).max(axis=1)
     inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over))
-    residual = np.abs(sampled(mechanism.dynamics.residual, q, v, a, u)).max(axis=(1, 2))
+    residual = np.abs(tau - carried).max(axis=1)
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     (position_margin, position_overrun), (speed_margin, speed_overrun) = _margins(
@@ -152,7 +153,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     if effort_excess > 0:
         failures.append(f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s")
     inertial = np.abs(np.einsum("kst,kt->ks", sampled(mechanism.dynamics.reduced_inertia, q), a)).max()
-    allowed = max(DYNAMICS_SHARE * _generalised_peak(mechanism, q, u), _NO_EFFORT, _NO_EFFORT_SHARE * float(inertial))
+    allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), _NO_EFFORT, _NO_EFFORT_SHARE * float(inertial))
     if dynamics_residual > allowed:
         failures.append(
             f"between nodes the motion needs {dynamics_residual:.3g} more effort than planned"
@@ -217,10 +218,6 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         failures=tuple(failures),
         unmendable=tuple(unmendable),
     )
-
-
-def _generalised_peak(mechanism: Mechanism, q: np.ndarray, u: np.ndarray) -> float:
-    return float(np.abs(np.einsum("ksu,ku->ks", sampled(mechanism.dynamics.effort_map, q), u)).max())
 
 
 def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v, time, worst):

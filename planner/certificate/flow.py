@@ -123,19 +123,37 @@ def strides(
 @functools.lru_cache(maxsize=16)
 def _stretch(rate: ca.Function, length: int) -> ca.Function:
     """Return (state, inputs, widths) -> states at intervals' ends and middles, errors of the steps, over some intervals."""
-    begin, given, width = (ca.MX.sym(name, n) for name, n in (("x", rate.size1_in(0)), ("c", rate.size1_in(1)), ("T", 1)))
-    h, x, states, errors = width / _STEPS, begin, [], [[], []]
-    slope = rate(x, given, 0.0)
-    for step in range(_STEPS):
-        slopes = [slope]
-        for row, share in zip(A[1:], C[1:], strict=True):
-            ahead = sum((float(a) * k for a, k in zip(row, slopes, strict=False) if a), ca.MX(0))
-            slopes.append(rate(x + h * ahead, given, (step + share) / _STEPS))
-        x += h * sum((float(w) * k for w, k in zip(B, slopes, strict=True) if w), ca.MX(0))
-        slope = rate(x, given, (step + 1) / _STEPS)
-        for of, e in zip(errors, (E5, E3), strict=True):
-            of.append(h * sum((float(w) * k for w, k in zip(e, [*slopes, slope], strict=True) if w), ca.MX(0)))
-        states.append(x)
-    both = ca.vertcat(*(ca.horzcat(*of) for of in errors))
-    one = ca.Function("stride", [begin, given, width], [x, states[_STEPS // 2 - 1], both])
+    one = _over_interval(rate)
     return one if length == 1 else one.mapaccum(length)
+
+
+@functools.lru_cache(maxsize=16)
+def _over_interval(rate: ca.Function) -> ca.Function:
+    """Return (state, inputs, width) -> states at an interval's end and middle, errors of its steps."""
+    begin, given, width = (ca.MX.sym(name, n) for name, n in (("x", rate.size1_in(0)), ("c", rate.size1_in(1)), ("T", 1)))
+    one, x, slope, states, errors = _step(rate), begin, rate(begin, given, 0.0), [], []
+    for step in range(_STEPS):
+        x, slope, *of_step = one(x, slope, given, width, step / _STEPS)
+        states.append(x)
+        errors.append(of_step)
+    both = ca.vertcat(*(ca.horzcat(*of) for of in zip(*errors, strict=True)))
+    return ca.Function("stride", [begin, given, width], [x, states[_STEPS // 2 - 1], both])
+
+
+def _step(rate: ca.Function) -> ca.Function:
+    """Return one step: (state, its rate, inputs, width, share at its beginning) -> state, rate, fifth and third errors."""
+    n = rate.size1_in(0)
+    begin, slope, given = ca.MX.sym("x", n), ca.MX.sym("k", n), ca.MX.sym("c", rate.size1_in(1))
+    width, at = ca.MX.sym("T"), ca.MX.sym("at")
+    h, slopes = width / _STEPS, [slope]
+
+    def combined(weights: np.ndarray) -> ca.MX:
+        used = [j for j, weight in enumerate(weights[: len(slopes)]) if weight]
+        return ca.horzcat(*[slopes[j] for j in used]) @ ca.DM(np.asarray(weights)[used])
+
+    for row, share in zip(A[1:], C[1:], strict=True):
+        slopes.append(rate(begin + h * combined(row), given, at + float(share) / _STEPS))
+    end = begin + h * combined(B)
+    slopes.append(rate(end, given, at + 1 / _STEPS))
+    fifth, third = (h * combined(weights) for weights in (E5, E3))
+    return ca.Function("step", [begin, slope, given, width, at], [end, slopes[-1], fifth, third])

@@ -4,6 +4,7 @@ What is planned for stands behind `Case`: a mechanism's problem and a user's dif
 same code.
 """
 
+import hashlib
 import time
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, Self, TypeVar
@@ -15,6 +16,7 @@ from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import Say, Step, step_of
 from linkplan.planner.refinement.switches import Motion
+from linkplan.planner.solvers.outcome import OUT_OF_TIME
 from linkplan.planner.solvers.solve import Solution, solve
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
@@ -206,12 +208,30 @@ def attempt(
         )
     except AssemblyError:  # a start whose loops open between the instants at which it was looked at
         return None
+    failed = [step.asked for step in history if step.asked]
+    asked = _asked(transcribed, settings.solver, warm, close) if failed else ""
+    if asked in failed:
+        return None  # a repair that changes nothing here
     solution = solve(transcribed, settings.solver, warm=warm, close=close)
-    history.append(step_of(what, transcribed, solution))
+    if not solution.converged and solution.status != OUT_OF_TIME:
+        asked = asked or _asked(transcribed, settings.solver, warm, close)
+    history.append(step_of(what, transcribed, solution, "" if solution.converged else asked))
     if not solution.converged:
         return None
     motion = case.motion(solution)
     return None if motion is None else Found(motion=motion, solution=solution, fixed=fixed)
+
+
+def _asked(transcribed: Transcribed, settings: SolverSettings, warm: bool, close: bool) -> str:
+    """Return a hash of a program with its numbers, and of how it is solved."""
+    formulation, mesh = transcribed.formulation, transcribed.program.mesh
+    digest = hashlib.sha256(formulation.build_system().node.serialize().encode())
+    how = (settings.name, settings.max_iterations, warm, close, transcribed.scheme.name, transcribed.least_limit)
+    digest.update(repr((how, transcribed.scheme.effort_at.shape, formulation.rows)).encode())
+    bounds = (transcribed.lower, transcribed.upper, transcribed.row_lower, transcribed.row_upper)
+    for numbers in (mesh.fraction, mesh.segment, transcribed.parameters, *bounds, transcribed.start):
+        digest.update(numbers.tobytes() + b"|")
+    return digest.hexdigest()
 
 
 def _attempted(what: str, scheme: str, mesh: Mesh, history: list[Step]) -> str:

@@ -29,10 +29,11 @@ class Step:
     build_s: float
     solve_s: float
     integration_error: float | None = None  # of a user's differential equation, as a share of its states' sizes
+    asked: str = ""  # where it failed, a hash of what was solved: it fails again
 
 
-def step_of(what: str, transcribed: Transcribed, solution: Solution) -> Step:
-    """Return the record of one solve."""
+def step_of(what: str, transcribed: Transcribed, solution: Solution, asked: str = "") -> Step:
+    """Return the record of one solve; `asked` as of `Step`."""
     mesh = transcribed.program.mesh
     return Step(
         what=what,
@@ -45,4 +46,5 @@ def step_of(what: str, transcribed: Transcribed, solution: Solution) -> Step:
         integration_error_deg=None,
         build_s=transcribed.build_s + solution.build_s,
         solve_s=solution.solve_s,
+        asked=asked,
     )

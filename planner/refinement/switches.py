@@ -67,7 +67,8 @@ def find_switch_times(
         coefficients = trajectory.effort[:, :, j]
         slack = _AT_LIMIT * (high - low)
         arc = np.where(coefficients.min(axis=0) > high - slack, 1, np.where(coefficients.max(axis=0) < low + slack, -1, 0))
-        edges = np.union1d(np.flatnonzero(np.diff(arc)) + 1, known_boundaries)
+        # Not np.union1d, which loads numpy.ma: a tenth of the time of a command that plans one motion.
+        edges = np.array(sorted({*(np.flatnonzero(np.diff(arc)) + 1).tolist(), *known_boundaries.tolist()}), dtype=int)
         starts, ends = np.concatenate([[0], edges]), np.concatenate([edges, [len(arc)]])
         for a, b in zip(starts, ends, strict=True):
             before = 0 if a in at_boundaries else arc[a - 1]

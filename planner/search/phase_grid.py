@@ -40,6 +40,11 @@ class Plane:
     top: dict[int, list[float]]  # largest w in either direction from which full effort keeps the speed limits further on
     effort: dict[int, np.ndarray]  # (2 n - 1, n_u) that pushes so, at ends and middles in turn
 
+    @property
+    def undamped(self) -> bool:
+        """Whether no damper takes energy anywhere."""
+        return not any(self.drag)
+
     def at(self, place: float) -> int:
         """Return the cell end at a place."""
         return int(np.argmin(np.abs(self.s - place)))
@@ -57,6 +62,8 @@ class Plane:
         values, energy = [float(w)], inertia[start] * w
         if not w and step * self.force[effort][start] <= 0:
             return np.array(values)  # rest is not left that way, however soon the way would be open again
+        if below is None and self.undamped and np.all(np.isinf(self.top[sign])):
+            return self._free_leg(start, w, step, effort)
         while 0 <= at + step < n:
             over = at + step
             h = cells[at] if step > 0 else -cells[over]
@@ -70,6 +77,15 @@ class Plane:
             energy = inertia[at] * w
             values.append(w)
         return np.array(values)
+
+    def _free_leg(self, start: int, w: float, step: int, effort: int) -> np.ndarray:
+        """Return as `leg` where neither dampers nor speed limits count: energy is the work alone."""
+        index = np.arange(start + step, len(self.inertia) if step > 0 else -1, step)
+        inertia, work = np.array(self.inertia), np.array(self.work[effort])
+        energy = inertia[start] * w + (work[index] - work[start])
+        stops = np.flatnonzero(energy <= 0)
+        n = int(stops[0]) if len(stops) else len(index)
+        return np.concatenate([[float(w)], energy[:n] / inertia[index[:n]]])
 
 
 def grid_of(

@@ -1,20 +1,30 @@
 """Direct collocation: from a formulation on a mesh to numbers for a solver, and from its numbers back to curves."""
 
+import functools
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from linkplan.planner.transcription.bounds import bang_coefficients, bounds, given_nodes, linear_rows, row_bounds
-from linkplan.planner.transcription.compiled import cached, compile_beside, compiled, key_of
+from linkplan.planner.transcription.compiled import CodeT, cached, chain_key, compile_beside, compiled, node_key
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, fitted
-from linkplan.planner.transcription.interval import IntervalFunctions, build_interval
+from linkplan.planner.transcription.interval import (
+    ChainFunctions,
+    IntervalFunctions,
+    build_chain,
+    interval_of,
+    open_end_path,
+)
 from linkplan.planner.transcription.junctions import find_junctions, places
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.transcription.node import NodeFunctions, build_node
 from linkplan.planner.transcription.program import Program, build_program
 from linkplan.planner.transcription.schemes import Scheme
+from linkplan.planner.transcription.triplets import Triplets
 
 # Efforts stay this share inside their limits, so that no rounding in evaluating the polynomial carries them outside.
 _ROUNDING = 4e-15
@@ -121,8 +131,6 @@ def collocate(
     linear, linear_lower, linear_upper = linear_rows(
         formulation, layout, mesh, bang_coefficients(bang_efforts, mesh, layout) if least_limit else None
     )
-    cost = np.zeros(layout.size)
-    cost[layout.extra()] = 1.0
     junctions = None
     if 1 not in chosen.open_ends and not least_limit:  # one equation at a node where arcs meet
         junctions = find_junctions(formulation, mesh, durations, start, bang_efforts, constrained_paths)
@@ -132,7 +140,7 @@ def collocate(
     breaks = mesh.breaks(durations)
     row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, constrained_paths, junctions)
     return Transcribed(
-        program=build_program(layout, mesh, interval, linear, cost, formulation.endpoint),
+        program=_program(layout, mesh, interval, linear, formulation.endpoint),
         scheme=chosen,
         formulation=formulation,
         parameters=_parameters(formulation, chosen, interval.n_open_ends, mesh, breaks),
@@ -186,21 +194,62 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
 
 def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: str) -> IntervalFunctions:
     """Return the functions of one interval: compiled ones where they are wanted or at hand."""
-    system = formulation.build_system()
+    system, rows = formulation.build_system(), formulation.rows
+    at_once = mode == "always" or (mode == "auto" and n_intervals >= _WORTH_COMPILING)
 
-    def build() -> IntervalFunctions:
-        return build_interval(system, chosen, formulation.rows)
+    def code(kind: type[CodeT], key: str, build: Callable[[], CodeT]) -> CodeT:
+        found = None if mode == "never" else cached(key, kind)
+        if found is not None:
+            return found
+        if at_once:
+            return compiled(key, kind, build)
+        found = _built(_Asked(key=(key, kind), by=build))
+        if mode == "auto":
+            compile_beside(key, found)
+        return found
 
-    if mode == "never":
-        return build()
-    key = key_of(system, chosen, formulation.rows)
-    if mode == "always" or n_intervals >= _WORTH_COMPILING:
-        return compiled(key, build)
-    found = cached(key)
-    if found is None:
-        found = build()
-        compile_beside(key, found)
-    return found
+    at_open_ends = open_end_path(chosen, rows)
+    node = code(NodeFunctions, node_key(system, at_open_ends), lambda: build_node(system, at_open_ends))
+    chain_named = chain_key(system, chosen, rows, node)
+    chain = code(ChainFunctions, chain_named, lambda: build_chain(system, chosen, rows, node))
+    return interval_of(system, chosen, rows, node, chain)
+
+
+def with_compiled_code(transcribed: Transcribed) -> Transcribed:
+    """Return a program with compiled functions in place of interpreted ones, which give the same numbers."""
+    begin = time.perf_counter()
+    old, formulation = transcribed.program, transcribed.formulation
+    interval = _interval(formulation, transcribed.scheme, old.mesh.n_intervals, "always")
+    program = _program(old.layout, old.mesh, interval, old.linear, formulation.endpoint)
+    return replace(transcribed, program=program, build_s=transcribed.build_s + time.perf_counter() - begin)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Asked:
+    """What is built once for as long as it is asked for again: the same where its key is, and made `by` a function."""
+
+    key: tuple
+    by: Callable[[], Any] = field(compare=False)
+
+
+@functools.lru_cache(maxsize=16)
+def _built(asked: _Asked) -> Any:
+    return asked.by()
+
+
+def _program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linear: Triplets, endpoint) -> Program:
+    """Return the program over a mesh; what a whole program adds to an interval's cost is what is minimised."""
+    cost = np.zeros(layout.size)
+    cost[layout.extra()] = 1.0
+    numbers = (mesh.fraction, mesh.segment, mesh.phase, linear.rows, linear.columns, linear.values)
+    sizes = tuple(getattr(layout, name) for name in layout.__slots__)
+    key = (sizes, interval.node, interval.chain, endpoint, linear.shape, *(part.tobytes() for part in numbers))
+    return _built_program(_Asked(key=key, by=lambda: build_program(layout, mesh, interval, linear, cost, endpoint)))
+
+
+@functools.lru_cache(maxsize=4)
+def _built_program(asked: _Asked) -> Program:
+    return asked.by()
 
 
 def _row_bounds(

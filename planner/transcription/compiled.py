@@ -1,10 +1,11 @@
 """Compiled interval functions: C made by CasADi, built by the machine's compiler, kept by the hash of what went in.
 
 CasADi's interpreter takes about ten times as long on these functions as compiled code. The functions are small (one node,
-one interval) and serve a mesh of any size, so that one compilation of a second or so serves every later solve of the same
-mechanism, transcription and objective. A cached result is found before an interval's derivatives are built: the key hashes
-the node's own expressions, the choices, the sources that write an interval from a node, CasADi and the compiler. Where the
-cache (`cache.py`) cannot be used, or there is no compiler, the interpreter serves.
+one interval) and serve a mesh of any size. They are two libraries: the node's, which hang on the mechanism and the objective
+and on no transcription, and the chain rule's, which hang on the transcription and on no mechanism. So one compilation of
+half a second serves every later solve of a mechanism, and another one every mechanism of the same shape. A cached result is
+found before derivatives are built: the key hashes the node's own expressions, or the sizes, the sources that write C from
+them, CasADi and the compiler. Where the cache (`cache.py`) cannot be used, or there is no compiler, the interpreter serves.
 """
 
 import contextlib
@@ -19,12 +20,11 @@ import sys
 import tempfile
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeVar
 
 import casadi as ca
-import numpy as np
 
 from linkplan.models.errors import one_line
 from linkplan.planner.transcription.cache import (
@@ -39,14 +39,20 @@ from linkplan.planner.transcription.cache import (
     work_folder,
 )  # fmt: skip
 from linkplan.planner.transcription.finish_compiling import run_with_children
-from linkplan.planner.transcription.interval import NAMES, OPEN_END_NAMES, IntervalFunctions, IntervalRows
+from linkplan.planner.transcription.interval import ChainFunctions, IntervalRows, open_end_path
+from linkplan.planner.transcription.node import NodeFunctions
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import System
 
-_FLAGS = ("-O2", "-fPIC", "-shared")
+# What is kept in one library: a node's functions, or the chain rule's.
+Code = NodeFunctions | ChainFunctions
+CodeT = TypeVar("CodeT", NodeFunctions, ChainFunctions)
+# -O1 takes half of -O2's time, and its straight-line code is as fast. Products and sums are not fused: compiled functions
+# give the interpreter's numbers to the last bit, and a plan does not hang on what is in the cache.
+_FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
 # Sources beyond this many bytes (a leg of thirteen joints makes seven million) take -O2 minutes, and -O0 seconds: their
 # code is then three times as fast as the interpreter's in place of ten.
-_LARGE_BYTES, _LARGE_FLAGS = 2_000_000, ("-O0", "-fPIC", "-shared")
+_LARGE_BYTES, _LARGE_FLAGS = 2_000_000, ("-O0", "-ffp-contract=off", "-fPIC", "-shared")
 # A compiler that hangs must not hang the planner; these functions take seconds, its version less than one.
 _TIMEOUT_S, _VERSION_S = 120.0, 10.0
 # The sources that write an interval's functions from those of a node: this room's.
@@ -82,49 +88,57 @@ def _common_key() -> bytes:
     return digest.digest()
 
 
-def key_of(system: System, chosen: Scheme, rows: IntervalRows) -> str:
-    """Return the cache key of an interval's functions: a hash of the node's expressions and of what makes C of them."""
+@functools.lru_cache(maxsize=32)
+def node_key(system: System, at_open_ends: tuple[int, ...] = ()) -> str:
+    """Return the cache key of a node's functions: a hash of its expressions and of what makes C of them."""
     digest = hashlib.sha256(_common_key())
     digest.update(system.node.serialize().encode())
-    sizes = (system.n_s, system.n_x, system.n_z, system.n_u, system.n_equations, system.n_path, system.kinds)
-    digest.update(repr((sizes, chosen.name, chosen.effort_at.tolist(), rows)).encode())
+    digest.update(repr(("node", *_sizes(system), system.kinds, at_open_ends)).encode())
     return f"k{digest.hexdigest()[:32]}"  # a letter first: CasADi makes an identifier of it
 
 
-def cached(key: str) -> IntervalFunctions | None:
-    """Return the compiled functions kept under a key, or None where there are none that can be loaded."""
+def chain_key(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFunctions) -> str:
+    """Return the cache key of the chain rule's functions: a hash of sizes, patterns and constants, and of no expression."""
+    digest = hashlib.sha256(_common_key())
+    digest.update(repr(("chain", *_sizes(system), rows, open_end_path(scheme, rows))).encode())
+    digest.update(repr((node.open_end_rows, node.open_end_z, scheme.name, scheme.effort_at.tolist())).encode())
+    for field in fields(NodeFunctions):
+        if field.name.endswith("pattern"):
+            digest.update(repr([part.tolist() for part in getattr(node, field.name)]).encode())
+    return f"k{digest.hexdigest()[:32]}"
+
+
+def _sizes(system: System) -> tuple[int, ...]:
+    return (system.n_s, system.n_x, system.n_z, system.n_u, system.n_theta, system.n_equations, system.n_path)
+
+
+def cached(key: str, kind: type[CodeT]) -> CodeT | None:
+    """Return the compiled functions of a kind kept under a key, or None where there are none that can be loaded."""
     try:
         folder = trusted_folder(make=False)
         sweep(folder)
-        entry = find(folder, key)
-        if entry is None:
-            return None
-        used(folder, key)
-        library, said = entry
-        names = (*NAMES, *OPEN_END_NAMES) if said["n_open_ends"] else NAMES
-        functions = dict.fromkeys(OPEN_END_NAMES) | {name: ca.external(name, str(library)) for name in names}
-        patterns = {name: tuple(np.array(part, dtype=int) for part in said.pop(name)) for name in _PATTERNS}
-        return IntervalFunctions(
-            **functions,
-            **patterns,
-            weights=np.array(said.pop("weights")),
-            own_kinds=tuple(said.pop("own_kinds")),
-            own_items=tuple(said.pop("own_items")),
-            node_kinds=tuple(said.pop("node_kinds")),
-            open_end_rows=tuple(said.pop("open_end_rows")),
-            open_end_z=tuple(said.pop("open_end_z")),
-            **said,
-        )
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError):
+        found = (folder / f"{key}.so").stat()
+        return _loaded(folder, key, kind, (found.st_ino, found.st_size, found.st_mtime_ns))
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError):
         return None
 
 
-_PATTERNS = ("jacobian_pattern", "hessian_pattern")
+@functools.lru_cache(maxsize=64)
+def _loaded(folder: Path, key: str, kind: type[CodeT], file: tuple[int, ...]) -> CodeT | None:
+    """Return the functions of a library, loaded once for as long as its file is the same one."""
+    del file
+    entry = find(folder, key)
+    if entry is None:
+        return None
+    used(folder, key)
+    library, said = entry
+    functions = {name: ca.external(name, str(library)) for name in said.pop("functions")}
+    return kind(**functions, **said)
 
 
-def compiled(key: str, build: Callable[[], IntervalFunctions]) -> IntervalFunctions:
+def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT]) -> CodeT:
     """Return functions from the cache, or built and compiled now, or built and interpreted where that cannot be done."""
-    found = cached(key)
+    found = cached(key, kind)
     if found is not None:
         return found
     functions = build()
@@ -144,11 +158,11 @@ def compiled(key: str, build: Callable[[], IntervalFunctions]) -> IntervalFuncti
         return functions
 
 
-def _names(functions: IntervalFunctions) -> tuple[str, ...]:
-    return (*NAMES, *OPEN_END_NAMES) if functions.n_open_ends else NAMES
+def _names(functions: Code) -> tuple[str, ...]:
+    return tuple(field.name for field in fields(functions) if isinstance(getattr(functions, field.name), ca.Function))
 
 
-def compile_beside(key: str, functions: IntervalFunctions) -> subprocess.Popen | None:
+def compile_beside(key: str, functions: Code) -> subprocess.Popen | None:
     """Have functions compiled by a process of its own, once they were wanted before; return it, for nobody to wait for.
 
     What is wanted once is worth no compilation: the first time leaves a mark in the cache, a later one, in this process or
@@ -178,24 +192,21 @@ def compile_beside(key: str, functions: IntervalFunctions) -> subprocess.Popen |
     return None
 
 
-def _written(functions: IntervalFunctions, work: Path, key: str) -> tuple[dict, list[str]]:
+def _written(functions: Code, work: Path, key: str) -> tuple[dict, list[str]]:
     """Write functions' C into a folder; return what else there is to know of them, and the command that compiles it."""
-    generator = ca.CodeGenerator(f"{key}.c")
-    for name in _names(functions):
+    generator, names = ca.CodeGenerator(f"{key}.c"), _names(functions)
+    for name in names:
         generator.add(getattr(functions, name))
     generator.generate(f"{work}{os.sep}")
     flags = _FLAGS if (work / f"{key}.c").stat().st_size <= _LARGE_BYTES else _LARGE_FLAGS
     command = [*(compiler() or ()), *flags, f"{key}.c", "-o", f"{key}.so", "-lm"]
-    said = {name: [part.tolist() for part in getattr(functions, name)] for name in _PATTERNS}
-    said |= {name: getattr(functions, name) for name in ("n_own", "n_equations", "n_path", "n_nodes", "n_open_ends")}
-    said |= {
-        "weights": functions.weights.tolist(),
-        "own_kinds": list(functions.own_kinds),
-        "own_items": list(functions.own_items),
-        "node_kinds": list(functions.node_kinds),
-        "open_end_rows": list(functions.open_end_rows),
-        "open_end_z": list(functions.open_end_z),
-    }
+    said: dict[str, object] = {"functions": list(names)}
+    for field in fields(functions):
+        value = getattr(functions, field.name)
+        if field.name.endswith("pattern"):
+            said[field.name] = [part.tolist() for part in value]
+        elif field.name not in names and value is not None:
+            said[field.name] = value
     return said, command
 
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from linkplan.planner.transcription.bernstein import bernstein_elevation, bernstein_gram
 from linkplan.planner.transcription.layout import Layout
+from linkplan.planner.transcription.node import NodeFunctions, Pattern, as_kept, build_node, nonzeros, triplets
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.system import System
 
@@ -49,47 +50,78 @@ class IntervalRows:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class IntervalFunctions:
-    """CasADi functions of one node and one interval, nonzeros as dense columns, and where the nonzeros stand.
+class ChainFunctions:
+    """CasADi functions of one interval that take its nodes' values as they come, and where their nonzeros stand.
 
-    Node: `node_value` (xi, theta); `node_jacobian` (xi, theta), with the running cost's gradient; `node_hessian` (xi, theta,
-    lambda), gradient and upper triangle. `open_end_value`, `open_end_jacobian` and `open_end_hessian` are the same of the
-    rows that are imposed where no node stands, without a cost; None where none are. Interval: `nodes` (w, share), xi of
-    nodes and open ends side by side; `own` (w, share, eta), own rows and own cost; `chain_jacobian` (w, share, eta, node
-    Jacobians, open-end Jacobians), `chain_gradient` (w, share, eta, running costs, their gradients), `chain_hessian` (w,
-    share, eta, lambda_own, sigma, gradients of nodes and open ends, node Hessians, open-end Hessians, gradients of the
-    running costs).
+    `nodes` (w, share), xi of nodes and open ends side by side; `own` (w, share, eta), own rows and own cost;
+    `chain_jacobian` (w, share, eta, node Jacobians, open-end Jacobians), `chain_gradient` (w, share, eta, running costs,
+    their gradients), `chain_hessian` (w, share, eta, lambda_own, sigma, gradients of nodes and open ends, node Hessians,
+    open-end Hessians, gradients of the running costs). They know sizes and patterns and no system: every system of one shape
+    has the same.
     """
 
-    node_value: ca.Function
-    node_jacobian: ca.Function
-    node_hessian: ca.Function
-    open_end_value: ca.Function | None
-    open_end_jacobian: ca.Function | None
-    open_end_hessian: ca.Function | None
     nodes: ca.Function
     own: ca.Function
     chain_jacobian: ca.Function
     chain_gradient: ca.Function
     chain_hessian: ca.Function
-    jacobian_pattern: tuple[np.ndarray, np.ndarray]
-    hessian_pattern: tuple[np.ndarray, np.ndarray]
+    jacobian_pattern: Pattern
+    hessian_pattern: Pattern
     n_own: int
-    n_equations: int
-    n_path: int
-    n_nodes: int
-    weights: np.ndarray
     own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position", "state", "effort_rate", "motor"
     own_items: tuple[int, ...]  # per own row: of which of its kind's columns
-    node_kinds: tuple[str, ...]  # per row of a node: "closure", "dynamics", "speed", or what the system calls it
+
+    def __post_init__(self) -> None:
+        as_kept(self)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class IntervalFunctions:
+    """The functions of one interval, those of its nodes and the chain rule's, and what its rows are."""
+
+    node: NodeFunctions
+    chain: ChainFunctions
+    n_equations: int
+    n_path: int
     n_open_ends: int  # open ends: no node stands there
-    open_end_rows: tuple[int, ...]  # rows of a node that are rows there
-    open_end_z: tuple[int, ...]  # algebraic unknowns that those need
+    weights: np.ndarray  # (n_nodes,) of the quadrature
+    node_kinds: tuple[str, ...]  # per row of a node: "closure", "dynamics", "speed", or what the system calls it
+
+    @property
+    def n_nodes(self) -> int:
+        """The number of its nodes."""
+        return len(self.weights)
+
+    @property
+    def n_own(self) -> int:
+        """The number of the interval's own rows."""
+        return self.chain.n_own
+
+    @property
+    def own_kinds(self) -> tuple[str, ...]:
+        """What each of its own rows is."""
+        return self.chain.own_kinds
+
+    @property
+    def own_items(self) -> tuple[int, ...]:
+        """Of which of its kind's columns each of its own rows is."""
+        return self.chain.own_items
+
+    @property
+    def open_end_rows(self) -> tuple[int, ...]:
+        """The rows of a node that are rows at open ends."""
+        return self.node.open_end_rows
+
+    @property
+    def open_end_z(self) -> tuple[int, ...]:
+        """The algebraic unknowns that those need."""
+        return self.node.open_end_z
 
     @property
     def n_rows(self) -> int:
         """The number of an interval's rows: its own, each node's equations and path quantities, what is looked at."""
-        return self.n_own + self.n_nodes * (self.n_equations + self.n_path) + self.n_open_ends * len(self.open_end_rows)
+        at_nodes = self.n_nodes * (self.n_equations + self.n_path)
+        return self.n_own + at_nodes + self.n_open_ends * len(self.open_end_rows)
 
     @property
     def row_kinds(self) -> tuple[str, ...]:
@@ -97,23 +129,41 @@ class IntervalFunctions:
         at_open_ends = tuple(self.node_kinds[i] for i in self.open_end_rows)
         return self.own_kinds + self.n_nodes * self.node_kinds + self.n_open_ends * at_open_ends
 
+    @property
+    def compiled(self) -> bool:
+        """Whether the nodes' functions, most of the work, are compiled ones."""
+        return self.node.node_value.class_name() == "External"
 
-OPEN_END_NAMES = ("open_end_value", "open_end_jacobian", "open_end_hessian")
-NAMES = ("node_value", "node_jacobian", "node_hessian", "nodes", "own", "chain_jacobian", "chain_gradient", "chain_hessian")
+
+def open_end_path(scheme: Scheme, rows: IntervalRows) -> tuple[int, ...]:
+    """Return the path quantities that are rows at ends where no node stands; none where there are no such ends."""
+    return rows.open_end_path if scheme.open_ends else ()
+
+
+def interval_of(
+    system: System, scheme: Scheme, rows: IntervalRows, node: NodeFunctions, chain: ChainFunctions
+) -> IntervalFunctions:
+    """Return the functions of one interval from those of its nodes and the chain rule's."""
+    return IntervalFunctions(
+        node=node,
+        chain=chain,
+        n_equations=system.n_equations,
+        n_path=system.n_path,
+        n_open_ends=len(scheme.open_ends) if open_end_path(scheme, rows) else 0,
+        weights=np.array(scheme.weights),
+        node_kinds=system.kinds,
+    )
 
 
 def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> IntervalFunctions:
     """Return the functions of one interval of a system under a transcription."""
-    node = _node_functions(system, "node", system.node, system.n_equations + system.n_path)
-    m, n_open_ends, open_end_rows, open_end_z = scheme.n_nodes, 0, (), ()
-    open_end: dict = {"value": None, "jacobian": None, "hessian": None}
-    if rows.open_end_path and scheme.open_ends:
-        n_open_ends, open_end_rows = len(scheme.open_ends), _open_end_rows(system, rows)
-        at_open_ends = _at_open_ends(system, open_end_rows)
-        open_end, open_end_z = (
-            _node_functions(system, "open_end", at_open_ends, len(open_end_rows)),
-            _open_end_z(system, at_open_ends),
-        )
+    node = build_node(system, open_end_path(scheme, rows))
+    return interval_of(system, scheme, rows, node, build_chain(system, scheme, rows, node))
+
+
+def build_chain(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFunctions) -> ChainFunctions:
+    """Return the chain rule's functions of one interval; of `system` and `node` sizes and patterns alone are asked."""
+    m, n_open_ends = scheme.n_nodes, len(scheme.open_ends) if open_end_path(scheme, rows) else 0
     layout = Layout(
         n_s=system.n_s,
         n_x=system.n_x,
@@ -124,27 +174,28 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
         n_intervals=1,
         n_segments=1,
         n_open_ends=n_open_ends,
-        n_z_open_end=len(open_end_z),
+        n_z_open_end=len(node.open_end_z),
     )
     w, share, eta = ca.SX.sym("w", layout.size), ca.SX.sym("share"), ca.SX.sym("eta", rows.n_eta(system.n_u))
     parts = _Parts(layout, scheme, w, share)
     xi = parts.node_columns()  # (n_xi, m + n_open_ends)
     if n_open_ends:
-        xi = ca.horzcat(xi, parts.open_end_columns(scheme, open_end_z))
+        xi = ca.horzcat(xi, parts.open_end_columns(scheme, node.open_end_z))
     own, kinds, items = _own_rows(parts, scheme, system, rows, eta)
     cost = _own_cost(parts, scheme, rows, eta)
     stacked = ca.vec(xi)
     T = ca.jacobian(stacked, w)
     blocks = [T[i * system.n_xi : (i + 1) * system.n_xi, :] for i in range(m + n_open_ends)]
 
-    def sized(name: str, which: str, count: int) -> tuple[ca.SX, list[ca.SX]]:
-        patterns = {"node": node, "open_end": open_end}[which]
-        pattern = patterns[f"{name}_sparsity"] if count else ca.Sparsity(0, 0)
-        nonzeros = ca.SX.sym(name, pattern.nnz(), count)
-        return nonzeros, [ca.SX(pattern, nonzeros[:, i]) for i in range(count)]
+    def sized(name: str, where: Pattern, n_rows: int, count: int) -> tuple[ca.SX, list[ca.SX]]:
+        pattern = (
+            ca.Sparsity.triplet(n_rows, system.n_xi, *(part.tolist() for part in where)) if count else ca.Sparsity(0, 0)
+        )
+        entries = ca.SX.sym(name, pattern.nnz(), count)
+        return entries, [ca.SX(pattern, entries[:, i]) for i in range(count)]
 
-    J_nodes, J_at_nodes = sized("jacobian", "node", m)
-    J_open_ends, J_at_open_ends = sized("jacobian", "open_end", n_open_ends)
+    J_nodes, J_at_nodes = sized("jacobian", node.jacobian_pattern, system.n_equations + system.n_path, m)
+    J_open_ends, J_at_open_ends = sized("jacobian", node.open_end_jacobian_pattern, len(node.open_end_rows), n_open_ends)
     placed = [J @ block for J, block in zip(J_at_nodes + J_at_open_ends, blocks, strict=True)]
     jacobian = ca.vertcat(ca.jacobian(own, w), *placed)
 
@@ -158,8 +209,8 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
 
     lam, sigma = ca.SX.sym("lam", own.numel()), ca.SX.sym("sigma")
     g = ca.SX.sym("g", system.n_xi, m + n_open_ends)
-    H_nodes, H_at_nodes = sized("hessian", "node", m)
-    H_open_ends, H_at_open_ends = sized("hessian", "open_end", n_open_ends)
+    H_nodes, H_at_nodes = sized("hessian", node.hessian_pattern, system.n_xi, m)
+    H_open_ends, H_at_open_ends = sized("hessian", node.open_end_hessian_pattern, system.n_xi, n_open_ends)
     hessian = ca.hessian(sigma * cost + ca.dot(lam, own) + ca.dot(ca.vec(g), stacked), w)[0]
     dh = ca.gradient(h, w)
     for upper, block in zip(H_at_nodes + H_at_open_ends, blocks, strict=True):
@@ -172,74 +223,20 @@ def build_interval(system: System, scheme: Scheme, rows: IntervalRows) -> Interv
     def function(name: str, inputs: list, outputs: list) -> ca.Function:
         return ca.Function(name, inputs, outputs, {"cse": True})
 
-    return IntervalFunctions(
-        node_value=node["value"],
-        node_jacobian=node["jacobian"],
-        node_hessian=node["hessian"],
-        open_end_value=open_end["value"],
-        open_end_jacobian=open_end["jacobian"],
-        open_end_hessian=open_end["hessian"],
+    return ChainFunctions(
         nodes=function("nodes", [w, share], [ca.densify(xi)]),
         own=function("own", [w, share, eta], [ca.densify(own), ca.densify(cost)]),
-        chain_jacobian=function("chain_jacobian", [w, share, eta, J_nodes, J_open_ends], [_nonzeros(jacobian)]),
+        chain_jacobian=function("chain_jacobian", [w, share, eta, J_nodes, J_open_ends], [nonzeros(jacobian)]),
         chain_gradient=function("chain_gradient", [w, share, eta, values, value_gradients], [ca.densify(gradient)]),
         chain_hessian=function(
-            "chain_hessian", [w, share, eta, lam, sigma, g, H_nodes, H_open_ends, value_gradients], [_nonzeros(hessian)]
+            "chain_hessian", [w, share, eta, lam, sigma, g, H_nodes, H_open_ends, value_gradients], [nonzeros(hessian)]
         ),
-        jacobian_pattern=_triplets(jacobian),
-        hessian_pattern=_triplets(hessian),
+        jacobian_pattern=triplets(jacobian),
+        hessian_pattern=triplets(hessian),
         n_own=own.numel(),
-        n_equations=system.n_equations,
-        n_path=system.n_path,
-        n_nodes=m,
-        weights=np.array(weights),
         own_kinds=tuple(kinds),
         own_items=tuple(items),
-        node_kinds=system.kinds,
-        n_open_ends=n_open_ends,
-        open_end_rows=open_end_rows,
-        open_end_z=open_end_z,
     )
-
-
-def _node_functions(system: System, name: str, at: ca.Function, n_f: int) -> dict:
-    """Return the value, Jacobian and Hessian functions of rows (n_f,) and a cost, and the latter two's patterns."""
-    xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
-    F = ca.densify(at(xi, theta))
-    jacobian, running = ca.jacobian(F[:n_f], xi), ca.densify(ca.gradient(F[n_f], xi))
-    lam = ca.SX.sym("lam", F.numel())
-    hessian, gradient = ca.hessian(ca.dot(lam, F), xi)
-    hessian = ca.triu(hessian)
-
-    def function(what: str, inputs: list, outputs: list) -> ca.Function:
-        return ca.Function(f"{name}_{what}", inputs, outputs, {"cse": True})
-
-    return {
-        "value": function("value", [xi, theta], [F]),
-        "jacobian": function("jacobian", [xi, theta], [_nonzeros(jacobian), running]),
-        "hessian": function("hessian", [xi, theta, lam], [ca.densify(gradient), _nonzeros(hessian)]),
-        "jacobian_sparsity": jacobian.sparsity(),
-        "hessian_sparsity": hessian.sparsity(),
-    }
-
-
-def _open_end_rows(system: System, rows: IntervalRows) -> tuple[int, ...]:
-    """Return the rows of a node that hold where none stands: closure, and the path quantities that are bounded there."""
-    closure = tuple(i for i in range(system.n_equations) if system.kinds[i] == "closure")
-    return closure + tuple(system.n_equations + i for i in rows.open_end_path)
-
-
-def _at_open_ends(system: System, open_end_rows: tuple[int, ...]) -> ca.Function:
-    """Return a node's function with those rows alone, and a cost of zero."""
-    xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
-    return ca.Function("open_end", [xi, theta], [ca.vertcat(system.node(xi, theta)[list(open_end_rows)], 0)])
-
-
-def _open_end_z(system: System, at_open_ends: ca.Function) -> tuple[int, ...]:
-    """Return the algebraic unknowns on which a function of a node depends."""
-    first = system.n_xi - system.n_u - system.n_z
-    columns = np.unique(np.array(at_open_ends.jac_sparsity(0, 0).get_triplet()[1], dtype=int)) - first
-    return tuple(int(i) for i in columns if 0 <= i < system.n_z)
 
 
 class _Parts:
@@ -349,13 +346,3 @@ def _own_cost(parts: _Parts, scheme: Scheme, rows: IntervalRows, eta: ca.SX) -> 
             cost += eta[at + j] * factor * (values[:, j].T @ gram @ values[:, j])
         at += n_u
     return cost
-
-
-def _nonzeros(matrix: ca.SX) -> ca.SX:
-    """Return a matrix's nonzeros as a column (CasADi gives a row for a row)."""
-    return ca.vec(matrix.nz[:])
-
-
-def _triplets(matrix: ca.SX) -> tuple[np.ndarray, np.ndarray]:
-    rows, columns = matrix.sparsity().get_triplet()
-    return np.array(rows, dtype=int), np.array(columns, dtype=int)

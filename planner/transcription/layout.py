@@ -48,7 +48,7 @@ class Layout:
 
     def states(self) -> np.ndarray:
         """Return indices (n_intervals + 1, n_state): s, v, x."""
-        return np.array([self.state(k) for k in range(self.n_intervals + 1)])
+        return self.block * np.arange(self.n_intervals + 1)[:, None] + np.arange(self.n_state)
 
     def acceleration(self) -> np.ndarray:
         """Return indices (n_intervals, n_nodes, n_s)."""

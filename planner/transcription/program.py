@@ -47,14 +47,15 @@ def build_program(
     Args:
         layout: where the unknowns stand.
         mesh: intervals and segments.
-        interval: from `build_interval`.
+        interval: from `interval_of`.
         linear: appended rows (n_linear, n) that are linear in the unknowns.
         cost: gradient (n,) of the objective's linear part.
         endpoint: rows, appended last, and cost of the motion's ends.
     """
     n, m, n_f = mesh.n_intervals, interval.n_nodes, interval.n_equations + interval.n_path
-    n_xi, n_theta = interval.node_value.size1_in(0), interval.node_value.size1_in(1)
-    n_eta = interval.own.size1_in(2)
+    node, chain = interval.node, interval.chain
+    n_xi, n_theta = node.node_value.size1_in(0), node.node_value.size1_in(1)
+    n_eta = chain.own.size1_in(2)
     gather = _gather(layout, mesh)  # (n, n_w) index of each interval's unknowns
     n_open_ends = interval.n_open_ends
     size = (1 + n_eta + (m + n_open_ends) * n_theta) * n
@@ -64,23 +65,23 @@ def build_program(
     share, eta, theta = P[0, :], P[1 : 1 + n_eta, :], P[1 + n_eta :, :]
     ends = _Ends(endpoint, layout, x, p[size:]) if endpoint else None
     A, c = linear.dm(), ca.DM(cost)
-    points = ca.reshape(interval.nodes.map(n)(w, share), (m + n_open_ends) * n_xi, n)
+    points = ca.reshape(chain.nodes.map(n)(w, share), (m + n_open_ends) * n_xi, n)
     xi, theta_nodes = ca.reshape(points[: m * n_xi, :], n_xi, m * n), ca.reshape(theta[: m * n_theta, :], n_theta, m * n)
     open_ends = _OpenEnds(interval, points[m * n_xi :, :], theta[m * n_theta :, :])
 
-    node_rows = interval.node_value.map(m * n)(xi, theta_nodes)
-    own_rows, own_costs = interval.own.map(n)(w, share, eta)
-    g_nodes = ca.reshape(node_rows[:n_f, :], m * n_f, n)
+    own_rows, own_costs = chain.own.map(n)(w, share, eta)
+    g_nodes = ca.reshape(node.node_value.map(m * n)(xi, theta_nodes), m * n_f, n)
     g = ca.vertcat(ca.vec(ca.vertcat(own_rows, g_nodes, open_ends.rows)), A @ x, *([ends.rows] if ends else []))
-    running = ca.reshape(node_rows[n_f, :], m, n)
+    costs = node.node_cost.map(m * n)(xi, theta_nodes)
+    running = ca.reshape(costs, m, n)
     h = share * x[layout.durations()[mesh.segment].tolist()].T
     f = ca.sum2(own_costs) + ca.dot(h, ca.DM(interval.weights).T @ running) + ca.dot(c, x) + (ends.cost if ends else 0)
 
     # CasADi's map deals columns out in order: nodes k m to (k + 1) m - 1 are interval k's.
     # Jacobian: nonzeros of the intervals' Jacobians side by side, then the linear rows', permuted into column order.
-    node_jacobian, running_gradient = interval.node_jacobian.map(m * n)(xi, theta_nodes)
-    values = interval.chain_jacobian.map(n)(w, share, eta, node_jacobian, open_ends.jacobian)
-    rows, columns = interval.jacobian_pattern
+    node_jacobian = node.node_jacobian.map(m * n)(xi, theta_nodes)
+    values = chain.chain_jacobian.map(n)(w, share, eta, node_jacobian, open_ends.jacobian)
+    rows, columns = chain.jacobian_pattern
     global_rows = (rows[None, :] + interval.n_rows * np.arange(n)[:, None]).ravel()
     global_rows = np.concatenate([global_rows, linear.rows + n * interval.n_rows])
     global_columns = np.concatenate([gather[:, columns].ravel(), linear.columns])
@@ -93,7 +94,8 @@ def build_program(
         n_rows += endpoint.n_rows
     jacobian = _assemble(nonzeros, global_rows, global_columns, (n_rows, layout.size))
 
-    gradients = interval.chain_gradient.map(n)(w, share, eta, node_rows[n_f, :], running_gradient)
+    running_gradient = node.node_cost_gradient.map(m * n)(xi, theta_nodes)
+    gradients = chain.chain_gradient.map(n)(w, share, eta, costs, running_gradient)
     gradient = scatter(gather.ravel(), layout.size) @ ca.vec(gradients) + c
     if ends:
         gradient += scatter(ends.gradient_places, layout.size) @ ends.gradient
@@ -103,10 +105,10 @@ def build_program(
     first_open_end = interval.n_own + m * n_f
     lam_nodes = ca.reshape(lam[interval.n_own : first_open_end, :], n_f, m * n)
     lam_running = ca.reshape(lam_f * ca.DM(interval.weights) @ h, 1, m * n)
-    node_gradient, node_hessian = interval.node_hessian.map(m * n)(xi, theta_nodes, ca.vertcat(lam_nodes, lam_running))
+    node_gradient, node_hessian = node.node_hessian.map(m * n)(xi, theta_nodes, ca.vertcat(lam_nodes, lam_running))
     open_end_gradient, open_end_hessian = open_ends.hessian(lam[first_open_end:, :])
     gradients_at = ca.vertcat(ca.reshape(node_gradient, n_xi * m, n), open_end_gradient)
-    hess_values = interval.chain_hessian.map(n)(
+    hess_values = chain.chain_hessian.map(n)(
         w,
         share,
         eta,
@@ -117,7 +119,7 @@ def build_program(
         open_end_hessian,
         running_gradient,
     )
-    rows, columns = interval.hessian_pattern
+    rows, columns = chain.hessian_pattern
     first, second = gather[:, rows].ravel(), gather[:, columns].ravel()
     shape = (layout.size, layout.size)
     hess_values = ca.vec(hess_values)
@@ -148,16 +150,16 @@ class _OpenEnds:
         if interval.n_open_ends:
             n_xi, n_theta = (points.shape[0] // interval.n_open_ends, theta.shape[0] // interval.n_open_ends)
             self._at = ca.reshape(points, n_xi, self._count), ca.reshape(theta, n_theta, self._count)
-            rows = interval.open_end_value.map(self._count)(*self._at)[:-1, :]
+            rows = interval.node.open_end_value.map(self._count)(*self._at)
             self.rows = ca.reshape(rows, interval.n_open_ends * len(interval.open_end_rows), self._n)
-            self.jacobian, _ = interval.open_end_jacobian.map(self._count)(*self._at)
+            self.jacobian = interval.node.open_end_jacobian.map(self._count)(*self._at)
 
     def hessian(self, lam: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Return gradients (n_open_ends * n_xi, n) and the Hessians' values for multipliers (n_open_ends * n_rows, n)."""
         if not self._interval.n_open_ends:
             return ca.MX(0, self._n), ca.MX(0, 0)
         lam = ca.vertcat(ca.reshape(lam, len(self._interval.open_end_rows), self._count), ca.MX.zeros(1, self._count))
-        gradient, hessian = self._interval.open_end_hessian.map(self._count)(*self._at, lam)
+        gradient, hessian = self._interval.node.open_end_hessian.map(self._count)(*self._at, lam)
         return ca.reshape(gradient, gradient.shape[0] * self._interval.n_open_ends, self._n), hessian
 
 

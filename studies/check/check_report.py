@@ -83,7 +83,9 @@ def path_text(path: KinematicLoopPath, *, brief: bool = False) -> str:
         if path.coordinate in (None, column)
         for shown in [np.array([float(joint.said(x, _EXACT)) for x in s])]
     ]
-    columns = [column for column in quantities(path) if not brief or _concerns(path, column)]
+    columns = quantities(path)
+    if brief and path.coordinate is not None:
+        columns = _own(path, columns)
     varying = [*where, *(column for column in columns if not column.is_constant)]
     constant = [column.said() for column in columns if column.is_constant]
     if brief:
@@ -103,13 +105,12 @@ def path_text(path: KinematicLoopPath, *, brief: bool = False) -> str:
     return "\n".join([*lines, *weight_sentences(path), *unheld_sentences(path)])
 
 
-def _concerns(path: KinematicLoopPath, column: Column) -> bool:
-    """Return whether a quantity is the leading coordinate's own, one of its actuators', or a closure's."""
-    if path.coordinate is None or column.head.startswith(("det", "force")):
-        return True
+def _own(path: KinematicLoopPath, columns: list[Column]) -> list[Column]:
+    """Return the quantities that are the leading coordinate's own, one of its actuators', or a closure's."""
     of = np.flatnonzero(acts(path)[path.coordinate])
     names = [path.mechanism.independent_joints[path.coordinate].name, *(path.mechanism.actuators[j].name for j in of)]
-    return any(column.head.endswith(f" {name}") for name in names)
+    ends = tuple(f" {name}" for name in names)
+    return [column for column in columns if column.head.startswith(("det", "force")) or column.head.endswith(ends)]
 
 
 def _scale(values: np.ndarray) -> float:
@@ -138,7 +139,7 @@ def quantities(path: KinematicLoopPath) -> list[Column]:
                     path.ratio[..., j],
                 )
     own = path.reduced_inertia.diagonal(axis1=1, axis2=2)
-    felt = {j: _same(own, path.reflected_inertia[:, j]) for j, _ in actuators}
+    felt = _same(own, path.reflected_inertia)
     for i, joint in independent:
         also = "".join(f" = at {actuator.name}" for j, actuator in actuators if felt[j] == i)
         add(f"inertia {joint.name}{also}", inertia_unit(joint), own[:, i], own[:, i])
@@ -160,12 +161,11 @@ def quantities(path: KinematicLoopPath) -> list[Column]:
     return columns
 
 
-def _same(own: np.ndarray, felt: np.ndarray) -> int | None:
-    """Return the coordinate whose inertia (n, n_s) an actuator feels as it is (n,), or None."""
-    for i, inertia in enumerate(own.T):
-        if np.all(np.abs(felt - inertia) <= _CONSTANT * inertia):
-            return i
-    return None
+def _same(own: np.ndarray, felt: np.ndarray) -> list[int | None]:
+    """Return the coordinate whose inertia (n, n_s) each actuator feels as it is (n, n_u), or None."""
+    with np.errstate(invalid="ignore"):
+        same = np.all(np.abs(felt[:, None, :] - own[:, :, None]) <= _CONSTANT * own[:, :, None], axis=0)
+    return [int(np.argmax(of)) if of.any() else None for of in same.T]
 
 
 def _pose(path: KinematicLoopPath, k: int) -> str:

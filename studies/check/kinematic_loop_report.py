@@ -131,13 +131,22 @@ def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
 def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     """Return poses with others put in between, equally many in each gap, where they are fewer than a path's samples."""
     parts = int(np.ceil((_SAMPLES - 1) / max(1, len(poses) - 1)))
-    rows = [poses[0]]
-    for one, other in pairwise(poses):
-        between = np.linspace(one[mechanism.independent], other[mechanism.independent], parts + 1)[1:-1]
-        with suppress(AssemblyError):  # next to a singular pose the reach's own poses will do
-            rows.extend(follow(mechanism, between, one))
-        rows.append(other)
-    return np.array(rows)
+    places = poses[:, mechanism.independent]
+    shares = np.arange(1, parts)[:, None] / parts
+    gaps = [one + shares * (other - one) for one, other in pairwise(places)]
+    try:
+        between = follow(mechanism, np.concatenate(gaps), poses[0]).reshape(len(gaps), parts - 1, -1)
+    except (AssemblyError, ValueError):  # next to a singular pose; or a reach that is a point
+        between = [_followed(mechanism, gap, one) for gap, one in zip(gaps, poses, strict=False)]
+    rows = [row for one, inside in zip(poses, between, strict=False) for row in (one, *inside)]
+    return np.array([*rows, poses[-1]])
+
+
+def _followed(mechanism: Mechanism, gap: np.ndarray, one: np.ndarray) -> np.ndarray:
+    """Return the poses in a gap (n, n_s); none where it cannot be followed: the reach's own poses will do."""
+    with suppress(AssemblyError):
+        return follow(mechanism, gap, one)
+    return np.empty((0, mechanism.n_q))
 
 
 def motion_path(problem: PlanningProblem) -> KinematicLoopPath:

@@ -1,6 +1,7 @@
 """The commands `plan` and `batch`."""
 
 import argparse
+from dataclasses import asdict
 from pathlib import Path
 
 from linkplan.planner.files.folders import write_json, write_whole
@@ -28,12 +29,9 @@ def run_plan(arguments: argparse.Namespace) -> int:
         say(f"saved in {target}")
     elif target is not None:
         say(f"nothing written: {plan.status}")
-    said, text = record(plan), plan_text(plan)
     price = price_of(plan, say)
-    if price is not None:
-        said["price"] = {"objective": price.objective, "nominal": price.nominal, "share": price.share, "unit": price.unit}
-        text = f"{text}\n{price.sentence()}"
-    show(arguments, said, text)
+    text = plan_text(plan) if price is None else f"{plan_text(plan)}\n{price.sentence()}"
+    show(arguments, lambda: record(plan) | ({} if price is None else {"price": asdict(price)}), text)
     return DONE if plan.passed else NO
 
 

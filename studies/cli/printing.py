@@ -64,12 +64,12 @@ def progress(arguments: argparse.Namespace) -> Say:
     return say
 
 
-def show(arguments: argparse.Namespace, said: dict, text: str) -> None:
-    """Print a result: one JSON object, or the text for people."""
+def show(arguments: argparse.Namespace, said: dict | Callable[[], dict], text: str) -> None:
+    """Print a result: one JSON object, made where it is wanted, or the text for people."""
     if arguments.json:
         from linkplan.planner.files.folders import plain  # loads numpy, which a list of names does without
 
-        text = json.dumps(plain(said), allow_nan=False)
+        text = json.dumps(plain(said() if callable(said) else said), allow_nan=False)
     arguments.lost = put(sys.stdout, f"{text}\n")
 
 

@@ -15,7 +15,7 @@ from tests.support.plans import optimal, planned
 # A key that a record of each kind has: by it a result of a version without manifests is known.
 KEYS = {
     "plan.json": "problem", "track.json": "tracker", "compare.json": "plan", "bode.json": "points", "tune.json": "found",
-    "check.json": "problems", "demo.json": "versions", "batch.json": "cases",
+    "check.json": "problems", "demo.json": "versions", "batch.json": "cases", "experiment.json": "experiment",
 }  # fmt: skip
 
 

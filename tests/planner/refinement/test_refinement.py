@@ -1,7 +1,17 @@
 """Refinement: by default as far as a small mesh carries it, to a tolerance where one is asked for."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.solvers.solve import solve
+from linkplan.planner.transcription.mesh import uniform
 from tests.support.data import KNEE_TABLE
 from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import REFINED_DEG, REFINED_TIME
@@ -31,3 +41,24 @@ def test_a_tolerance_that_is_out_of_reach_is_said():
     plan = planned("knee-reach", "mesh.scheme=radau-1", "mesh.tolerance_deg=1e-7", "mesh.intervals=4")
     assert plan.status == "failed"
     assert "the state integrated under the planned effort ends" in plan.message
+
+
+def test_what_failed_is_not_solved_again_as_it_was(monkeypatch):
+    problem = load_problem("knee-reach", ["mesh.intervals=8", "solver.compile=never"])
+    problem = replace(problem, solver=replace(problem.solver, max_iterations=2))
+    guess, solved, history = first_guess(problem, start_pose_of(problem)), [], []
+
+    def counted(*given, **how):
+        solved.append(solve(*given, **how))
+        return solved[-1]
+
+    monkeypatch.setattr("linkplan.planner.refinement.case.solve", counted)
+
+    def tried(duration: float, **how: bool):
+        return attempt(case_of(problem), guess, uniform(8), np.array([duration]), "a try", history, lambda _: None, **how)
+
+    assert tried(0.16) is None
+    assert tried(0.16) is None
+    assert len(solved) == len(history) == 1
+    assert tried(0.16, warm=True) is None  # another way to solve it
+    assert len(solved) == len(history) == 2

@@ -8,10 +8,11 @@ import pytest
 from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.motion import Waypoint
+from linkplan.planner.search.phase_grid import grid_of, plane_of
 from linkplan.planner.search.phase_plane import least_time_guess
 from linkplan.planner.search.presolve import start_pose_of
 from tests.support.fourbar_problems import random_case
-from tests.support.tolerances_planner import MINIMUM_TIME, SAME_FIGURE
+from tests.support.tolerances_planner import MINIMUM_TIME, ROUNDING, SAME_FIGURE
 
 SPRING = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" stiffness="1"/>
 <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
@@ -51,6 +52,20 @@ def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring
     plan = plan_motion(problem)
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(np.pi * half_swings, rel=MINIMUM_TIME)
+
+
+@pytest.mark.parametrize("way", [+1, -1])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_a_leg_without_dampers_and_speed_limits_is_the_one_that_steps_from_cell_to_cell(way, backwards):
+    problem = load_problem("knee-sprint")
+    pose = start_pose_of(problem)
+    plane = plane_of(problem, *grid_of(problem, np.array([problem.motion.start[0]]), pose, 200), problem.limits.effort)
+    assert plane.undamped
+    next_to_none = replace(plane, drag=[1e-300] * len(plane.s))
+    assert not next_to_none.undamped
+    quick, stepped = (p.leg(100, 0.0, way, way, backwards=backwards) for p in (plane, next_to_none))
+    assert len(quick) == len(stepped) > 2
+    np.testing.assert_allclose(quick, stepped, rtol=ROUNDING * len(quick))
 
 
 @pytest.mark.slow

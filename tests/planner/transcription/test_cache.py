@@ -17,8 +17,7 @@ from linkplan.planner.transcription import cache
 from linkplan.planner.transcription import compiled as module
 from linkplan.planner.transcription.cache import cache_folder, evict, find, keep, trusted_folder, used, work_folder
 from linkplan.planner.transcription.compiled import cached, compiled, compiler
-from linkplan.planner.transcription.interval import IntervalRows, build_interval
-from linkplan.planner.transcription.schemes import scheme
+from linkplan.planner.transcription.node import NodeFunctions, build_node
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
 needs_owners = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system's files have no owners")
@@ -87,23 +86,23 @@ def test_a_bound_that_is_none_is_said_and_the_default_holds(given, folder, monke
 
 @needs_compiler
 def test_functions_that_are_loaded_outlive_their_entry(folder, monkeypatch):
-    functions = compiled(key_of(1), built)
-    size = functions.own.size1_in(0), functions.own.size1_in(1), functions.own.size1_in(2)
-    before = np.array(functions.own(*(np.full(n, 0.3) for n in size))[0])
+    functions = compiled(key_of(1), NodeFunctions, built)
+    size = functions.node_value.size1_in(0), functions.node_value.size1_in(1)
+    before = np.array(functions.node_value(*(np.full(n, 0.3) for n in size)))
     os.utime(folder / f"{key_of(1)}.json", (1000.0, 1000.0))
     os.utime(folder / f"{key_of(1)}.so", (1000.0, 1000.0))
-    assert cached(key_of(1)) is not None
+    assert cached(key_of(1), NodeFunctions) is not None
     assert (folder / f"{key_of(1)}.json").stat().st_mtime > 1e6  # use is noted
     monkeypatch.setenv("LINKPLAN_CACHE_MB", "0")
-    compiled(key_of(2), built)
-    assert cached(key_of(1)) is None
-    assert cached(key_of(2)) is not None
-    assert np.array(functions.own(*(np.full(n, 0.3) for n in size))[0]) == pytest.approx(before, nan_ok=True)
+    compiled(key_of(2), NodeFunctions, built)
+    assert cached(key_of(1), NodeFunctions) is None
+    assert cached(key_of(2), NodeFunctions) is not None
+    assert np.array(functions.node_value(*(np.full(n, 0.3) for n in size))) == pytest.approx(before, nan_ok=True)
 
 
 def built():
     mechanism = load_mechanism("optimus-knee", payload="shank")
-    return build_interval(mechanism_system(mechanism, NodeTerms()), scheme("radau-2"), IntervalRows(costs=("effort",)))
+    return build_node(mechanism_system(mechanism, NodeTerms()))
 
 
 @needs_owners
@@ -195,7 +194,7 @@ def test_a_folder_that_anybody_can_replace_is_not_used(folder):
 def test_without_a_folder_to_trust_the_interpreter_serves_and_it_is_said(folder):
     folder.chmod(0o777)
     with pytest.warns(RuntimeWarning, match="may be written by others"):
-        functions = compiled("k1", built)
+        functions = compiled("k1", NodeFunctions, built)
     assert "External" not in functions.node_value.class_name()
     assert list(folder.iterdir()) == []
 
@@ -205,18 +204,18 @@ def test_without_a_folder_to_trust_the_interpreter_serves_and_it_is_said(folder)
 @pytest.mark.parametrize("damage", ["cut", "flipped"])
 def test_a_damaged_entry_is_compiled_again(damage, folder):
     """In processes of their own: loading such a library ended them."""
-    compiled("k1", built)
+    compiled("k1", NodeFunctions, built)
     library = folder / "k1.so"
     whole = library.read_bytes()
     middle = len(whole) // 2
     altered = bytearray(whole)
     altered[middle:] = bytes(len(whole) - middle) if damage == "flipped" else b""
     library.write_bytes(altered)
-    assert cached("k1") is None
-    again = compiled("k1", built)
+    assert cached("k1", NodeFunctions) is None
+    again = compiled("k1", NodeFunctions, built)
     assert {field.name for field in fields(again)} >= {"node_value"}
     assert "External" in again.node_value.class_name()
-    assert cached("k1") is not None
+    assert cached("k1", NodeFunctions) is not None
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell script for a compiler")
@@ -231,7 +230,7 @@ def test_a_compiler_that_hangs_ends_with_its_children(hangs, folder, tmp_path, m
     monkeypatch.setattr(module, "_VERSION_S", 0.5)
     if hangs == "compiling":
         with pytest.warns(RuntimeWarning, match="timed out"):
-            compiled("k1", built)
+            compiled("k1", NodeFunctions, built)
         assert list(folder.iterdir()) == []
     else:
         with pytest.raises(subprocess.TimeoutExpired):
@@ -247,7 +246,7 @@ def test_what_a_kill_left_in_the_cache_is_removed_by_the_next_run(folder):
     (left / "k1.c").write_text("int", encoding="utf-8")
     with work_folder(folder) as used:
         (used / "k2.c").write_text("int", encoding="utf-8")
-        assert cached("k1") is None
+        assert cached("k1", NodeFunctions) is None
         assert (used / "k2.c").is_file()  # in use, and so left alone
     assert list(folder.iterdir()) == []
 

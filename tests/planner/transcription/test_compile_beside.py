@@ -6,8 +6,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.transcription.compiled import cached, compile_beside, compiler
-from linkplan.planner.transcription.interval import IntervalRows, build_interval
-from linkplan.planner.transcription.schemes import scheme
+from linkplan.planner.transcription.node import NodeFunctions, build_node
 from tests.support.tolerances_planner import ROUNDING
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
@@ -22,7 +21,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def functions():
     system = mechanism_system(load_mechanism("slider-crank"), NodeTerms())
-    return build_interval(system, scheme("radau-2"), IntervalRows(costs=("effort",)))
+    return build_node(system)
 
 
 def test_what_is_wanted_once_is_not_compiled(folder, functions):
@@ -35,7 +34,7 @@ def test_what_is_wanted_again_is_compiled_kept_and_nothing_else_is_left(folder, 
     process = compile_beside("k1", functions)
     assert process.wait() == 0
     assert sorted(path.name for path in folder.iterdir()) == ["k1.json", "k1.so"]
-    fast = cached("k1").node_value
+    fast = cached("k1", NodeFunctions).node_value
     assert "External" in fast.class_name()
     arguments = [np.full(fast.size_in(i), 0.7) for i in range(fast.n_in())]
     for a, b in zip(functions.node_value.call(arguments), fast.call(arguments), strict=True):
@@ -56,4 +55,4 @@ def test_a_compiler_that_fails_leaves_no_litter(folder, functions, monkeypatch):
     compile_beside("k1", functions)
     assert compile_beside("k1", functions).wait() == 1
     assert sorted(path.name for path in folder.iterdir()) == ["k1.begun", "k1.wanted"]
-    assert cached("k1") is None
+    assert cached("k1", NodeFunctions) is None

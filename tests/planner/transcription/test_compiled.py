@@ -1,7 +1,7 @@
 """Compiled interval functions: the same numbers as interpreted ones, kept by content, and no compiler is no misfortune."""
 
 import warnings
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import casadi as ca
 import numpy as np
@@ -13,17 +13,22 @@ from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.transcription import compiled as module
 from linkplan.planner.transcription.cache import cache_folder
-from linkplan.planner.transcription.compiled import cached, compiled, compiler, key_of
-from linkplan.planner.transcription.interval import NAMES, IntervalRows, build_interval
+from linkplan.planner.transcription.compiled import cached, chain_key, compiled, compiler, node_key
+from linkplan.planner.transcription.interval import ChainFunctions, IntervalRows, build_chain
+from linkplan.planner.transcription.node import NodeFunctions, build_node
 from linkplan.planner.transcription.schemes import scheme
-from tests.support.tolerances_planner import COMPILED, ROUNDING
+from tests.support.tolerances_planner import COMPILED
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
 
 
 def built():
-    mechanism = load_mechanism("optimus-knee", payload="shank")
-    return build_interval(mechanism_system(mechanism, NodeTerms()), scheme("radau-2"), IntervalRows(costs=("effort",)))
+    return build_node(mechanism_system(load_mechanism("optimus-knee", payload="shank"), NodeTerms()))
+
+
+def chained():
+    system = mechanism_system(load_mechanism("optimus-knee", payload="shank"), NodeTerms())
+    return build_chain(system, scheme("radau-2"), IntervalRows(costs=("effort",)), built())
 
 
 @pytest.fixture
@@ -35,27 +40,30 @@ def folder(tmp_path, monkeypatch):
 @pytest.mark.slow
 @needs_compiler
 @pytest.mark.usefixtures("folder")
-def test_compiled_functions_give_the_interpreted_ones_numbers():
-    interpreted, fast = built(), compiled("k1", built)
+@pytest.mark.parametrize(("kind", "build"), [(NodeFunctions, built), (ChainFunctions, chained)])
+def test_compiled_functions_give_the_interpreted_ones_numbers_to_the_last_bit(kind, build):
+    interpreted, fast = build(), compiled("k1", kind, build)
     rng = np.random.default_rng(0)
-    for name in NAMES:
+    names = [field.name for field in fields(kind) if isinstance(getattr(interpreted, field.name), ca.Function)]
+    assert len(names) == 5
+    for name in names:
         slow = getattr(interpreted, name)
         assert "External" in getattr(fast, name).class_name()
         arguments = [rng.uniform(0.5, 1.5, size=slow.size_in(i)) for i in range(slow.n_in())]
         for a, b in zip(slow.call(arguments), getattr(fast, name).call(arguments), strict=True):
-            np.testing.assert_allclose(np.array(b), np.array(a), rtol=ROUNDING, atol=ROUNDING)
+            np.testing.assert_array_equal(np.array(b), np.array(a))
 
 
 @pytest.mark.slow
 @needs_compiler
 def test_what_is_compiled_once_is_found_again_whole(folder):
-    first = compiled("k1", built)
-    again = cached("k1")
+    first = compiled("k1", ChainFunctions, chained)
+    again = cached("k1", ChainFunctions)
     assert again is not None
     for name in ("jacobian_pattern", "hessian_pattern"):
         for a, b in zip(getattr(first, name), getattr(again, name), strict=True):
             np.testing.assert_array_equal(a, b)
-    assert (again.n_rows, again.row_kinds) == (first.n_rows, first.row_kinds)
+    assert (again.n_own, again.own_kinds, again.own_items) == (first.n_own, first.own_kinds, first.own_items)
     assert sorted(path.name for path in folder.iterdir()) == ["k1.json", "k1.so"]
 
 
@@ -63,13 +71,13 @@ def test_what_is_compiled_once_is_found_again_whole(folder):
 @needs_compiler
 @pytest.mark.usefixtures("folder")
 def test_a_cached_function_is_not_built_again():
-    compiled("k1", built)
-    compiled("k1", lambda: pytest.fail("built again"))
+    compiled("k1", NodeFunctions, built)
+    compiled("k1", NodeFunctions, lambda: pytest.fail("built again"))
 
 
 def test_without_a_compiler_the_interpreter_serves(folder, monkeypatch):
     monkeypatch.setattr(module, "compiler", lambda: None)
-    functions = compiled("k1", built)
+    functions = compiled("k1", NodeFunctions, built)
     assert "External" not in functions.node_value.class_name()
     assert list(folder.iterdir()) == []
 
@@ -77,7 +85,7 @@ def test_without_a_compiler_the_interpreter_serves(folder, monkeypatch):
 def test_a_compiler_that_fails_is_said_and_costs_nothing_else(folder, monkeypatch):
     monkeypatch.setattr(module, "compiler", lambda: ("false",))
     with pytest.warns(RuntimeWarning, match="compiling them failed"):
-        functions = compiled("k1", built)
+        functions = compiled("k1", NodeFunctions, built)
     assert "External" not in functions.node_value.class_name()
     assert list(folder.iterdir()) == []
 
@@ -86,38 +94,39 @@ def test_a_compiler_that_fails_is_said_and_costs_nothing_else(folder, monkeypatc
 def test_a_damaged_entry_counts_as_none(folder, content):
     (folder / "k1.json").write_bytes(content)
     (folder / "k1.so").write_bytes(b"not a library")
-    assert cached("k1") is None
+    assert cached("k1", NodeFunctions) is None
 
 
-def key(payload="shank", asked=None, name="radau-2", effort="polynomial", costs=("effort",)):
+def keys(payload="shank", asked=None, name="radau-2", effort="polynomial", costs=("effort",)):
+    """Return the keys of a node's functions and of the chain rule's."""
     system = mechanism_system(load_mechanism("optimus-knee", payload=payload), asked or NodeTerms())
-    return key_of(system, scheme(name, effort), IntervalRows(costs=costs))
+    transcription, rows = scheme(name, effort), IntervalRows(costs=costs)
+    return node_key(system), chain_key(system, transcription, rows, build_node(system))
 
 
-def test_keys_differ_where_the_generated_code_does():
+def test_keys_of_nodes_follow_the_mechanism_and_not_the_transcription():
     lighter = {"body": "crank", "mass_kg": 1.0, "com_m": [0.1, 0.0, 0.0], "inertia_kgm2": [0.01, 0.01, 0.01]}
-    others = (
-        key(payload=None),
-        key(asked=NodeTerms(powers=(0,))),
-        key(name="radau-3"),
-        key(effort="constant"),
-        key(costs=()),
-    )
-    assert len({key(), *others}) == 6
-    assert key() == key()
-    assert key(payload=lighter) == key()  # a payload's numbers are parameters of the same code
+    assert len({keys()[0], keys(payload=None)[0], keys(asked=NodeTerms(powers=(0,)))[0]}) == 3
+    assert keys(name="radau-3")[0] == keys(effort="constant")[0] == keys(costs=())[0] == keys()[0]
+    assert keys(payload=lighter) == keys()  # a payload's numbers are parameters of the same code
+
+
+def test_keys_of_the_chain_rule_follow_the_transcription_and_not_the_mechanism():
+    assert len({keys()[1], keys(name="radau-3")[1], keys(effort="constant")[1], keys(costs=())[1]}) == 4
+    heavier = keys(payload={"body": "crank", "mass_kg": 2.0, "com_m": [0.1, 0.0, 0.0], "inertia_kgm2": [0.1, 0.1, 0.1]})
+    assert heavier[1] == keys()[1]
 
 
 def test_keys_follow_the_expressions_and_not_their_sources():
-    before = key()
-
     def otherwise(*arguments):
         system = mechanism_system(*arguments)
         doubled = ca.Function("node", system.node.sx_in(), [2 * system.node(*system.node.sx_in())])
         return replace(system, node=doubled)
 
     system = otherwise(load_mechanism("optimus-knee", payload="shank"), NodeTerms())
-    assert key_of(system, scheme("radau-2"), IntervalRows(costs=("effort",))) != before
+    transcription, rows = scheme("radau-2"), IntervalRows(costs=("effort",))
+    assert node_key(system) != keys()[0]
+    assert chain_key(system, transcription, rows, build_node(system)) == keys()[1]
 
 
 def test_the_cache_lies_where_it_is_told_to(folder):

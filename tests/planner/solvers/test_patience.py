@@ -1,0 +1,62 @@
+"""A long solve on interpreted functions is given up for compiled ones, which lead it the same way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.closed_chain.transcribe import transcribe
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.solvers import solve as module
+from linkplan.planner.solvers.outcome import OUT_OF_ITERATIONS
+from linkplan.planner.solvers.solve import solve
+from linkplan.planner.transcription.compiled import compiler
+from linkplan.planner.transcription.mesh import uniform
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
+
+
+def programmed(*settings: str):
+    """Return the settings and the program of a reach on few intervals."""
+    problem = load_problem("knee-reach", [*settings, "mesh.intervals=8"])
+    guess = first_guess(problem, start_pose_of(problem))
+    return problem.solver, transcribe(problem, guess, uniform(8), np.array([guess.duration_s]))
+
+
+@pytest.fixture(autouse=True)
+def cold(tmp_path, monkeypatch):
+    monkeypatch.setenv("LINKPLAN_CACHE", str(tmp_path))
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_a_solve_that_takes_long_ends_compiled_and_to_the_last_bit_where_the_interpreter_ends(monkeypatch):
+    monkeypatch.setattr(module, "_WORTH_COMPILING", 1)
+    monkeypatch.setattr(module, "_FEWEST", 3)
+    slow = solve(*reversed(programmed("solver.compile=never")))
+    settings, program = programmed()
+    assert slow.iterations > 3
+    assert not program.program.interval.compiled
+    quick = solve(program, settings)
+    assert quick.transcribed.program.interval.compiled
+    assert (quick.status, quick.iterations) == (slow.status, slow.iterations)
+    np.testing.assert_array_equal(quick.x, slow.x)
+
+
+def test_a_short_one_stays_interpreted():
+    settings, program = programmed()
+    found = solve(program, settings)
+    assert found.converged
+    assert not found.transcribed.program.interval.compiled
+
+
+@pytest.mark.parametrize(("compile_mode", "most"), [("never", None), ("auto", 3)])
+def test_one_that_may_not_be_compiled_or_may_take_few_iterations_is_begun_once(compile_mode, most, monkeypatch):
+    monkeypatch.setattr(module, "_WORTH_COMPILING", 1)
+    monkeypatch.setattr(module, "_FEWEST", 3)
+    settings, program = programmed(f"solver.compile={compile_mode}")
+    found = solve(program, replace(settings, max_iterations=most))
+    assert not found.transcribed.program.interval.compiled
+    assert (found.status == OUT_OF_ITERATIONS) == (most == 3)
