@@ -17,7 +17,8 @@ from linkplan.planner.files.tables import Tables, apply_override, read_tables, r
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.exit_codes import NO
-from linkplan.studies.cli.printing import Say, show
+from linkplan.studies.cli.printing import show
+from linkplan.studies.cli.progress import Progress
 
 
 def output_folder(arguments: argparse.Namespace) -> Path | None:
@@ -87,7 +88,7 @@ def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None
     return name, tables, folder, is_problem
 
 
-def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
+def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
     """Return the plan that an argument means: a saved one, or one made of a problem now."""
     source, overrides = arguments.plan, arguments.set
     path = Path(source)
@@ -107,9 +108,9 @@ def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
             raise ProblemError(f"--set {override}: a saved plan is fixed; only tracking.* can be set on it")
     plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
     if note is not None:
-        say(note)
+        say.keep(note)
     if plan.status != "optimal":
-        say(f"run anyway: {plan.message}")
+        say.keep(f"run anyway: {plan.message}")
     return plan
 
 

@@ -17,7 +17,8 @@ from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
 from linkplan.studies.cli.parser import Parser
-from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, put, refuse
+from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, quiet, refuse
+from linkplan.studies.cli.streams import put
 
 # The module of each command, loaded when the command is given.
 _MODULES = {
@@ -241,7 +242,10 @@ def _run(arguments: argparse.Namespace) -> int:
     try:
         module = importlib.import_module(f"linkplan.studies.cli.{_MODULES[arguments.command]}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
-        code, lost = run(arguments), getattr(arguments, "lost", None)
+        try:
+            code, lost = run(arguments), getattr(arguments, "lost", None)
+        finally:
+            quiet(arguments)
         # With -o the folder is the result, and what is printed is about it.
         saved = getattr(arguments, "output", None) is not None and not arguments.json
         return code if saved else delivered(arguments.command, lost, code)

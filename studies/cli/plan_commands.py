@@ -24,9 +24,9 @@ def run_plan(arguments: argparse.Namespace) -> int:
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
     if plan.status == "optimal" and target is not None:
         write_whole(target, lambda place: save_plan(plan, place, target, jumps=arguments.jumps))
-        say(f"saved in {target}")
+        say.keep(f"saved in {target}")
     elif target is not None:
-        say(f"nothing written: {plan.status}")
+        say.keep(f"nothing written: {plan.status}")
     show(arguments, record(plan), plan_text(plan))
     return DONE if plan.status == "optimal" else NO
 
@@ -61,6 +61,6 @@ def run_batch(arguments: argparse.Namespace) -> int:
         run(None)
     else:
         write_whole(target, run, "batch.json")
-        say(f"saved in {target}")
+        say.keep(f"saved in {target}")
     show(arguments, {"cases": cases}, batch_text(rows, failures))
     return NO if failures else DONE

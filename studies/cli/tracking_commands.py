@@ -110,7 +110,7 @@ def run_view(arguments: argparse.Namespace) -> int:
     if plan.trajectory is None:
         return no_plan(arguments, plan)
     rollout = track(plan, arguments.tracker)
-    say(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
+    say.keep(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
     play(plan.problem.mechanism, rollout, arguments.slow, arguments.seconds)
     if arguments.json:
         show(arguments, {"plan": plan.problem.name, "tracker": arguments.tracker, "stable": rollout.stable}, "")
