@@ -6,10 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.models.catalogue import MODELS, nearest_source
+from linkplan.models.catalogue import MODELS, is_folder, is_there, nearest_source
 from linkplan.models.errors import ModelError, PlanFileError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.folders import check_target
+from linkplan.planner.files.new_file import check_new
 from linkplan.planner.files.plan_folder import read_plan, record, unchecked
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
@@ -30,6 +31,20 @@ def output_folder(arguments: argparse.Namespace) -> Path | None:
     target = Path(arguments.output)
     try:
         check_target(target, f"{arguments.command}.json")
+    except PlanFileError as error:
+        raise PlanFileError(f"-o: {error}") from error
+    return target
+
+
+def new_file(arguments: argparse.Namespace) -> Path | None:
+    """Return the file that -o names, refused now and not after long work where it is there or cannot be written."""
+    if arguments.output is None:
+        return None
+    if not arguments.output:
+        raise ProblemError("-o takes a file, got an empty name")
+    target = Path(arguments.output)
+    try:
+        check_new(target)
     except PlanFileError as error:
         raise PlanFileError(f"-o: {error}") from error
     return target
@@ -75,17 +90,22 @@ def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None
     if is_problem:
         name, tables, folder = read_tables(source)
     else:
-        if source not in MODELS:
-            refuse_saved_plan(source, "model", "a model is an MJCF file, or a built-in name (linkplan list)")
-        if source not in MODELS and not path.exists():
-            names = [*MODELS, *PROBLEMS]
-            raise ModelError(
-                f"unknown model '{source}'{nearest_source(source, names)}: neither a built-in name"
-                f" ({', '.join(names)}) nor a file"
-            )
+        refuse_no_model(source, (*MODELS, *PROBLEMS))
         name, tables, folder = source, {"mechanism": {"model": source}}, None
     set_all(tables, overrides)
     return name, tables, folder, is_problem
+
+
+def refuse_no_model(source: str, names: Sequence[str] = tuple(MODELS)) -> None:
+    """Refuse what is neither one of the built-in names nor a file, and what is a saved plan."""
+    if source in names:
+        return
+    refuse_saved_plan(source, "model", "a model is an MJCF file, or a built-in name (linkplan list)")
+    if source in PROBLEMS or not (is_there(Path(source)) or is_folder(Path(source))):
+        raise ModelError(
+            f"unknown model '{source}'{nearest_source(source, names)}: neither a built-in name ({', '.join(names)})"
+            " nor a file"
+        )
 
 
 def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:

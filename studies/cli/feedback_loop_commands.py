@@ -18,6 +18,7 @@ from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 from linkplan.studies.cli.progress import Progress
+from linkplan.studies.frequency.method_names import METHODS
 
 
 def run_bode(arguments: argparse.Namespace) -> int:
@@ -25,7 +26,7 @@ def run_bode(arguments: argparse.Namespace) -> int:
     from linkplan.studies.bode.bode import bode_study
     from linkplan.studies.bode.bode_report import bode_record, bode_text
     from linkplan.studies.bode.poses import loop_poses
-    from linkplan.studies.frequency.excitation import METHODS, Setup
+    from linkplan.studies.frequency.excitation import Setup
     from linkplan.studies.frequency.feedback_loops import refuse_several_freedoms
 
     choose("tracker", arguments.tracker, TRACKERS, ProblemError)

@@ -18,7 +18,9 @@ from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
 from linkplan.studies.cli.parser import Parser
 from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, quiet, refuse
+from linkplan.studies.cli.shells import SHELLS
 from linkplan.studies.cli.streams import put
+from linkplan.studies.export.formats import FORMATS
 
 # The module of each command, loaded when the command is given.
 _MODULES = {
@@ -32,6 +34,9 @@ _MODULES = {
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
     "demo": "demo_command",
+    "new": "new_command",
+    "export": "export_command",
+    "completion": "completion_command",
 }
 
 _EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), said in a sentence;
@@ -78,19 +83,24 @@ def build_parser() -> Parser:
         "a built-in problem or a TOML file; paths in it (model, guess.plan) are from its own folder, else the working folder"
     )
     plan.add_argument("problem", metavar="PROBLEM", help=text)
+    _parquet(plan, "trajectory.csv")
     plan.add_argument("--jumps", action="store_true", help="trajectory.csv has both sides of a jump in effort, at one time")
 
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
     batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
 
+    _parquet(batch, "every trajectory.csv")
+
     track = command("track", "run one tracker on a plan in MuJoCo")
     track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     track.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
     _mismatch(track, 1.0, 0)
+    _parquet(track, "every run's .csv")
 
     compare = command("compare", "run all trackers side by side on a plan, nominal and with a mismatch")
     compare.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _mismatch(compare, 1.2, 1)
+    _parquet(compare, "every run's .csv")
 
     bode = command(
         "bode", "frequency response, margins and sampled stability of a feedback loop, predicted and measured in MuJoCo"
@@ -137,6 +147,24 @@ def build_parser() -> Parser:
 
     text = "run the whole path on the Optimus knee into one folder (default: linkplan-demo)"
     command("demo", text, settings=False).set_defaults(output="linkplan-demo")
+
+    text = "begin a problem file for a mechanism: a motion that it can make, every option in comments"
+    new = command("new", text, output=False, settings=False)
+    new.add_argument("model", metavar="MODEL", help="a built-in model or an MJCF file")
+    _file(new, "the problem file to write; it must not be there (default: print it)")
+
+    export = command("export", "write a plan for other programs", output=False)
+    export.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    text = f"one of {', '.join(f'{name} ({what})' for name, what in FORMATS.items())}"
+    export.add_argument("--to", required=True, metavar="FORMAT", help=text)
+    _file(export, "the file to write; it must not be there", required=True)
+    text = "time between samples (default: ten samples in every interval of the plan's mesh)"
+    export.add_argument("--every-s", type=float, metavar="T", help=text)
+    _anyway(export)
+
+    completion = command("completion", "print a shell's completion script", output=False, settings=False)
+    text = f"{', '.join(SHELLS)}; e.g. linkplan completion bash > ~/.local/share/bash-completion/completions/linkplan"
+    completion.add_argument("shell", metavar="SHELL", help=text)
     return parser
 
 
@@ -146,6 +174,14 @@ def _loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
     parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
     _at(parser, "a pose to analyse; may be given again (default: over the motion or the reach)")
+
+
+def _parquet(parser: argparse.ArgumentParser, what: str) -> None:
+    parser.add_argument("--parquet", action="store_true", help=f"with -o: the table of {what} as Parquet too")
+
+
+def _file(parser: argparse.ArgumentParser, text: str, *, required: bool = False) -> None:
+    parser.add_argument("-o", "--output", metavar="FILE", required=required, help=text)
 
 
 def _anyway(parser: argparse.ArgumentParser) -> None:

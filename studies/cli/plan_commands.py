@@ -23,7 +23,7 @@ def run_plan(arguments: argparse.Namespace) -> int:
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
     if plan.status == "optimal" and target is not None:
-        write_whole(target, lambda place: save_plan(plan, place, target, jumps=arguments.jumps))
+        write_whole(target, lambda place: save_plan(plan, place, target, jumps=arguments.jumps, parquet=arguments.parquet))
         say.keep(f"saved in {target}")
     elif target is not None:
         say.keep(f"nothing written: {plan.status}")
@@ -53,7 +53,7 @@ def run_batch(arguments: argparse.Namespace) -> int:
                 cases[case.name] = case_record(case, plan)
             if place is not None and target is not None and plan.status == "optimal":
                 (place / case.name).mkdir()
-                write_plan(plan, place / case.name, target / case.name)
+                write_plan(plan, place / case.name, target / case.name, parquet=arguments.parquet)
         if place is not None:
             write_json(place / "batch.json", {"cases": cases})
 
