@@ -9,6 +9,7 @@ import numpy as np
 from linkplan.models.catalogue import MODELS, is_folder, is_there, nearest_source
 from linkplan.models.errors import ModelError, PlanFileError, ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import nearest
 from linkplan.planner.files.folders import check_target
 from linkplan.planner.files.new_file import check_new
 from linkplan.planner.files.plan_folder import read_plan, record, unchecked
@@ -125,7 +126,8 @@ def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
         return plan_motion(problem_from_tables(name, tables, folder), say)
     for override in overrides:
         if not override.startswith("tracking."):
-            raise ProblemError(f"--set {override}: a saved plan is fixed; only tracking.* can be set on it")
+            meant = nearest(override.partition(".")[0], ["tracking"])
+            raise ProblemError(f"--set {override}: a saved plan is fixed; only tracking.* can be set on it{meant}")
     plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
     if note is not None:
         say.keep(note)

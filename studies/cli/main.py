@@ -1,4 +1,4 @@
-"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | demo`.
+"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | new | export | ...`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
 problems found), said in a sentence; 2 bad input or a disk that refuses, one line; 130 or 143 ended by a signal; 141 nobody
@@ -21,6 +21,7 @@ from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed,
 from linkplan.studies.cli.shells import SHELLS
 from linkplan.studies.cli.streams import put
 from linkplan.studies.export.formats import FORMATS
+from linkplan.studies.output.tables import folded
 
 # The module of each command, loaded when the command is given.
 _MODULES = {
@@ -39,9 +40,10 @@ _MODULES = {
     "completion": "completion_command",
 }
 
-_EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), said in a sentence;
-2 bad input, or a file that cannot be read or written (a full disk), one line on stderr;
-130 interrupted, 143 ended by SIGTERM; 141 the reader of stdout left before the result, which no -o has saved"""
+_EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found),
+said in a sentence; 2 bad input, or a file that cannot be read or written (a
+full disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 the
+reader of stdout left before the result, which no -o has saved"""
 
 
 def build_parser() -> Parser:
@@ -56,7 +58,8 @@ def build_parser() -> Parser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
     def command(name: str, text: str, *, output: bool = True, settings: bool = True) -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=_EPILOG)
+        sentence = folded(f"{text[0].upper()}{text[1:]}.", below="")
+        sub = commands.add_parser(name, help=text, description=sentence, epilog=_EPILOG)
         parser.commands[name] = sub
         sub.formatter_class = argparse.RawDescriptionHelpFormatter
         sub.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")

@@ -3,6 +3,8 @@
 import argparse
 
 from linkplan.models.catalogue import MODELS
+from linkplan.models.errors import ProblemError
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.studies.cli.common import new_file, refuse_no_model
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
@@ -15,6 +17,8 @@ def run_new(arguments: argparse.Namespace) -> int:
     from linkplan.studies.new.problem_text import problem_text
 
     target, say = new_file(arguments), progress(arguments)
+    if arguments.model in PROBLEMS or arguments.model.endswith(".toml"):
+        raise ProblemError(f"'{arguments.model}' is a problem already, and new begins one; name its mechanism's model")
     refuse_no_model(arguments.model)
     found = first_motion(arguments.model, say)
     tables = found.tables

@@ -24,8 +24,9 @@ def whole_model_text(samples: Samples) -> str:
     mechanism = samples.plan.problem.mechanism
     source = str(mechanism.source["model"])
     spec = model_spec(source, mechanism.payload)
-    for equality, solref in zip(spec.equalities, mechanism.model.eq_solref, strict=True):
-        equality.solref = solref
+    soft = zip(spec.equalities, mechanism.model.eq_solref, mechanism.model.eq_solimp, strict=True)
+    for equality, solref, solimp in soft:
+        equality.solref, equality.solimp = solref, solimp
     if Path(source).is_file():  # what the model names beside itself is found from anywhere
         folder = Path(source).resolve().parent
         spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)

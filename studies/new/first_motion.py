@@ -140,7 +140,7 @@ def _assembled(model: str) -> Mechanism:
 
 def _refuse_undriven(mechanism: Mechanism) -> None:
     """Refuse a mechanism that nothing drives, with the line that its model lacks."""
-    joint = mechanism.independent_joints[0] if mechanism.dof else mechanism.joints[0]
+    joint = mechanism.joints[0]  # of MuJoCo's order: on the world, where drives stand
     force = "100" if joint.kind == "slide" else "10"
     line = f'<actuator><motor name="act_{joint.name}" joint="{joint.name}" ctrlrange="-{force} {force}"/></actuator>'
     if mechanism.dof == 0:

@@ -42,9 +42,9 @@ def described(names: dict[str, str], width: int = WIDTH) -> list[str]:
     return lines
 
 
-def folded(text: str, width: int = WIDTH) -> str:
-    """Return a list of names in lines of a width at the most, those after the first indented."""
-    return textwrap.fill(text, width, subsequent_indent=_GAP, break_on_hyphens=False)
+def folded(text: str, width: int = WIDTH, below: str = _GAP) -> str:
+    """Return a sentence in lines of a width at the most, those after the first with `below` in front."""
+    return textwrap.fill(text, width, subsequent_indent=below, break_on_hyphens=False)
 
 
 def _blocks(columns: list[list[str]], width: int) -> list[list[list[str]]]:
