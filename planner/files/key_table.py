@@ -89,10 +89,9 @@ KEYS: tuple[Key, ...] = (
     _key("motion.max_duration_s", "10.0", "of a free duration", "none"),
     _key(
         "motion.waypoints",
-        "[{ at_deg = { {hinge} = {hinge_home} } }]",
+        "[{ {waypoint} }]",
         "passed in order: at_deg, at_m, at (of sites), speed_deg_s, speed_m_s, each at time_s or at a free time",
         "none",
-        "hinge",
     ),
     _key(
         "motion.turns", "{ {free_hinge} = 1 }", "of kind periodic: whole turns that a hinge goes on by", "none", "free_hinge"

@@ -7,13 +7,17 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.models.poses.reach import reach
 from linkplan.models.tree.joints import Joint
 from linkplan.models.tree.sites import site_names
 from linkplan.planner.files.key_table import KEYS, NEEDS, SECTIONS, Key
 from linkplan.planner.files.toml_text import inline, key_text
+from linkplan.planner.problem.sites import AXES
 
 # What no line of comments exceeds, and the column where they begin beside a value.
 _WIDTH, _COLUMN = 100, 44
+# Decimals of a metre of a site's place, and how far [m] one has to move to be one that a motion can be asked for.
+_SITE_DIGITS, _MOVES_M = 4, 1e-3
 _HEAD = """\
 # linkplan plan {file} -o planned           plans it, certifies it between the nodes and saves it
 # linkplan compare planned -o compared      tracks it in MuJoCo by PD, PD + feedforward and LQR
@@ -77,6 +81,9 @@ def _facts(mechanism: Mechanism) -> dict:
                 facts[name] = key_text(joint.name)
                 facts[f"{name}_home"] = inline(_shown(joint, mechanism.home[index]))
                 facts[f"{name}_range"] = inline([_shown(joint, joint.lower), _shown(joint, joint.upper)])
+    for kind, key in (("slide", "at_m"), ("hinge", "at_deg")):
+        if f"free_{kind}" in facts:
+            facts["waypoint"] = f"{key} = {{ {facts[f'free_{kind}']} = {facts[f'free_{kind}_home']} }}"
     if mechanism.actuators:
         first = mechanism.actuators[0]
         facts |= {"actuator": key_text(first.name), "effort_range": inline([first.lower, first.upper])}
@@ -84,15 +91,30 @@ def _facts(mechanism: Mechanism) -> dict:
         facts["no_load"] = "no_load_speed_m_s = 1.0" if first.unit == "N" else "no_load_speed_deg_s = 3600.0"
     if mechanism.closure_names:
         facts["closure"] = key_text(mechanism.closure_names[0])
-    sites = site_names(mechanism.model)
-    if sites:
-        place = places_of(mechanism, int(mechanism.model.site(sites[-1]).id), mechanism.home)[0]
-        facts |= {"site": key_text(sites[-1]), "site_home": inline([float(f"{x:.4f}") + 0.0 for x in place])}
+    place = _place(mechanism)
+    if place is not None:
+        facts["site"], facts["site_home"] = place
     bodies = [name for k in range(1, mechanism.model.nbody) if (name := mechanism.model.body(k).name)]
     if bodies:
         facts["body"] = bodies[-1]
     facts["has"] = {need for need in NEEDS if need in facts}
     return facts
+
+
+def _place(mechanism: Mechanism) -> tuple[str, str] | None:
+    """Return the site that moves most and where it is at home, as TOML; as many coordinates as there are freedoms."""
+    poses = np.vstack([reach(mechanism, column).poses for column in range(mechanism.dof)])
+    found = []
+    for name in site_names(mechanism.model):
+        index = int(mechanism.model.site(name).id)
+        span = np.ptp(places_of(mechanism, index, poses), axis=0)
+        found.append((float(span.max()), name, index, span))
+    if not found or max(found, key=lambda one: one[0])[0] < _MOVES_M:
+        return None
+    _, name, index, span = max(found, key=lambda one: one[0])
+    home = places_of(mechanism, index, mechanism.home)[0]
+    chosen = sorted(np.argsort(-span)[: min(mechanism.dof, int(np.sum(span > _MOVES_M)))])
+    return key_text(name), inline({AXES[k]: round(float(home[k]), _SITE_DIGITS) + 0.0 for k in chosen})
 
 
 def _shown(joint: Joint, position: float) -> float:
