@@ -8,6 +8,8 @@ from linkplan.planner.plan import Plan
 _MOST, _FEWEST = 8, 3
 # Errors are known by their size: two digits of them.
 _OF_AN_ERROR = 2
+# A pole nearer to the unit circle than this is said by its distance from it.
+_NEAR_THE_CIRCLE = 5e-4
 # A length or an effort below this [m, N.m or N] is what rounding leaves of zero.
 _ROUNDING = 1e-14
 
@@ -39,3 +41,9 @@ def figure(value: float, digits: int) -> str:
 def error_figure(value: float) -> str:
     """Return an error in the digits that errors are known to; what rounding leaves of zero as that."""
     return f"< {_ROUNDING:.0e}" if 0 < value < _ROUNDING else figure(value, _OF_AN_ERROR)
+
+
+def radius_figure(radius: float) -> str:
+    """Return the size of a sampled loop's pole: near the unit circle, where it decides, by its distance, as "1-2.3e-05"."""
+    beyond = radius - 1.0
+    return f"1{beyond:+.1e}" if 0 < abs(beyond) < _NEAR_THE_CIRCLE else figure(radius, 4)

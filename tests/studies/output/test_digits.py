@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.studies.output.digits import error_figure, known_digits
+from linkplan.studies.output.digits import error_figure, known_digits, radius_figure
 from linkplan.studies.output.plan_text import plan_text
 from tests.support.plans import optimal
 
@@ -30,3 +30,11 @@ def test_every_effort_and_limit_has_its_unit():
     lines = [line for line in plan_text(optimal("knee-reach")).splitlines() if line.startswith("effort act_O")]
     assert len(lines) == 1
     assert lines[0].count("N.m") == 2
+
+
+@pytest.mark.parametrize(
+    ("radius", "said"),
+    [(0.97936, "0.9794"), (1 - 2.31e-5, "1-2.3e-05"), (1 + 4e-7, "1+4.0e-07"), (9.864, "9.864"), (1.0, "1")],
+)
+def test_a_pole_next_to_the_unit_circle_is_said_by_its_distance_from_it(radius, said):
+    assert radius_figure(radius) == said
