@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from linkplan.planner.files.batch_file import Case
 from linkplan.planner.files.plan_folder import record
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.objective import TERMS
 from linkplan.studies.output.digits import figure, known_digits
+from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.tables import table
 
 # Enough digits of an objective to compare cases by.
@@ -22,9 +22,9 @@ def case_row(case: Case, plan: Plan) -> list:
     """Return a case's row of the table."""
     problem, digits = plan.problem, known_digits(plan)
     duration = None if plan.trajectory is None else figure(plan.trajectory.duration_s, digits)
-    terms = list(problem.objective.weights)
-    unit = f" {TERMS[terms[0]][1]}" if len(terms) == 1 else ""
-    objective = None if plan.objective is None else f"{figure(plan.objective, min(digits, _DIGITS))}{unit}"
+    objective = (
+        None if plan.objective is None else f"{figure(plan.objective, min(digits, _DIGITS))}{objective_unit(problem)}"
+    )
     peaks = () if plan.certificate is None else zip(plan.certificate.peak_effort, problem.mechanism.actuators, strict=True)
     peak = max(((float(effort), actuator.unit) for effort, actuator in peaks), default=None)
     seconds = f"{sum(step.build_s + step.solve_s for step in plan.history):.2g}"

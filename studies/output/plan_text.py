@@ -3,9 +3,8 @@
 import numpy as np
 
 from linkplan.planner.plan import Plan, not_honoured
-from linkplan.planner.problem.objective import TERMS
-from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.studies.output.digits import error_figure, figure, known_digits
+from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.tables import table
 
 # Digits of a solve's objective: it is not certified.
@@ -25,7 +24,7 @@ def plan_text(plan: Plan) -> str:
     digits = known_digits(plan)
     lines.append(f"duration {figure(trajectory.duration_s, digits)} s, {plan.scheme}, {plan.intervals} intervals")
     if plan.objective is not None:
-        lines.append(f"objective ({problem.objective.name}): {figure(plan.objective, digits)}{_objective_unit(problem)}")
+        lines.append(f"objective ({problem.objective.name}): {figure(plan.objective, digits)}{objective_unit(problem)}")
     lines += _history_lines(plan, digits)
     for actuator, peak, (low, high) in zip(
         problem.mechanism.actuators, certificate.peak_effort, problem.limits.effort, strict=True
@@ -69,12 +68,6 @@ def plan_text(plan: Plan) -> str:
     ]
     lines += [*chosen, *(f"note: {text}" for text in not_honoured(plan))]
     return "\n".join(lines)
-
-
-def _objective_unit(problem: PlanningProblem) -> str:
-    """Return the unit of a single term, in front a blank; nothing for a sum."""
-    terms = list(problem.objective.weights)
-    return f" {TERMS[terms[0]][1]}" if len(terms) == 1 else ""
 
 
 def _history_lines(plan: Plan, digits: int) -> list[str]:

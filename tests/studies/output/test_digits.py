@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from linkplan.studies.output.digits import error_figure, known_digits, radius_figure
+from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.plan_text import plan_text
-from tests.support.plans import optimal
+from tests.support.plans import optimal, problem_of
 
 
 @pytest.mark.parametrize(("error_deg", "digits"), [(1e-9, 8), (1e-4, 6), (1e-2, 4), (5.0, 3)])
@@ -38,3 +39,18 @@ def test_every_effort_and_limit_has_its_unit():
 )
 def test_a_pole_next_to_the_unit_circle_is_said_by_its_distance_from_it(radius, said):
     assert radius_figure(radius) == said
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "unit"),
+    [
+        ("knee-reach", [], " N2 m2 s"),
+        ("knee-linear-reach", [], " N2 s"),
+        ("knee-linear-reach", ["objective.minimize=effort_rate"], " N2 / s"),
+        ("knee-sine", [], " rad2 s"),
+        ("knee-sprint", [], " s"),
+        ("knee-reach", ["objective.minimize={ time = 1.0, effort = 1e-5 }", "motion.duration_s=free"], ""),
+    ],
+)
+def test_an_objective_has_the_unit_of_what_its_actuators_give(name, overrides, unit):
+    assert objective_unit(problem_of(name, *overrides)) == unit
