@@ -46,6 +46,19 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
     return name, model
 
 
+def model_spec(source: str | Path, payload: Payload | None = None) -> mujoco.MjSpec:
+    """Return the specification of a model that compiles, the payload welded on.
+
+    Raises:
+        ModelError: as `compile_model` does.
+    """
+    compile_model(source, payload)
+    _, spec = _read_spec(source)
+    if payload is not None:
+        attach(spec, payload)
+    return spec
+
+
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     text = str(source)
     if not text.isprintable() and not is_text(text):

@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError
+from linkplan.models.names import nearest
 
 # The one word that `mechanism.solref` takes.
 STIFF = "stiff"
@@ -31,7 +32,7 @@ def set_softness(model: mujoco.MjModel, asked: object) -> None:
     if asked != STIFF:
         raise ModelError(
             f'mechanism.solref is "{STIFF}", the stiffest closures that the timestep admits, or is left out, which keeps the'
-            f" model's own; got {asked!r}"
+            f" model's own; got {asked!r}{nearest(str(asked), [STIFF])}"
         )
     model.eq_solref[:] = stiff_time_constant_s(model), 1.0
     model.eq_solimp[:] = np.array(STIFF_SOLIMP)

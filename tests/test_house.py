@@ -31,7 +31,7 @@ ROOMS = {
     "controllers": (
         "reference", "trackers", "integrator", "sampling", "rollout", "imperfections", "ensemble", "batch", "playback",
     ),
-    "studies": ("output", "check", "compare", "experiment", "frequency", "bode", "tune", "demo", "cli"),
+    "studies": ("output", "check", "compare", "experiment", "frequency", "bode", "tune", "new", "export", "demo", "cli"),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.
 MOST_ARROWS = 20

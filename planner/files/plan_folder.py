@@ -1,6 +1,5 @@
 """Plans on disk: `plan.json`, `trajectory.npz` and `trajectory.csv` in a folder."""
 
-import csv
 import json
 import os
 from collections.abc import Sequence
@@ -19,8 +18,9 @@ from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.collisions import with_contacts
 from linkplan.planner.certificate.margins import Margin
 from linkplan.planner.certificate.saved import disagreements
+from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.files.folders import plain_record, write_json
-from linkplan.planner.files.motion_table import MotionTable, motion_table
+from linkplan.planner.files.motion_table import motion_table
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
@@ -120,7 +120,7 @@ def _contact_record(meeting: Meeting) -> dict:
     }
 
 
-def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bool = False) -> None:
+def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bool = False, parquet: bool = False) -> None:
     """Write a plan's files into an existing, empty folder.
 
     Args:
@@ -128,6 +128,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
         folder: where to write.
         place: where the folder will stand in the end, if not there: the model's path is kept as seen from it, too.
         jumps: whether trajectory.csv has both sides of a jump in effort, at one time.
+        parquet: whether there is a trajectory.parquet beside it.
 
     Raises:
         PlanFileError: when the plan has no motion.
@@ -141,7 +142,10 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     if table.site:  # beside the motion: samples, at the times of trajectory.csv
         arrays |= {"time_s": table.time_s} | {f"site_{name}_m": places for name, places in table.site.items()}
     np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)
-    _write_csv(table, folder / "trajectory.csv")
+    (folder / "trajectory.csv").write_bytes(csv_bytes(table.columns()))
+    if parquet:
+        about = {"linkplan": metadata.version("linkplan"), "plan": plan.problem.name}
+        (folder / "trajectory.parquet").write_bytes(parquet_bytes(table.columns(), about))
 
 
 def _from(place: Path, problem: PlanningProblem) -> str | None:
@@ -153,15 +157,6 @@ def _from(place: Path, problem: PlanningProblem) -> str | None:
         return Path(os.path.relpath(Path(model).resolve(), place.resolve())).as_posix()
     except ValueError:  # another drive
         return None
-
-
-def _write_csv(motion: MotionTable, path: Path) -> None:
-    columns = motion.columns()
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        # What begins so is a formula to a spreadsheet.
-        writer.writerow([f"'{head}" if head[:1] in "=+-@" else head for head in columns])
-        writer.writerows([[f"{value:.12g}" for value in row] for row in np.column_stack(list(columns.values()))])
 
 
 def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool = False) -> Plan:

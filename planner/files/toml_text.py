@@ -19,11 +19,11 @@ def toml_text(tables: Mapping[str, object]) -> str:
     Raises:
         ProblemError: for a value that TOML has no form for, naming its key.
     """
-    lines = [f"{_key(key)} = {inline(value, key)}" for key, value in tables.items() if not isinstance(value, Mapping)]
+    lines = [f"{key_text(key)} = {inline(value, key)}" for key, value in tables.items() if not isinstance(value, Mapping)]
     for name, section in tables.items():
         if isinstance(section, Mapping):
-            lines += ["", f"[{_key(name)}]"]
-            lines += [f"{_key(key)} = {_value(value, f'{name}.{key}')}" for key, value in section.items()]
+            lines += ["", f"[{key_text(name)}]"]
+            lines += [f"{key_text(key)} = {_value(value, f'{name}.{key}')}" for key, value in section.items()]
     return "\n".join(lines).lstrip("\n") + "\n"
 
 
@@ -53,12 +53,13 @@ def inline(value: object, where: str = "value") -> str:
     if isinstance(value, list | tuple):
         return "[" + ", ".join(inline(item, where) for item in value) + "]"
     if isinstance(value, Mapping):
-        pairs = [f"{_key(key)} = {inline(item, f'{where}.{key}')}" for key, item in value.items()]
+        pairs = [f"{key_text(key)} = {inline(item, f'{where}.{key}')}" for key, item in value.items()]
         return "{ " + ", ".join(pairs) + " }" if pairs else "{}"
     raise ProblemError(f"{where} is numbers, words, lists or tables, got {value!r}")
 
 
-def _key(key: str) -> str:
+def key_text(key: str) -> str:
+    """Return a key in TOML's syntax: bare, or quoted where it has to be."""
     return key if _BARE.fullmatch(key) else _quoted(key)
 
 

@@ -146,15 +146,17 @@ class Tracking:
             found.append(np.array([given[name] for name in names]))
         return found[0], found[1]
 
-    def gains_said(self) -> str:
-        """Return kp and kd in words: one number, or one for each joint by name."""
+    def gains_said(self, joints: Sequence[Joint] = ()) -> str:
+        """Return kp and kd in words: one number, or one for each joint by name; with their units on joints of one kind."""
+        kinds = {joint.kind for joint in joints}
+        per = {"hinge": ("N.m/rad", "N.m.s/rad"), "slide": ("N/m", "N.s/m")}[kinds.pop()] if len(kinds) == 1 else ("", "")
 
-        def said(given: float | Mapping[str, float]) -> str:
+        def said(given: float | Mapping[str, float], unit: str) -> str:
             if not isinstance(given, Mapping):
-                return f"{given:g}"
-            return "{ " + ", ".join(f"{name} = {value:g}" for name, value in given.items()) + " }"
+                return f"{given:g} {unit}".rstrip()
+            return "{ " + ", ".join(f"{name} = {value:g}" for name, value in given.items()) + f" }} {unit}".rstrip()
 
-        return f"kp = {said(self.kp)}, kd = {said(self.kd)}"
+        return f"kp = {said(self.kp, per[0])}, kd = {said(self.kd, per[1])}"
 
     def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
         """Return the position and velocity errors (n,) [rad or m, and per second] that weigh 1 on joints."""

@@ -16,6 +16,7 @@ from linkplan.studies.frequency.feedback_loops import LAW_NAMES, FeedbackLoop, O
 from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, floquet_text, frozen_radii, tracker_gains
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.worst import local_minima
+from linkplan.studies.output.digits import radius_figure
 
 # Instants along the motion whose margins are worked out.
 _INSTANTS = 25
@@ -113,14 +114,17 @@ def along_text(found: AlongMotion) -> str:
     """Return the worst instant and the multipliers."""
     k, bounds = found.instants[found.worst], found.margins[found.worst]
     said = (
-        f"disk margin {bounds.disk_margin:.3g}" if bounds.stable else f"unstable, largest pole {bounds.spectral_radius:.4g}"
+        f"disk margin {bounds.disk_margin:.3g}"
+        if bounds.stable
+        else f"unstable, largest pole {radius_figure(bounds.spectral_radius)}"
     )
     joints = found.plan.problem.mechanism.independent_joints
     if len(joints) > 1:
         said += f", of the loop of {joints[found.channels[found.worst]].name}"
     lines = [
         f"{LAW_NAMES[found.law]} at frozen instants along {found.plan.problem.name}: worst at"
-        f" {1e3 * found.reference.time_s[k]:.4g} ms ({said}); the largest frozen pole is {found.radius.max():.5g}"
+        f" {1e3 * found.reference.time_s[k]:.4g} ms ({said}); the largest frozen pole is"
+        f" {radius_figure(float(found.radius.max()))}"
     ]
     lines.append(
         "the motion is not periodic: there are no Floquet multipliers"

@@ -4,6 +4,7 @@ from linkplan.studies.bode.bode import BodeStudy
 from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.frequency.excitation import EXCITATIONS
 from linkplan.studies.frequency.feedback_loops import broken_at
+from linkplan.studies.output.digits import radius_figure
 from linkplan.studies.output.tables import table
 
 
@@ -100,7 +101,7 @@ def bode_text(study: BodeStudy) -> str:
                 float(entry.point.inertia[entry.channel, entry.channel]),
                 bounds.stable,
                 entry.settles_in_mujoco,
-                bounds.spectral_radius,
+                radius_figure(bounds.spectral_radius),
                 bounds.gain_margin_db,
                 bounds.phase_margin_deg,
                 None if bounds.delay_margin_s is None else 1e3 * bounds.delay_margin_s,
@@ -135,7 +136,9 @@ def bode_text(study: BodeStudy) -> str:
         ends = f"{line.said(scan.positions[0], 4)} to {line.said(scan.positions[-1], 4)} {line.unit}"
         of = "" if mechanism.dof == 1 else f" of the loop of {mechanism.independent_joints[scan.channel].name}"
         said = (
-            f"disk margin {worst.disk_margin:.3g}" if worst.stable else f"unstable, largest pole {worst.spectral_radius:.4g}"
+            f"disk margin {worst.disk_margin:.3g}"
+            if worst.stable
+            else f"unstable, largest pole {radius_figure(worst.spectral_radius)}"
         )
         text = f"over {line.name} from {ends} the worst{of} is {line.place(scan.positions[scan.worst])}: {said}"
         for name, words, unit in (("gain_margin_db", "gain margin", "dB"), ("phase_margin_deg", "phase margin", "deg")):

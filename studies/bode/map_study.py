@@ -162,14 +162,18 @@ def map_text(study: MapStudy) -> str:
         [f"{joint.said(p.state[0], 4)}", float(p.inertia[0, 0]), float(low), float(high)]
         for p, (low, high) in zip(found.points, study.critical, strict=True)
     ]
-    head = [f"{joint.name} [{joint.unit}]", "inertia", "least kd", "largest kd"]
+    turns = joint.kind == "hinge"
+    stiffness, damping = ("N.m/rad", "N.m.s/rad") if turns else ("N/m", "N.s/m")
+    inertia = "kg m2" if turns else "kg"
+    gains = f"kp = {study.kp:g} {stiffness}, kd = {study.kd:g} {damping}"
+    head = [f"{joint.name} [{joint.unit}]", f"inertia [{inertia}]", f"least kd [{damping}]", f"largest kd [{damping}]"]
     right, tried = agreement(found)
-    lines = [f"stable kd at kp = {study.kp:g}, sampled every {found.timing.period_s:g} s", table(head, rows), ""]
+    lines = [f"stable kd at kp = {study.kp:g} {stiffness}, sampled every {found.timing.period_s:g} s", table(head, rows), ""]
     if study.longest_s is None:
-        lines.append(f"kp = {study.kp:g}, kd = {study.kd:g} is unstable at any control period")
+        lines.append(f"{gains} is unstable at any control period")
     elif np.isfinite(study.longest_s):
         lines.append(
-            f"kp = {study.kp:g}, kd = {study.kd:g} needs a control period below {1e3 * study.longest_s:.4g} ms"
+            f"{gains} needs a control period below {1e3 * study.longest_s:.4g} ms"
             f" ({1e-3 / study.longest_s:.4g} kHz), for {study.longest_at.name}"
         )
     lines.append(f"at {right} of {tried} gains next to the stability boundary MuJoCo settles or not as predicted")

@@ -13,8 +13,8 @@ from linkplan.studies.frequency.feedback_loops import OperatingPoint, feedback_l
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.worst import local_minima
 
-# A parameter [rad, m or s] below this is zero to people.
-_NOTHING = 1e-9
+# A parameter below this share of its line is zero to people: where a figure is least is found to the root of rounding.
+_NOTHING = 1e-6
 # What an actuator is to have left beside what holds a default pose, of its range: room for a loop to answer in.
 _ROOM = 0.05
 # The figures whose local minima are refined beside that of stability.
@@ -43,7 +43,7 @@ class Line:
 
     def said(self, x: float, digits: int = 4) -> str:
         """Return a parameter as people read it: what is rounding of zero is zero."""
-        return f"{0.0 if abs(x) < _NOTHING else self.shown(x):.{digits}g}"
+        return f"{0.0 if abs(x) < _NOTHING * (self.high - self.low) else self.shown(x):.{digits}g}"
 
     def place(self, x: float) -> str:
         """Return a parameter for people."""

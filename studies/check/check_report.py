@@ -184,7 +184,7 @@ def weight_sentences(path: KinematicLoopPath) -> list[str]:
             k = int(np.argmax(over))
             said.append(
                 f"holding weight and springs asks {actuator.name} for {effort[k]:.4g} {actuator.unit} at {_pose(path, k)},"
-                f" beyond its limit of {low:g} to {high:g}; so in {int(beyond.sum())} of {len(over)} poses"
+                f" beyond its limit of {low:g} to {high:g} {actuator.unit}; so in {int(beyond.sum())} of {len(over)} poses"
             )
     return said
 

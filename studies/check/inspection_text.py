@@ -3,6 +3,7 @@
 import numpy as np
 
 from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
+from linkplan.studies.output.digits import error_figure
 from linkplan.studies.output.tables import table
 
 # Digits that leave a number as it is.
@@ -19,7 +20,7 @@ def inspection_text(found: Inspection) -> str:
         f"{mechanism.name}: {mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
         f" ({', '.join(j.name for j in mechanism.independent_joints)} independent of {mechanism.n_q} joints)",
         f"closure: {', '.join(mechanism.closure_names) or 'none'}: {n_rows} rows, rank {len(mechanism.closure_rows)},"
-        f" gap {found.closure_gap_m:.3g} m",
+        f" gap {error_figure(found.closure_gap_m)} m",
         "home: "
         + ", ".join(f"{j.name} = {j.said(x, 5)} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)),
     ]

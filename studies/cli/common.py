@@ -6,10 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.models.catalogue import MODELS, nearest_source
+from linkplan.models.catalogue import MODELS, is_folder, is_there, nearest_source
 from linkplan.models.errors import ModelError, PlanFileError, ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import nearest
 from linkplan.planner.files.folders import check_target
+from linkplan.planner.files.new_file import check_new
 from linkplan.planner.files.plan_folder import read_plan, record, unchecked
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
@@ -17,7 +19,8 @@ from linkplan.planner.files.tables import Tables, apply_override, read_tables, r
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.exit_codes import NO
-from linkplan.studies.cli.printing import Say, show
+from linkplan.studies.cli.printing import show
+from linkplan.studies.cli.progress import Progress
 
 
 def output_folder(arguments: argparse.Namespace) -> Path | None:
@@ -29,6 +32,20 @@ def output_folder(arguments: argparse.Namespace) -> Path | None:
     target = Path(arguments.output)
     try:
         check_target(target, f"{arguments.command}.json")
+    except PlanFileError as error:
+        raise PlanFileError(f"-o: {error}") from error
+    return target
+
+
+def new_file(arguments: argparse.Namespace) -> Path | None:
+    """Return the file that -o names, refused now and not after long work where it is there or cannot be written."""
+    if arguments.output is None:
+        return None
+    if not arguments.output:
+        raise ProblemError("-o takes a file, got an empty name")
+    target = Path(arguments.output)
+    try:
+        check_new(target)
     except PlanFileError as error:
         raise PlanFileError(f"-o: {error}") from error
     return target
@@ -74,20 +91,25 @@ def tables_of(source: str, overrides: list[str]) -> tuple[str, dict, Path | None
     if is_problem:
         name, tables, folder = read_tables(source)
     else:
-        if source not in MODELS:
-            refuse_saved_plan(source, "model", "a model is an MJCF file, or a built-in name (linkplan list)")
-        if source not in MODELS and not path.exists():
-            names = [*MODELS, *PROBLEMS]
-            raise ModelError(
-                f"unknown model '{source}'{nearest_source(source, names)}: neither a built-in name"
-                f" ({', '.join(names)}) nor a file"
-            )
+        refuse_no_model(source, (*MODELS, *PROBLEMS))
         name, tables, folder = source, {"mechanism": {"model": source}}, None
     set_all(tables, overrides)
     return name, tables, folder, is_problem
 
 
-def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
+def refuse_no_model(source: str, names: Sequence[str] = tuple(MODELS)) -> None:
+    """Refuse what is neither one of the built-in names nor a file, and what is a saved plan."""
+    if source in names:
+        return
+    refuse_saved_plan(source, "model", "a model is an MJCF file, or a built-in name (linkplan list)")
+    if source in PROBLEMS or not (is_there(Path(source)) or is_folder(Path(source))):
+        raise ModelError(
+            f"unknown model '{source}'{nearest_source(source, names)}: neither a built-in name ({', '.join(names)})"
+            " nor a file"
+        )
+
+
+def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
     """Return the plan that an argument means: a saved one, or one made of a problem now."""
     source, overrides = arguments.plan, arguments.set
     path = Path(source)
@@ -104,14 +126,15 @@ def plan_asked(arguments: argparse.Namespace, say: Say) -> Plan:
         return plan_motion(problem_from_tables(name, tables, folder), say)
     for override in overrides:
         if not override.startswith(("tracking.", "imperfections.")):
+            meant = nearest(override.partition(".")[0], ["tracking", "imperfections"])
             raise ProblemError(
-                f"--set {override}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it"
+                f"--set {override}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it{meant}"
             )
     plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
     if note is not None:
-        say(note)
+        say.keep(note)
     if not plan.passed:
-        say(f"run anyway: {plan.message}")
+        say.keep(f"run anyway: {plan.message}")
     return plan
 
 

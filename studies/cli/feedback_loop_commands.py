@@ -16,7 +16,9 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
-from linkplan.studies.cli.printing import Say, progress, show
+from linkplan.studies.cli.printing import progress, show
+from linkplan.studies.cli.progress import Progress
+from linkplan.studies.frequency.method_names import METHODS
 
 
 def run_bode(arguments: argparse.Namespace) -> int:
@@ -24,7 +26,7 @@ def run_bode(arguments: argparse.Namespace) -> int:
     from linkplan.studies.bode.bode import bode_study
     from linkplan.studies.bode.bode_report import bode_record, bode_text
     from linkplan.studies.bode.poses import loop_poses
-    from linkplan.studies.frequency.excitation import METHODS, Setup
+    from linkplan.studies.frequency.excitation import Setup
     from linkplan.studies.frequency.feedback_loops import refuse_several_freedoms
 
     choose("tracker", arguments.tracker, LINEAR, ProblemError)
@@ -169,7 +171,7 @@ def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarra
     return np.geomspace(low, high, count)
 
 
-def _map(study, problem: PlanningProblem | None, say: Say):
+def _map(study, problem: PlanningProblem | None, say: Progress):
     """Return the stability map's record, text and drawer."""
     from linkplan.studies.bode.draw_map import map_figure
     from linkplan.studies.bode.map_study import map_record, map_study, map_text
@@ -179,7 +181,7 @@ def _map(study, problem: PlanningProblem | None, say: Say):
     return map_record(found), map_text(found), lambda place: map_figure(found, place / "map.png")
 
 
-def _large(study, problem: PlanningProblem | None, say: Say):
+def _large(study, problem: PlanningProblem | None, say: Progress):
     """Return the large signals' record, text and drawer."""
     from linkplan.studies.bode.draw_large import large_figure
     from linkplan.studies.bode.large_study import large_study, large_study_record, large_text
@@ -188,7 +190,7 @@ def _large(study, problem: PlanningProblem | None, say: Say):
     return large_study_record(found), large_text(found), lambda place: large_figure(found, place / "large.png")
 
 
-def _along(study, problem: PlanningProblem | None, say: Say):
+def _along(study, problem: PlanningProblem | None, say: Progress):
     """Return the record, text and drawer of the loop along the problem's motion."""
     from linkplan.studies.bode.along_motion import along_motion, along_record, along_text
     from linkplan.studies.bode.draw_along import along_figure

@@ -9,6 +9,7 @@ from linkplan.planner.files.tables import read_tables
 from linkplan.planner.transcription.scheme_names import NAMES as SCHEMES
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
+from linkplan.studies.output.tables import described, folded
 
 
 def run_list(arguments: argparse.Namespace) -> int:
@@ -21,9 +22,8 @@ def run_list(arguments: argparse.Namespace) -> int:
         "schemes": list(SCHEMES),
         "trackers": list(TRACKERS),
     }
-    lines = ["models"]
-    lines += [f"  {name:20s}  {text}" for name, text in MODELS.items()]
-    lines += ["problems", *(f"  {name:20s}  {text}" for name, text in problems.items())]
-    lines += [f"payloads: {', '.join(PAYLOADS)}", f"schemes: {', '.join(SCHEMES)}", f"trackers: {', '.join(TRACKERS)}"]
+    lines = ["models", *described(MODELS), "problems", *described(problems)]
+    words = {"payloads": PAYLOADS, "schemes": SCHEMES, "trackers": TRACKERS}
+    lines += [folded(f"{what}: {', '.join(names)}") for what, names in words.items()]
     show(arguments, said, "\n".join(lines))
     return DONE

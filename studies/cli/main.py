@@ -1,4 +1,4 @@
-"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | demo`.
+"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | new | export | ...`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
 problems found), said in a sentence; 2 bad input or a disk that refuses, one line; 130 or 143 ended by a signal; 141 nobody
@@ -17,7 +17,11 @@ from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
 from linkplan.studies.cli.parser import Parser
-from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, put, refuse
+from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, quiet, refuse
+from linkplan.studies.cli.shells import SHELLS
+from linkplan.studies.cli.streams import put
+from linkplan.studies.export.formats import FORMATS
+from linkplan.studies.output.tables import folded
 
 # The module of each command, loaded when the command is given.
 _MODULES = {
@@ -32,11 +36,15 @@ _MODULES = {
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
     "demo": "demo_command",
+    "new": "new_command",
+    "export": "export_command",
+    "completion": "completion_command",
 }
 
-_EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), said in a sentence;
-2 bad input, or a file that cannot be read or written (a full disk), one line on stderr;
-130 interrupted, 143 ended by SIGTERM; 141 the reader of stdout left before the result, which no -o has saved"""
+_EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found),
+said in a sentence; 2 bad input, or a file that cannot be read or written (a
+full disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 the
+reader of stdout left before the result, which no -o has saved"""
 
 
 def build_parser() -> Parser:
@@ -51,7 +59,8 @@ def build_parser() -> Parser:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
     def command(name: str, text: str, *, output: bool = True, settings: bool = True) -> argparse.ArgumentParser:
-        sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=_EPILOG)
+        sentence = folded(f"{text[0].upper()}{text[1:]}.", below="")
+        sub = commands.add_parser(name, help=text, description=sentence, epilog=_EPILOG)
         parser.commands[name] = sub
         sub.formatter_class = argparse.RawDescriptionHelpFormatter
         sub.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
@@ -78,10 +87,13 @@ def build_parser() -> Parser:
         "a built-in problem or a TOML file; paths in it (model, guess.plan) are from its own folder, else the working folder"
     )
     plan.add_argument("problem", metavar="PROBLEM", help=text)
+    _parquet(plan, "trajectory.csv")
     plan.add_argument("--jumps", action="store_true", help="trajectory.csv has both sides of a jump in effort, at one time")
 
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
     batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
+
+    _parquet(batch, "every trajectory.csv")
 
     track = command("track", "run one tracker on a plan in MuJoCo")
     track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
@@ -89,12 +101,14 @@ def build_parser() -> Parser:
     text = "run this sample of an experiment again; PLAN is the experiment's folder"
     track.add_argument("--sample", type=int, metavar="N", help=text)
     _mismatch(track, 1.0, 0)
+    _parquet(track, "every run's .csv")
 
     compare = command("compare", "run trackers side by side on a plan, nominal and with a mismatch")
     compare.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     text = "names with commas between them, as track takes them; or all (default: %(default)s)"
     compare.add_argument("--trackers", default="pd, pd+ff, lqr", metavar="NAMES", help=text)
     _mismatch(compare, 1.2, 1)
+    _parquet(compare, "every run's .csv")
 
     experiment = command("experiment", "run trackers on many imperfect machines, the same ones for each")
     _experiment(experiment)
@@ -144,6 +158,24 @@ def build_parser() -> Parser:
 
     text = "run the whole path on the Optimus knee into one folder (default: linkplan-demo)"
     command("demo", text, settings=False).set_defaults(output="linkplan-demo")
+
+    text = "begin a problem file for a mechanism: a motion that it can make, every option in comments"
+    new = command("new", text, output=False, settings=False)
+    new.add_argument("model", metavar="MODEL", help="a built-in model or an MJCF file")
+    _file(new, "the problem file to write; it must not be there (default: print it)")
+
+    export = command("export", "write a plan for other programs", output=False)
+    export.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    text = f"one of {', '.join(f'{name} ({what})' for name, what in FORMATS.items())}"
+    export.add_argument("--to", required=True, metavar="FORMAT", help=text)
+    _file(export, "the file to write; it must not be there", required=True)
+    text = "time between samples (default: ten samples in every interval of the plan's mesh)"
+    export.add_argument("--every-s", type=float, metavar="T", help=text)
+    _anyway(export)
+
+    completion = command("completion", "print a shell's completion script", output=False, settings=False)
+    text = f"{', '.join(SHELLS)}; e.g. linkplan completion bash > ~/.local/share/bash-completion/completions/linkplan"
+    completion.add_argument("shell", metavar="SHELL", help=text)
     return parser
 
 
@@ -175,6 +207,14 @@ def _experiment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tube-m", type=float, default=0.01, metavar="L", help=text)
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
     parser.add_argument("--threads", type=int, default=0, metavar="N", help="of the simulator in each (default: all cores)")
+
+
+def _parquet(parser: argparse.ArgumentParser, what: str) -> None:
+    parser.add_argument("--parquet", action="store_true", help=f"with -o: the table of {what} as Parquet too")
+
+
+def _file(parser: argparse.ArgumentParser, text: str, *, required: bool = False) -> None:
+    parser.add_argument("-o", "--output", metavar="FILE", required=required, help=text)
 
 
 def _anyway(parser: argparse.ArgumentParser) -> None:
@@ -271,7 +311,10 @@ def _run(arguments: argparse.Namespace) -> int:
     try:
         module = importlib.import_module(f"linkplan.studies.cli.{_MODULES[arguments.command]}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
-        code, lost = run(arguments), getattr(arguments, "lost", None)
+        try:
+            code, lost = run(arguments), getattr(arguments, "lost", None)
+        finally:
+            quiet(arguments)
         # With -o the folder is the result, and what is printed is about it.
         saved = getattr(arguments, "output", None) is not None and not arguments.json
         return code if saved else delivered(arguments.command, lost, code)

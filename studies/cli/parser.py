@@ -10,7 +10,8 @@ from typing import NoReturn, TextIO
 from linkplan.models.errors import one_line
 from linkplan.models.names import closest
 from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE
-from linkplan.studies.cli.printing import delivered, put
+from linkplan.studies.cli.printing import delivered
+from linkplan.studies.cli.streams import put
 
 # Which command takes a file, by the end of its name.
 _TAKEN_BY = {".toml": "plan", ".xml": "check", ".mjcf": "check"}

@@ -25,10 +25,10 @@ def run_plan(arguments: argparse.Namespace) -> int:
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
     if plan.passed and target is not None:
-        write_whole(target, lambda place: save_plan(plan, place, target, jumps=arguments.jumps))
-        say(f"saved in {target}")
+        write_whole(target, lambda place: save_plan(plan, place, target, jumps=arguments.jumps, parquet=arguments.parquet))
+        say.keep(f"saved in {target}")
     elif target is not None:
-        say(f"nothing written: {plan.status}")
+        say.keep(f"nothing written: {plan.status}")
     price = price_of(plan, say)
     text = plan_text(plan) if price is None else f"{plan_text(plan)}\n{price.sentence()}"
     show(arguments, lambda: record(plan) | ({} if price is None else {"price": asdict(price)}), text)
@@ -57,7 +57,7 @@ def run_batch(arguments: argparse.Namespace) -> int:
                 cases[case.name] = case_record(case, plan)
             if place is not None and target is not None and plan.passed:
                 (place / case.name).mkdir()
-                write_plan(plan, place / case.name, target / case.name)
+                write_plan(plan, place / case.name, target / case.name, parquet=arguments.parquet)
         if place is not None:
             write_json(place / "batch.json", {"cases": cases})
 
@@ -65,6 +65,6 @@ def run_batch(arguments: argparse.Namespace) -> int:
         run(None)
     else:
         write_whole(target, run, "batch.json")
-        say(f"saved in {target}")
+        say.keep(f"saved in {target}")
     show(arguments, {"cases": cases}, batch_text(rows, failures))
     return NO if failures else DONE

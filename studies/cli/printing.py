@@ -10,35 +10,18 @@ import errno
 import json
 import os
 import sys
-import time
 from collections.abc import Callable
-from typing import TextIO
 
-from linkplan.models.interrupts import check
 from linkplan.studies.cli.exit_codes import BAD_INPUT, NOBODY_READS
-
-Say = Callable[[str], None]
-
-
-def put(stream: TextIO | None, text: str) -> OSError | None:
-    """Write a text and return why it cannot be: the stream is closed, its reader has left, the disk is full.
-
-    What the stream's encoding has no characters for is escaped.
-    """
-    if stream is None or stream.closed:
-        return OSError(errno.EBADF, os.strerror(errno.EBADF))
-    encoding = getattr(stream, "encoding", None) or "utf-8"
-    try:
-        stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
-        stream.flush()
-    except OSError as error:
-        return error
-    return None
+from linkplan.studies.cli.progress import Progress
+from linkplan.studies.cli.streams import put
+from linkplan.studies.cli.terminal import coloured, has_colours, is_terminal, painted, width_of, wrapped
 
 
 def refuse(command: str, text: str) -> None:
     """Print why a command has no result, in a line on stderr, where there is one."""
-    put(sys.stderr, f"{' '.join(['linkplan', *command.split()])}: {text}\n")
+    who = " ".join(["linkplan", *command.split()])
+    put(sys.stderr, f"{coloured(who, 'red') if has_colours(sys.stderr) else who}: {text}\n")
 
 
 def delivered(command: str, lost: OSError | None, code: int) -> int:
@@ -53,24 +36,33 @@ def delivered(command: str, lost: OSError | None, code: int) -> int:
     return BAD_INPUT
 
 
-def progress(arguments: argparse.Namespace) -> Say:
-    """Return the function that prints a command's progress on stderr, with the seconds since it was made."""
-    begin = time.monotonic()
-
-    def say(text: str) -> None:
-        put(sys.stderr, f"  {arguments.command} {time.monotonic() - begin:5.1f} s: {text}\n")
-        check()
-
-    return say
+def progress(arguments: argparse.Namespace) -> Progress:
+    """Return what a command tells its progress to, on stderr; the result, when it is shown, ends it."""
+    arguments.progress = Progress(arguments.command)
+    return arguments.progress
 
 
 def show(arguments: argparse.Namespace, said: dict | Callable[[], dict], text: str) -> None:
-    """Print a result: one JSON object, made where it is wanted, or the text for people."""
+    """Print a result: one JSON object, made where it is wanted, or the text for people.
+
+    In a terminal that is wrapped to its width and coloured.
+    """
+    quiet(arguments)
     if arguments.json:
         from linkplan.planner.files.folders import plain  # loads numpy, which a list of names does without
 
         text = json.dumps(plain(said() if callable(said) else said), allow_nan=False)
+    else:
+        text = wrapped(text, width_of(sys.stdout)) if is_terminal(sys.stdout) else text
+        text = painted(text) if has_colours(sys.stdout) else text
     arguments.lost = put(sys.stdout, f"{text}\n")
+
+
+def quiet(arguments: argparse.Namespace) -> None:
+    """End the display of a command's progress, where it has one."""
+    display = getattr(arguments, "progress", None)
+    if display is not None:
+        display.close()
 
 
 def keep_closed_streams_closed() -> None:

@@ -32,7 +32,7 @@ def run_track(arguments: argparse.Namespace) -> int:
     comparison = _single(plan, asked, arguments, mismatch_given)
     said = comparison_record(comparison) | {"tracker": next(iter(comparison.nominal))}
     if target is not None:
-        write_whole(target, lambda place: _save_tracking(comparison, said, place, "track"), "track.json")
+        write_whole(target, lambda place: _save_tracking(comparison, said, place, arguments), "track.json")
     show(arguments, said, comparison_text(comparison))
     return DONE if plan.passed and next(iter(comparison.nominal.values())).stable else NO
 
@@ -78,19 +78,19 @@ def run_compare(arguments: argparse.Namespace) -> int:
         document = mended_runs(plan, say)
         said["document"] = document_record(document)
     if target is not None:
-        write_whole(target, lambda place: _save_tracking(comparison, said, place, "compare", document), "compare.json")
+        write_whole(target, lambda place: _save_tracking(comparison, said, place, arguments, document), "compare.json")
     show(arguments, said, comparison_text(comparison))
     return DONE if plan.passed and any(rollout.stable for rollout in comparison.nominal.values()) else NO
 
 
-def _save_tracking(comparison, said: dict, place: Path, name: str, document: dict | None = None) -> None:
+def _save_tracking(comparison, said: dict, place: Path, arguments: argparse.Namespace, document: dict | None = None) -> None:
     from linkplan.studies.compare.document import KP
     from linkplan.studies.compare.draw_tracking import comparison_figure, document_figure
     from linkplan.studies.compare.time_series import save_time_series
 
-    write_json(place / f"{name}.json", said)
-    save_time_series(comparison, place)
-    comparison_figure(comparison, place / f"{name}.png")
+    write_json(place / f"{arguments.command}.json", said)
+    save_time_series(comparison, place, parquet=arguments.parquet)
+    comparison_figure(comparison, place / f"{arguments.command}.png")
     if document:
         document_figure(document, KP, place / "desired_and_actual.png")
 
@@ -116,7 +116,7 @@ def run_view(arguments: argparse.Namespace) -> int:
     if plan.trajectory is None:
         return no_plan(arguments, plan)
     rollout = track(plan, asked)
-    say(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
+    say.keep(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
     play(plan.problem.mechanism, rollout, arguments.slow, arguments.seconds)
     if arguments.json:
         show(arguments, {"plan": plan.problem.name, "tracker": arguments.tracker, "stable": rollout.stable}, "")

@@ -1,12 +1,12 @@
 """Tracking runs as tables: one row for each control instant, units in the heads, as CSV for people and NPZ for programs."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.studies.compare.compare import Comparison
 
 
@@ -34,8 +34,11 @@ def run_columns(mechanism: Mechanism, rollout: Rollout) -> dict[str, np.ndarray]
     return found | {"closure_gap_m": rollout.gap_m}
 
 
-def save_time_series(comparison: Comparison, folder: Path) -> list[str]:
-    """Write every run of a comparison into a folder and return the files' names: nominal-pd.csv, mismatch-pd.npz, ..."""
+def save_time_series(comparison: Comparison, folder: Path, *, parquet: bool = False) -> list[str]:
+    """Write every run of a comparison into a folder and return the files' names: nominal-pd.csv, mismatch-pd.npz, ...
+
+    With `parquet` the same columns are in nominal-pd.parquet, ..., too.
+    """
     names = []
     for side, runs in (("nominal", comparison.nominal), ("mismatch", comparison.mismatched)):
         for number, (tracker, rollout) in enumerate(runs.items()):
@@ -43,9 +46,10 @@ def save_time_series(comparison: Comparison, folder: Path) -> list[str]:
             stem = f"{side}-{plain}" if [*map(str.lower, runs)].count(tracker.lower()) == 1 else f"{side}-{number}-{plain}"
             columns = run_columns(comparison.plan.problem.mechanism, rollout)
             np.savez(folder / f"{stem}.npz", **columns)
-            with (folder / f"{stem}.csv").open("w", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file)
-                writer.writerow(columns)
-                writer.writerows([[f"{value:.12g}" for value in row] for row in np.column_stack(list(columns.values()))])
+            (folder / f"{stem}.csv").write_bytes(csv_bytes(columns))
             names += [f"{stem}.csv", f"{stem}.npz"]
+            if parquet:
+                about = {"plan": comparison.plan.problem.name, "tracker": tracker, "run": side}
+                (folder / f"{stem}.parquet").write_bytes(parquet_bytes(columns, about))
+                names.append(f"{stem}.parquet")
     return names

@@ -16,6 +16,7 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort, quantity_unit
+from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.frequency.response import Response
 
 EXCITATIONS = {
@@ -23,7 +24,6 @@ EXCITATIONS = {
     "reference": ("reference", "control"),
     "reference+ff": ("reference+ff",),
 }
-METHODS = ("sinestream", "multisine", "chirp")
 # A test signal moves the joint by so much [rad; on a slide, of the model's extent], unless its command would take more than
 # this share of what the limits leave beside the holding effort.
 SMALL = np.radians(0.02)

@@ -5,7 +5,12 @@ from collections.abc import Sequence
 from linkplan.planner.files.batch_file import Case
 from linkplan.planner.files.plan_folder import record
 from linkplan.planner.plan import Plan
+from linkplan.studies.output.digits import figure, known_digits
+from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.tables import table
+
+# Enough digits of an objective to compare cases by.
+_DIGITS = 6
 
 
 def case_record(case: Case, plan: Plan) -> dict:
@@ -15,11 +20,17 @@ def case_record(case: Case, plan: Plan) -> dict:
 
 def case_row(case: Case, plan: Plan) -> list:
     """Return a case's row of the table."""
-    duration = None if plan.trajectory is None else plan.trajectory.duration_s
-    peak = None if plan.certificate is None else float(plan.certificate.peak_effort.max())
-    seconds = sum(step.build_s + step.solve_s for step in plan.history)
+    problem, digits = plan.problem, known_digits(plan)
+    duration = None if plan.trajectory is None else figure(plan.trajectory.duration_s, digits)
+    objective = (
+        None if plan.objective is None else f"{figure(plan.objective, min(digits, _DIGITS))}{objective_unit(problem)}"
+    )
+    peaks = () if plan.certificate is None else zip(plan.certificate.peak_effort, problem.mechanism.actuators, strict=True)
+    peak = max(((float(effort), actuator.unit) for effort, actuator in peaks), default=None)
+    seconds = f"{sum(step.build_s + step.solve_s for step in plan.history):.2g}"
+    shown = None if peak is None else f"{peak[0]:.4g} {peak[1]}"
     warm = "again" if plan.solved_again else "anew"
-    return [case.name, " ".join(case.settings), plan.status, plan.objective, duration, peak, seconds, warm]
+    return [case.name, " ".join(case.settings), plan.status, objective, duration, shown, seconds, warm]
 
 
 def batch_text(rows: Sequence[list], failures: Sequence[str]) -> str:

@@ -3,9 +3,12 @@
 import numpy as np
 
 from linkplan.planner.plan import Plan, not_honoured
-from linkplan.planner.problem.objective import TERMS
-from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.studies.output.digits import error_figure, figure, known_digits
+from linkplan.studies.output.objective_unit import objective_unit
 from linkplan.studies.output.tables import table
+
+# Digits of a solve's objective: it is not certified.
+_OF_A_STEP = 6
 
 
 def plan_text(plan: Plan) -> str:
@@ -18,19 +21,21 @@ def plan_text(plan: Plan) -> str:
     chosen = [f"note: {text}" for text in problem.notes]
     if trajectory is None or certificate is None:
         return "\n".join([*lines, *chosen])
-    lines.append(f"duration {trajectory.duration_s:.8g} s, {plan.scheme}, {plan.intervals} intervals")
+    digits = known_digits(plan)
+    lines.append(f"duration {figure(trajectory.duration_s, digits)} s, {plan.scheme}, {plan.intervals} intervals")
     if plan.objective is not None:
-        lines.append(f"objective ({problem.objective.name}): {plan.objective:.9g}{_objective_unit(problem)}")
-    lines += _history_lines(plan)
+        lines.append(f"objective ({problem.objective.name}): {figure(plan.objective, digits)}{objective_unit(problem)}")
+    lines += _history_lines(plan, digits)
     for actuator, peak, (low, high) in zip(
         problem.mechanism.actuators, certificate.peak_effort, problem.limits.effort, strict=True
     ):
-        lines.append(f"effort {actuator.name}: {peak:.5g} {actuator.unit} at the most, limit {low:g} to {high:g}")
+        limit = f"limit {low:g} to {high:g} {actuator.unit}"
+        lines.append(f"effort {actuator.name}: {peak:.5g} {actuator.unit} at the most, {limit}")
     units = " or ".join(dict.fromkeys(actuator.unit for actuator in problem.mechanism.actuators))
     rows = [
-        ["effort beyond its limit, any instant", certificate.effort_excess, units],
-        ["inverse dynamics minus planned effort", certificate.dynamics_residual, units],
-        ["closure gap", certificate.closure_gap_m, "m"],
+        ["effort beyond its limit, any instant", error_figure(certificate.effort_excess), units],
+        ["inverse dynamics minus planned effort", error_figure(certificate.dynamics_residual), units],
+        ["closure gap", error_figure(certificate.closure_gap_m), "m"],
     ]
     if certificate.integration_restarts:
         lines.append(
@@ -39,9 +44,9 @@ def plan_text(plan: Plan) -> str:
         )
     kinds = {joint.kind for joint in problem.mechanism.independent_joints}
     if "hinge" in kinds:
-        rows.append(["state after integration at 1e-12", certificate.integration_error_deg, "deg"])
+        rows.append(["state after integration at 1e-12", error_figure(certificate.integration_error_deg), "deg"])
     if "slide" in kinds:
-        rows.append(["state after integration at 1e-12", certificate.integration_error_m, "m"])
+        rows.append(["state after integration at 1e-12", error_figure(certificate.integration_error_m), "m"])
     for joint, margin in zip(problem.mechanism.joints, certificate.position_margin, strict=True):
         if np.isfinite(margin):
             rows.append([f"margin to the range of {joint.name}", joint.shown(margin), joint.unit])
@@ -49,7 +54,7 @@ def plan_text(plan: Plan) -> str:
         if np.isfinite(margin):
             rows.append([f"margin to the speed limit of {joint.name}", joint.shown(margin), f"{joint.unit}/s"])
     if problem.motion.start_at or problem.motion.goal_at or any(waypoint.at for waypoint in problem.motion.waypoints):
-        rows.append(["sites from where start, waypoints and goal ask them", certificate.site_error_m, "m"])
+        rows.append(["sites from where start, waypoints and goal ask them", error_figure(certificate.site_error_m), "m"])
     rows.append(["least det J_z, relative to home", certificate.singularity_ratio, "1"])
     rows += [[f"margin to the limit on {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
     forces = zip(problem.mechanism.closure_names, certificate.peak_closure_force, strict=True)
@@ -65,19 +70,17 @@ def plan_text(plan: Plan) -> str:
     return "\n".join(lines)
 
 
-def _objective_unit(problem: PlanningProblem) -> str:
-    """Return the unit of a single term, in front a blank; nothing for a sum."""
-    terms = list(problem.objective.weights)
-    return f" {TERMS[terms[0]][1]}" if len(terms) == 1 else ""
-
-
-def _history_lines(plan: Plan) -> list[str]:
+def _history_lines(plan: Plan, digits: int) -> list[str]:
     """Return a line for each solve that led to a plan, where it took more than one."""
     if len(plan.history) < 2:
         return []
     lines = ["solves:"]
     for step in plan.history:
         error = "" if not step.integration_error_deg else f", {step.integration_error_deg:.2g} deg after integration"
-        answer = f"objective {step.objective:.9g}" if step.converged else f"not solved ({step.solver_status})"
+        answer = (
+            f"objective {figure(step.objective, min(digits, _OF_A_STEP))}"
+            if step.converged
+            else f"not solved ({step.solver_status})"
+        )
         lines.append(f"  {step.what}: {step.scheme}, {step.intervals} intervals, {answer}{error}, {step.solve_s:.2g} s")
     return lines

@@ -6,9 +6,9 @@ from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.plan import Plan
 
 
-def save_plan(plan: Plan, place: Path, target: Path | None = None, *, jumps: bool = False) -> None:
+def save_plan(plan: Plan, place: Path, target: Path | None = None, *, jumps: bool = False, parquet: bool = False) -> None:
     """Write a plan and its figure into an empty folder, which will stand at `target` where it is to be moved."""
     from linkplan.studies.output.draw_plan import plan_figure
 
-    write_plan(plan, place, target, jumps=jumps)
+    write_plan(plan, place, target, jumps=jumps, parquet=parquet)
     plan_figure(plan, place / "plan.png")

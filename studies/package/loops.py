@@ -21,8 +21,9 @@ from linkplan.planner.problem.values import number
 from linkplan.reporting import Progress, listener
 from linkplan.studies.bode.bode import BodeStudy, bode_study
 from linkplan.studies.bode.poses import loop_poses
-from linkplan.studies.frequency.excitation import METHODS, Setup
+from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import operating_point
+from linkplan.studies.frequency.method_names import METHODS
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
 from linkplan.subjects import Subject, poses_of, subject_of

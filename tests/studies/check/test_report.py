@@ -169,7 +169,7 @@ def test_the_gripper_s_cable_has_the_closed_form_s_arm_inertia_and_holding_pull(
     assert relative_error(path.holding_effort[:, 0], pull) < KNEE
     assert np.any(pull < 0), "where the springs hold the hand further shut than its weight does"
     assert "holding weight and springs asks pull for" in path_text(path)
-    assert f"beyond its limit of 0 to 20; so in {np.sum(pull < 0)} of {len(q)} poses" in path_text(path)
+    assert f"beyond its limit of 0 to 20 N; so in {np.sum(pull < 0)} of {len(q)} poses" in path_text(path)
 
 
 @pytest.mark.slow

@@ -1,0 +1,50 @@
+"""Columns of samples as files: CSV for people, Parquet for programs, units in the heads and in the schema."""
+
+import csv
+import io
+from collections.abc import Mapping
+
+import numpy as np
+
+from linkplan.models.errors import PlanFileError
+
+# Heads end in the unit of their column; the first ending that fits counts.
+_UNITS = {
+    "_deg_s2": "deg/s2", "_deg_s": "deg/s", "_deg": "deg",
+    "_m_s2": "m/s2", "_m_s": "m/s", "_m": "m",
+    "_Nm": "N.m", "_N": "N", "time_s": "s",
+}  # fmt: skip
+
+
+def unit_of(head: str) -> str:
+    """Return the unit of a column by its head: of "O_deg_s" it is deg/s."""
+    return next((unit for ending, unit in _UNITS.items() if head.endswith(ending)), "1")
+
+
+def csv_bytes(columns: Mapping[str, np.ndarray]) -> bytes:
+    """Return columns (n,) as CSV, one row a sample, in twelve digits."""
+    text = io.StringIO(newline="")
+    writer = csv.writer(text)
+    # What begins so is a formula to a spreadsheet.
+    writer.writerow([f"'{head}" if head[:1] in "=+-@" else head for head in columns])
+    writer.writerows([[f"{value:.12g}" for value in row] for row in np.column_stack(list(columns.values()))])
+    return text.getvalue().encode("utf-8")
+
+
+def parquet_bytes(columns: Mapping[str, np.ndarray], about: Mapping[str, str]) -> bytes:
+    """Return columns (n,) as Parquet, exactly; each has its unit in its field's metadata, the schema's own is `about`.
+
+    Raises:
+        PlanFileError: when pyarrow is not installed.
+    """
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise PlanFileError("Parquet is written by pyarrow, which is not installed (pip install pyarrow)") from error
+    fields = [pyarrow.field(head, pyarrow.float64(), nullable=False, metadata={"unit": unit_of(head)}) for head in columns]
+    schema = pyarrow.schema(fields, metadata=dict(about))
+    arrays = [pyarrow.array(np.ascontiguousarray(column, dtype=float)) for column in columns.values()]
+    sink = pyarrow.BufferOutputStream()
+    pyarrow.parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), sink)
+    return sink.getvalue().to_pybytes()

@@ -1,0 +1,53 @@
+"""Single files that are written: whole or not at all, and never over what is there."""
+
+import os
+from pathlib import Path
+
+from linkplan.models.errors import PlanFileError
+
+
+def check_new(path: Path) -> None:
+    """Refuse a place where no file can be made: before long work begins, not after it.
+
+    Raises:
+        PlanFileError: where something is there already, or the folder is not there or cannot be written.
+    """
+    try:
+        there, folder = os.path.lexists(path), path.parent.is_dir()
+    except (OSError, ValueError) as error:
+        raise PlanFileError(f"'{path}' is no path for a file: {error}") from error
+    if there:
+        raise PlanFileError(f"'{path}' is there already, and no file is overwritten; name another, or remove it")
+    if not path.name:
+        raise PlanFileError(f"'{path}' is no path for a file")
+    if not folder:
+        raise PlanFileError(f"'{path}' cannot be written: there is no folder '{path.parent}'")
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise PlanFileError(f"'{path}' cannot be written: no permission to write into '{path.parent}'")
+
+
+def write_new(path: Path, content: bytes) -> None:
+    """Write a file that is not there yet: beside its place first, then in one step.
+
+    Raises:
+        PlanFileError: where something is there, or the disk refuses.
+    """
+    check_new(path)
+    part = path.with_name(f".{path.name[:100]}.{os.getpid()}.part")
+    try:
+        with part.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        try:
+            os.link(part, path)  # refuses where something has come there meanwhile, as renaming does not
+        except FileExistsError:
+            check_new(path)
+            raise
+        except OSError:  # a file system without hard links
+            with path.open("xb") as file:
+                file.write(content)
+    except OSError as error:
+        raise PlanFileError(f"cannot write '{path}': {error.strerror or error}") from error
+    finally:
+        part.unlink(missing_ok=True)

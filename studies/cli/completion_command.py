@@ -1,0 +1,100 @@
+"""The command `completion`: shtab writes what each shell needs from the parser itself.
+
+The script is static: a Tab starts no Python and loads nothing, where argcomplete would run linkplan for each.
+"""
+
+import argparse
+
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.models.catalogue import MODELS
+from linkplan.models.errors import ProblemError
+from linkplan.models.names import choose
+from linkplan.planner.files.key_table import KEYS
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.studies.cli.exit_codes import DONE
+from linkplan.studies.cli.printing import show
+from linkplan.studies.cli.shells import SHELLS
+from linkplan.studies.export.formats import FORMATS
+from linkplan.studies.frequency.method_names import METHODS
+
+# What an argument takes, by the name that its help has for it: words, and files by the ends of their names or folders.
+_TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "MODEL": ((*MODELS, *PROBLEMS), ("*.xml", "*.mjcf", "*.toml")),
+    "MODEL-or-PROBLEM": ((*MODELS, *PROBLEMS), ("*.xml", "*.mjcf", "*.toml")),
+    "PROBLEM": (PROBLEMS, ("*.toml",)),
+    "PROBLEM-or-PLAN": (PROBLEMS, ("*.toml",)),
+    "PLAN": (PROBLEMS, ("*.toml",)),
+    "BATCH": ((), ("*.toml",)),
+    "DIR": ((), ()),
+    "FILE": ((), ("*",)),
+    "NAME": (TRACKERS, ()),
+    "HOW": ((*METHODS, "none"), ()),
+    "FORMAT": (tuple(FORMATS), ()),
+    "SHELL": (SHELLS, ()),
+}
+_WORDS_ONLY = ("NAME", "HOW", "FORMAT", "SHELL")
+# A setting goes on after its "=": no blank is put there.
+_SETTINGS = tuple(f"{key.path}=" for key in KEYS if "{" not in key.key)
+_BASH_WITHOUT_BLANK = """
+_linkplan_without_blank() {
+  _shtab_linkplan "$@"
+  if [[ ${#COMPREPLY[@]} == 1 && ${COMPREPLY[0]} == *= ]]; then compopt -o nospace; fi
+}
+complete -o bashdefault -F _linkplan_without_blank linkplan
+"""
+
+
+def run_completion(arguments: argparse.Namespace) -> int:
+    """Print a shell's completion script."""
+    shell = choose("shell", arguments.shell, SHELLS, ProblemError)
+    text = completion_script(shell)
+    show(arguments, {"shell": shell, "script": text}, text.rstrip("\n"))
+    return DONE
+
+
+def completion_script(shell: str) -> str:
+    """Return a shell's completion script."""
+    import shtab
+
+    from linkplan.studies.cli.main import build_parser
+
+    parser = build_parser()
+    for command in (parser, *parser.commands.values()):
+        for action in command._actions:
+            takes = _completed(str(action.metavar))
+            if takes is not None:
+                action.complete = takes
+    text = shtab.complete(parser, shell)
+    return text + _BASH_WITHOUT_BLANK if shell == "bash" else text
+
+
+def _completed(metavar: str) -> dict | None:
+    """Return how an argument is completed in each shell, as shtab wants it; None where nothing is known of it."""
+    if metavar == "KEY=VALUE":
+        return _function("settings", _SETTINGS, (), folders=False)
+    if metavar not in _TAKES:
+        return None
+    return _function(metavar.lower().replace("-", "_"), *_TAKES[metavar], folders=metavar not in _WORDS_ONLY)
+
+
+def _function(name: str, words: tuple[str, ...], patterns: tuple[str, ...], *, folders: bool) -> dict:
+    """Return a completion by words, files that match patterns, and folders: a function of each shell, in its preamble."""
+    function, said = f"_linkplan_{name}", " ".join(words)
+    bash = [f"{function}() {{", f'  compgen -W "{said}" -- "$1"' if words else ""]
+    bash += [f"  compgen -f -X '!{pattern}' -- \"$1\"" for pattern in patterns if pattern != "*"]
+    bash += ['  compgen -f -- "$1"' if "*" in patterns else '  compgen -d -S / -- "$1"' if folders else "", "}"]
+    zsh = [f"{function}() {{"]
+    if words:
+        zsh.append(f"  compadd -S '' -- {said}" if name == "settings" else f"  compadd -- {said}")
+    if "*" in patterns:
+        zsh.append("  _files")
+    elif folders:
+        zsh.append(f"  _files -g '({'|'.join(patterns)})'" if patterns else "  _files -/")
+    fish = [f"function {function}", f"  printf '%s\\n' {said}" if words else ""]
+    if patterns:
+        fish.append("  __fish_complete_path (commandline -ct)")
+    elif folders:
+        fish.append("  __fish_complete_directories (commandline -ct)")
+    preamble = {"bash": bash, "zsh": [*zsh, "}"], "fish": [*fish, "end"]}
+    found: dict = {"bash": function, "zsh": function, "fish": f"({function})"}
+    return found | {"preamble": {shell: "\n".join(line for line in lines if line) for shell, lines in preamble.items()}}

@@ -1,0 +1,38 @@
+"""The command `new`."""
+
+import argparse
+
+from linkplan.models.catalogue import MODELS
+from linkplan.models.errors import ProblemError
+from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.studies.cli.common import new_file, refuse_no_model
+from linkplan.studies.cli.exit_codes import DONE, NO
+from linkplan.studies.cli.printing import progress, show
+
+
+def run_new(arguments: argparse.Namespace) -> int:
+    """Write a problem file for a mechanism; 1 where no motion was found for it."""
+    from linkplan.planner.files.new_file import write_new
+    from linkplan.studies.new.first_motion import first_motion, model_beside
+    from linkplan.studies.new.problem_text import problem_text
+
+    target, say = new_file(arguments), progress(arguments)
+    if arguments.model in PROBLEMS or arguments.model.endswith(".toml"):
+        raise ProblemError(f"'{arguments.model}' is a problem already, and new begins one; name its mechanism's model")
+    refuse_no_model(arguments.model)
+    found = first_motion(arguments.model, say)
+    tables = found.tables
+    if arguments.model not in MODELS:
+        tables = tables | {"mechanism": tables["mechanism"] | {"model": model_beside(arguments.model, target)}}
+    file = "problem.toml" if target is None else target.name
+    text = problem_text(found.mechanism, tables, found.description, file)
+    if target is not None:
+        write_new(target, text.encode("utf-8"))
+    verdict = "planned" if found.planned else f"NOT planned: {found.why}"
+    said = {"file": None if target is None else str(target), "planned": found.planned, "why": found.why, "tables": tables}
+    if target is None:
+        say.keep(f"{found.description}: {verdict}")
+        show(arguments, said, text.rstrip("\n"))
+    else:
+        show(arguments, said, f"{target}: {found.description}\n{verdict[0].upper()}{verdict[1:]}")
+    return DONE if found.planned else NO

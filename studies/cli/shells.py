@@ -1,0 +1,3 @@
+"""The shells that completion is written for."""
+
+SHELLS = ("bash", "zsh", "fish")

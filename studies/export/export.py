@@ -1,0 +1,46 @@
+"""A plan's export: the content of one file."""
+
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.names import choose
+from linkplan.planner.files.columns import csv_bytes, parquet_bytes
+from linkplan.planner.plan import Plan
+from linkplan.studies.export.formats import FORMATS
+from linkplan.studies.export.keyframes import keyframes_text, whole_model_text
+from linkplan.studies.export.matlab import mat_bytes
+from linkplan.studies.export.ros import joint_trajectory_text
+from linkplan.studies.export.samples import Samples, samples_of
+
+
+def exported(plan: Plan, to: str, every_s: float | None = None) -> bytes:
+    """Return a plan as the content of a file.
+
+    Args:
+        plan: with a motion.
+        to: one of `FORMATS`.
+        every_s: the time between samples [s]; by default there are ten in each interval of the plan's mesh.
+
+    Raises:
+        LinkplanError: when the plan has no motion, the format is none, or the time between samples is none.
+    """
+    choose("format", to, FORMATS, ProblemError)
+    if plan.trajectory is None:
+        raise LinkplanError(f"nothing to export, the plan has no motion: {plan.message}")
+    return _WRITERS[to](samples_of(plan, every_s))
+
+
+def about(plan: Plan) -> dict[str, str]:
+    """Return what a file's metadata says of a plan."""
+    return {"linkplan": version("linkplan"), "plan": plan.problem.name, "mechanism": plan.problem.mechanism.name}
+
+
+_WRITERS: Mapping[str, Callable[[Samples], bytes]] = {
+    "keyframes": lambda samples: keyframes_text(samples).encode("utf-8"),
+    "mjcf": lambda samples: whole_model_text(samples).encode("utf-8"),
+    "ros": lambda samples: joint_trajectory_text(samples).encode("utf-8"),
+    "mat": mat_bytes,
+    "csv": lambda samples: csv_bytes(samples.table.columns()),
+    "parquet": lambda samples: parquet_bytes(samples.table.columns(), about(samples.plan)),
+}

@@ -1,0 +1,50 @@
+"""A plan as keyframes of MuJoCo: a file to include in its model, or the model with them."""
+
+from pathlib import Path
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+
+from linkplan.models.library import model_spec
+from linkplan.studies.export.samples import Samples
+
+
+def keyframes_text(samples: Samples) -> str:
+    """Return an MJCF file of one <keyframe>: time, qpos, qvel and ctrl at each sample, exact to the last digit.
+
+    In the model, or in a file that includes it first: <include file="..."/>.
+    """
+    problem = samples.plan.problem
+    about = f"{len(samples.time_s)} samples of the plan '{problem.name}' of mechanism '{problem.mechanism.name}'"
+    return f"<mujoco>\n  <!-- {about.replace('--', '- -')} -->\n{_keyframe(samples)}</mujoco>\n"
+
+
+def whole_model_text(samples: Samples) -> str:
+    """Return the model's MJCF, payload and softness as planned with, with the keyframes in it."""
+    mechanism = samples.plan.problem.mechanism
+    source = str(mechanism.source["model"])
+    spec = model_spec(source, mechanism.payload)
+    soft = zip(spec.equalities, mechanism.model.eq_solref, mechanism.model.eq_solimp, strict=True)
+    for equality, solref, solimp in soft:
+        equality.solref, equality.solimp = solref, solimp
+    if Path(source).is_file():  # what the model names beside itself is found from anywhere
+        folder = Path(source).resolve().parent
+        spec.meshdir, spec.texturedir = str(folder / spec.meshdir), str(folder / spec.texturedir)
+    head, end, _ = spec.to_xml().rpartition("</mujoco>")
+    return f"{head}{_keyframe(samples)}{end}\n"
+
+
+def _keyframe(samples: Samples) -> str:
+    name, lines = samples.plan.problem.name, ["  <keyframe>"]
+    width = len(str(len(samples.time_s) - 1))
+    rows = zip(samples.time_s - samples.time_s[0], samples.qpos(), samples.qvel(), samples.ctrl(), strict=True)
+    for k, (time, qpos, qvel, ctrl) in enumerate(rows):
+        values = {"name": f"{name} {k:0{width}d}", "time": _numbers([time]), "qpos": _numbers(qpos), "qvel": _numbers(qvel)}
+        if len(ctrl):
+            values["ctrl"] = _numbers(ctrl)
+        lines.append("    <key " + " ".join(f"{key}={quoteattr(value)}" for key, value in values.items()) + "/>")
+    return "\n".join([*lines, "  </keyframe>", ""])
+
+
+def _numbers(values: np.ndarray | list[float]) -> str:
+    return " ".join(repr(float(value)) for value in values)

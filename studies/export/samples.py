@@ -1,0 +1,96 @@
+"""A plan at instants, as MuJoCo and the reduced coordinates have it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.controls import needed_controls
+from linkplan.planner.files.motion_table import MotionTable, motion_table
+from linkplan.planner.plan import Plan
+
+# More samples than this are a slip of the keyboard: a gigabyte of keyframes.
+_MOST = 1_000_000
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Samples:
+    """A plan's motion at instants (n,) [s] from its start.
+
+    `q` and `rates` (n, n_q) are every coordinate's position and speed [rad or m, and per second], `velocity` and
+    `acceleration` (n, n_s) the independent ones', `effort` (n, n_u) the actuators' [N.m or N]. `table` is the same for
+    people.
+    """
+
+    plan: Plan
+    time_s: np.ndarray
+    table: MotionTable
+    q: np.ndarray
+    rates: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    effort: np.ndarray
+
+    @property
+    def position(self) -> np.ndarray:
+        """The independent coordinates' positions (n, n_s) [rad or m]."""
+        return self.q[:, self.plan.problem.mechanism.independent]
+
+    def qpos(self) -> np.ndarray:
+        """Return MuJoCo's positions (n, nq)."""
+        return self.plan.problem.mechanism.qpos_of(self.q)
+
+    def qvel(self) -> np.ndarray:
+        """Return MuJoCo's velocities (n, nv)."""
+        return self.plan.problem.mechanism.qvel_of(self.q, self.rates)
+
+    def ctrl(self) -> np.ndarray:
+        """Return MuJoCo's ctrl (n, nu) that gives the efforts, 0 for actuators that the plan does not use."""
+        mechanism = self.plan.problem.mechanism
+        controls = np.zeros((len(self.time_s), mechanism.model.nu))
+        needed = needed_controls(mechanism, self.q, self.velocity, self.effort)
+        for column, actuator in enumerate(mechanism.actuators):
+            controls[:, actuator.channel] = needed[:, column]
+        return controls
+
+    def generalised_effort(self) -> np.ndarray:
+        """Return the actuators' effort on the independent coordinates, Gamma^T B u (n, n_s) [N.m or N]."""
+        maps = sampled(self.plan.problem.mechanism.dynamics.effort_map, self.q)
+        return np.einsum("ksu,ku->ks", maps, self.effort)
+
+
+def samples_of(plan: Plan, every_s: float | None = None) -> Samples:
+    """Return a plan's samples: from its start, `every_s` seconds apart and at its end, or ten in each interval of its mesh.
+
+    Raises:
+        ProblemError: when that is no time, or there would be too many.
+    """
+    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
+    begin, duration = float(trajectory.breaks_s[0]), trajectory.duration_s
+    if every_s is not None and not (np.isfinite(every_s) and 0 < every_s <= duration):
+        raise ProblemError(f"the time between samples is above 0 and at most the motion's {duration:.6g} s, got {every_s:g}")
+    if every_s is not None and duration / every_s > _MOST:
+        raise ProblemError(f"at most {_MOST} samples are written, {duration:.6g} s every {every_s:g} s are more")
+    time = None
+    if every_s is not None:
+        # what is left at the end below a thousandth of a step is rounding
+        time = begin + np.append(np.arange(0.0, duration - 1e-3 * every_s, every_s), duration)
+    table = motion_table(plan, time)
+    joints = mechanism.joints
+
+    def internal(values: dict[str, np.ndarray]) -> np.ndarray:
+        columns = [np.radians(values[j.name]) if j.kind == "hinge" else values[j.name] for j in joints]
+        return np.column_stack(columns)
+
+    at = table.time_s
+    return Samples(
+        plan=plan,
+        time_s=at,
+        table=table,
+        q=internal(table.position),
+        rates=internal(table.speed),
+        velocity=trajectory.velocity_at(at),
+        acceleration=trajectory.acceleration_at(at),
+        effort=trajectory.effort_at(at),
+    )

@@ -1,0 +1,83 @@
+"""Completion scripts: what they know, what they cost, and that a shell obeys them."""
+
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from linkplan.studies.cli.completion_command import completion_script
+from linkplan.studies.cli.main import build_parser
+from linkplan.studies.cli.shells import SHELLS
+
+# What is typed, and what must be among the answers.
+TYPED = [
+    ("linkplan pl", "plan"),
+    ("linkplan plan knee-r", "knee-reach"),
+    ("linkplan plan --ju", "--jumps"),
+    ("linkplan check optimus-knee-l", "optimus-knee-linear"),
+    ("linkplan check dra", "drawing.xml"),
+    ("linkplan plan knee-reach --set motion.goal_d", "motion.goal_deg="),
+    ("linkplan track --tracker pd+", "pd+ff"),
+    ("linkplan bode optimus-knee --measure ch", "chirp"),
+    ("linkplan export knee-reach --to key", "keyframes"),
+    ("linkplan completion f", "fish"),
+]
+BASH = """
+source "$1"; shift
+COMP_WORDS=("$@"); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMPREPLY=()
+_linkplan_without_blank linkplan "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD-1]}" 2>/dev/null
+printf '%s\\n' "${COMPREPLY[@]}"
+"""
+
+
+@pytest.mark.parametrize("shell", SHELLS)
+def test_every_command_and_long_option_is_in_every_script(shell):
+    script = completion_script(shell)
+    commands = build_parser().commands
+    assert len(commands) > 10
+    for name, command in commands.items():
+        assert name in script
+        for option in command.options:
+            assert option.lstrip("-") in script
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")
+@pytest.mark.parametrize(("line", "meant"), TYPED, ids=[line for line, _ in TYPED])
+def test_bash_completes(line, meant, tmp_path):
+    (tmp_path / "drawing.xml").write_text("", encoding="utf-8")
+    (tmp_path / "script").write_text(completion_script("bash"), encoding="utf-8")
+    words = line.split()
+    done = subprocess.run(
+        ["bash", "-c", BASH, "-", "./script", *words], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    assert meant in done.stdout.split()
+
+
+@pytest.mark.skipif(shutil.which("fish") is None, reason="there is no fish here")
+def test_fish_completes(tmp_path):
+    (tmp_path / "drawing.xml").write_text("", encoding="utf-8")
+    (tmp_path / "script").write_text(completion_script("fish"), encoding="utf-8")
+    asked = "; ".join(f'echo "== {line}"; complete -C "{line}"' for line, _ in TYPED)
+    done = subprocess.run(
+        ["fish", "--no-config", "-c", f"source script; {asked}"], cwd=tmp_path, capture_output=True, text=True, check=True
+    )
+    answers = dict(block.split("\n", 1) for block in done.stdout.split("== ")[1:])
+    for line, meant in TYPED:
+        assert meant in [answer.split("\t")[0] for answer in answers[line].splitlines()], line
+
+
+@pytest.mark.skipif(shutil.which("zsh") is None, reason="there is no zsh here")
+def test_zsh_reads_the_script(tmp_path):
+    (tmp_path / "script").write_text(completion_script("zsh"), encoding="utf-8")
+    subprocess.run(["zsh", "-n", "script"], cwd=tmp_path, check=True)
+
+
+def test_writing_a_script_loads_neither_solver_nor_simulator():
+    code = (
+        "import sys; from linkplan.studies.cli.main import main; main(['completion', 'bash']); print('LOADED', *sys.modules)"
+    )
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    loaded = {name.split(".")[0] for name in said.rpartition("LOADED")[2].split()}
+    assert "shtab" in loaded
+    assert not loaded & {"casadi", "mujoco", "scipy", "matplotlib", "control", "numpy", "pyarrow"}

@@ -1,0 +1,200 @@
+"""`new`: problem files that are begun, for the built-in mechanisms and for models of others."""
+
+import re
+import tomllib
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from linkplan.models.catalogue import built_in_text
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.planner.files.key_table import KEYS, SECTIONS
+from linkplan.planner.files.limits_file import MOTOR_KEYS
+from linkplan.planner.files.problem_file import KEYS as READER
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.files.tables import set_key
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+from linkplan.studies.new.first_motion import FirstMotion, first_motion
+from linkplan.studies.new.problem_text import problem_text
+from tests.support.data import DATA
+
+# Typical mechanisms: each is planned within seconds.
+PLANNED = ["optimus-knee", "optimus-knee-linear", "slider-crank", "five-bar", "parallel-gripper", "cart-pole"]
+# Hoeken's linkage with a = 40 mm: crank a, ground 2a, coupler and rocker 2.5a, as somebody would write it.
+HOEKEN = """<mujoco model="hoeken">
+  <worldbody>
+    <body name="crank">
+      <joint name="O2" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 0.04 0 0" size="0.004"/>
+      <body name="coupler" pos="0.04 0 0">
+        <joint name="A" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 0.08 0 0.18330303" size="0.004"/>
+        <site name="B_coupler" pos="0.04 0 0.091651514"/><site name="foot" pos="0.08 0 0.18330303"/>
+      </body>
+    </body>
+    <body name="rocker" pos="0.08 0 0">
+      <joint name="O4" axis="0 -1 0"/><geom type="capsule" fromto="0 0 0 0 0 0.1" size="0.004"/>
+      <site name="B_rocker" pos="0 0 0.1"/>
+    </body>
+  </worldbody>
+  <contact><exclude body1="crank" body2="rocker"/><exclude body1="coupler" body2="rocker"/></contact>
+  <equality><connect name="B" site1="B_coupler" site2="B_rocker"/></equality>
+  {actuator}
+</mujoco>"""
+MOTOR = '<actuator><motor name="crank" joint="O2" ctrlrange="-1 1"/></actuator>'
+# What a key asks for beside itself, or stands against: taken away or added before it is set.
+AGAINST = {
+    "motion.start_at": ("motion.start_m", "motion.start_deg"),
+    "motion.goal_at": ("motion.goal_m", "motion.goal_deg"),
+    "motion.min_duration_s": ("motion.duration_s",),
+    "motion.max_duration_s": ("motion.duration_s",),
+    "mesh.breaks": ("mesh.intervals",),
+}
+
+
+@cache
+def begun(model: str) -> FirstMotion:
+    return first_motion(model, print)
+
+
+@cache
+def text_of(model: str) -> str:
+    found = begun(model)
+    return problem_text(found.mechanism, found.tables, found.description, "problem.toml")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("model", PLANNED)
+def test_a_typical_mechanism_has_a_first_motion_that_passes_its_certificate(model):
+    found = begun(model)
+    assert found.planned, found.why
+    assert found.plan.certificate.passed
+    start, goal = (found.plan.problem.motion.start, found.plan.problem.motion.goal)
+    assert (start != goal).any()
+    assert found.plan.certificate.singularity_ratio > 0.2
+    assert not found.plan.certificate.contacts
+
+
+def test_the_text_is_read_as_the_tables_that_it_was_made_of():
+    found = begun("optimus-knee")
+    tables = tomllib.loads(text_of("optimus-knee"))
+    assert tables.pop("description") == found.description
+    assert {name: section for name, section in tables.items() if section} == found.tables
+
+
+def test_the_key_table_and_the_reader_know_the_same_keys():
+    listed = {(key.section, key.key) for key in KEYS if key.section != "motors"}
+    assert listed == {(section, key) for section, keys in READER.items() for key in keys}
+    assert set(SECTIONS) == set(READER)
+    (motor,) = (key.example for key in KEYS if key.section == "motors")
+    of_motors = {*MOTOR_KEYS[:3], "{no_load}"}
+    assert all(name in motor for name in of_motors)
+
+
+@pytest.mark.parametrize(
+    ("section", "settings"), [("mesh", MeshSettings), ("solver", SolverSettings), ("tracking", Tracking)]
+)
+def test_defaults_in_comments_are_the_reader_s_own(section, settings):
+    looked = 0
+    for key in KEYS:
+        if key.section == section and not key.otherwise and hasattr(settings(), key.key):
+            assert tomllib.loads(f"x = {key.example}")["x"] == getattr(settings(), key.key), key.path
+            looked += 1
+    assert looked >= 3
+
+
+@pytest.mark.parametrize("model", ["optimus-knee-linear", "cart-pole"])
+def test_every_option_in_a_comment_can_be_taken_as_it_stands(model):
+    text, taken = text_of(model), 0
+    assert max(len(line) for line in text.splitlines() if not line.startswith("#act_")) <= 120
+    section = ""
+    for line in text.splitlines():
+        section = found[1] if (found := re.match(r"\[(\w+)\]", line)) else section
+        option = re.match(r"#([\w-]+) = (.*?)(\s+# .*)?$", line)
+        # a reference is taken as a whole below; a guess asks for a plan; turns are of periodic motions alone
+        if option is None or section in ("reference", "guess") or option[1] == "turns":
+            continue
+        tables = tomllib.loads(text)
+        for other in AGAINST.get(f"{section}.{option[1]}", ()):
+            tables[other.split(".")[0]].pop(other.split(".")[1], None)
+        set_key(tables, f"{section}.{option[1]}", tomllib.loads(f"x = {option[2]}")["x"])
+        problem_from_tables("begun", tables)
+        taken += 1
+    assert taken > 25
+
+
+def test_its_reference_can_be_taken_as_a_whole():
+    text = text_of("optimus-knee")
+    begin, end = text.index("[reference]"), text.index("[objective]")
+    whole = text[:begin] + re.sub(r"(?m)^#(\w+ =)", r"\1", text[begin:end]) + text[end:]
+    for set_now, instead in (('"reach"', '"track"'), ("goal_deg", "#goal_deg"), ('minimize = "effort"', "")):
+        whole = whole.replace(set_now, instead)
+    problem = problem_from_tables("begun", tomllib.loads(whole))
+    assert problem.reference.frequency_hz == 1.0
+
+
+def test_a_mechanism_that_nothing_drives_is_refused_with_the_line_that_it_lacks(tmp_path):
+    (tmp_path / "hoeken.xml").write_text(HOEKEN.format(actuator=""), encoding="utf-8")
+    with pytest.raises(ProblemError) as refused:
+        first_motion(str(tmp_path / "hoeken.xml"), print)
+    line = re.search(r"<actuator>.*</actuator>", str(refused.value))[0]
+    assert 'joint="O2"' in line
+    (tmp_path / "hoeken.xml").write_text(HOEKEN.format(actuator=line), encoding="utf-8")
+    assert begun(str(tmp_path / "hoeken.xml")).planned
+
+
+@pytest.mark.slow
+def test_a_stranger_s_file_is_begun_planned_and_never_overwritten(tmp_path, ask, monkeypatch):
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "hoeken.xml").write_text(HOEKEN.format(actuator=MOTOR), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = ask("new", "models/hoeken.xml", "-o", "leg.toml")
+    assert code == 0
+    assert "O2 from" in out
+    text = Path("leg.toml").read_text(encoding="utf-8")
+    assert tomllib.loads(text)["mechanism"]["model"] == "models/hoeken.xml"
+    assert ask("plan", "leg.toml", "-o", "planned")[0] == 0
+    code, out, err = ask("new", "models/hoeken.xml", "-o", "leg.toml")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert "no file is overwritten" in err
+    assert Path("leg.toml").read_text(encoding="utf-8") == text
+
+
+def test_without_a_file_the_problem_is_printed(ask):
+    code, out, _ = ask("new", "optimus-knee")
+    assert code == 0
+    assert tomllib.loads(out)["mechanism"]["model"] == "optimus-knee"
+
+
+@pytest.mark.parametrize(
+    ("model", "said"),
+    [
+        ("optimus-kne", "did you mean 'optimus-knee'?"),
+        ("knee-reach", "is a problem already"),
+        ("no/such.xml", "unknown model"),
+        ("", "mechanism.model is"),
+    ],
+)
+def test_what_is_no_model_is_refused_in_one_line(model, said, ask):
+    code, out, err = ask("new", model)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert said in err
+
+
+@pytest.mark.slow
+def test_where_no_motion_is_found_the_file_is_written_and_says_so(tmp_path, ask):
+    target = tmp_path / "gripper.toml"
+    code, out, _ = ask("new", str(DATA / "adaptive_gripper.xml"), "-o", str(target))
+    assert code == 1
+    assert "NOT planned" in out
+    assert tomllib.loads(target.read_text(encoding="utf-8"))["motion"]["kind"] == "reach"
+
+
+def test_a_model_that_does_not_close_is_begun_at_the_pose_that_was_found(tmp_path):
+    text = built_in_text("slider-crank")
+    opened = re.sub(r"<keyframe>.*?</keyframe>", "", text, flags=re.S)
+    (tmp_path / "open.xml").write_text(opened, encoding="utf-8")
+    try:
+        found = first_motion(str(tmp_path / "open.xml"), print)
+    except LinkplanError as error:
+        pytest.fail(f"a model without a keyframe is refused: {error}")
+    assert found.planned, found.why
