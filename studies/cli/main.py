@@ -1,4 +1,4 @@
-"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | demo`.
+"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | render | demo`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
 problems found), said in a sentence; 2 bad input or a disk that refuses, one line; 130 or 143 ended by a signal; 141 nobody
@@ -28,6 +28,7 @@ _MODULES = {
     "track": "tracking_commands",
     "compare": "tracking_commands",
     "view": "tracking_commands",
+    "render": "render_command",
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
     "demo": "demo_command",
@@ -134,6 +135,9 @@ def build_parser() -> Parser:
     view.add_argument("--slow", type=float, default=4.0, metavar="X", help="times slower than real (default: %(default)s)")
     view.add_argument("--seconds", type=float, metavar="S", help="close the window after this time (default: when you do)")
 
+    text = "draw a tracked plan as a film (.mp4, .gif) or a picture (.png), without a screen"
+    _render(command("render", text, output=False))
+
     text = "run the whole path on the Optimus knee into one folder (default: linkplan-demo)"
     command("demo", text, settings=False).set_defaults(output="linkplan-demo")
     return parser
@@ -145,6 +149,25 @@ def _loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
     parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
     _at(parser, "a pose to analyse; may be given again (default: over the motion or the reach)")
+
+
+def _render(render: argparse.ArgumentParser) -> None:
+    render.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    text = "the file to write, whole: .mp4, .gif or .png; one that linkplan did not write is left alone"
+    render.add_argument("-o", "--output", metavar="FILE", required=True, help=text)
+    _anyway(render)
+    render.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
+    render.add_argument("--slow", type=float, metavar="X", help="times slower than real (default: to last some 4 s)")
+    render.add_argument("--fps", type=float, default=25.0, metavar="N", help="frames a second (default: %(default)s)")
+    render.add_argument("--size", default="800x600", metavar="WxH", help="of the picture in pixels (default: %(default)s)")
+    text = "a camera of the model by its name, or AZIMUTH/ELEVATION in degrees (default: the mechanism's own side)"
+    render.add_argument("--camera", metavar="VIEW", help=text)
+    text = "play a film backwards after it, so that it goes on without a jump"
+    render.add_argument("--there-and-back", action="store_true", help=text)
+    text = "a picture of one instant, with the plan's ghost (default: several instants in one picture)"
+    render.add_argument("--at-s", type=float, metavar="T", help=text)
+    text = "how many instants a picture has in one (default: %(default)s)"
+    render.add_argument("--instants", type=int, default=7, metavar="N", help=text)
 
 
 def _anyway(parser: argparse.ArgumentParser) -> None:
@@ -201,9 +224,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             else:
                 target = getattr(arguments, "output", None)
                 before = _Before(command=arguments.command, target=target, folder=_folder_at(target))
+                arguments.mujoco_gl = os.environ.get("MUJOCO_GL")
                 if argv is None and before.command != "view":
-                    # Nothing is rendered; MuJoCo would look for a window library, in a process that signals reach too.
-                    os.environ.setdefault("MUJOCO_GL", "disable")
+                    # MuJoCo would look for a window library, in a process that signals reach too. What is rendered goes
+                    # by MuJoCo's contexts themselves.
+                    os.environ["MUJOCO_GL"] = "disable"
                 code = _run(arguments)
             check()
     except KeyboardInterrupt:

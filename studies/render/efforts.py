@@ -1,0 +1,132 @@
+"""Efforts as arrows: an arc about a driven hinge, a straight arrow along a slide or a force, a tendon in the load's colour.
+
+How far an arc goes round, how long an arrow is and its colour say which share of its limit an effort is.
+"""
+
+import mujoco
+import numpy as np
+
+from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.actuation.transmission import TRN_CRANK, TRN_IN_PARENT, TRN_JOINT, TRN_SITE, TRN_TENDON, gear_of
+from linkplan.models.tree.coordinates import HINGE, SLIDE
+from linkplan.models.tree.tendons import is_fixed
+from linkplan.studies.render.shapes import Shape, arrow, load_colour
+
+# An effort at its limit goes so far round [rad]; sizes are shares of the mechanism's.
+_FULL_TURN = np.radians(270.0)
+_ARC_RADIUS, _ARROW_LENGTH, _THICKNESS, _BESIDE = 0.16, 0.45, 0.012, 0.06
+_ARC_STEP, _HEAD, _HEAD_LENGTH, _HEAD_PARTS = np.radians(8.0), np.radians(28.0), 0.08, 9
+# A smaller share of the limit than this is not drawn: an arrow would be all head.
+_LEAST_SHARE = 0.01
+
+
+def load_shares(effort: np.ndarray, limit: np.ndarray, peak: np.ndarray) -> np.ndarray:
+    """Return which share of its limit on its own side each effort (..., n_u) is; of its peak (n_u,) where it has no limit.
+
+    Args:
+        effort: [N.m or N].
+        limit: (n_u, 2), lower and upper.
+        peak: the largest effort of the motion (n_u,).
+    """
+    side = np.where(np.asarray(effort) < 0, -limit[:, 0], limit[:, 1])
+    most = np.where(np.isfinite(side) & (side > 0), side, peak)
+    return np.divide(effort, most, out=np.zeros_like(np.asarray(effort, dtype=float)), where=most > 0)
+
+
+def effort_shapes(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    actuator: Actuator,
+    share: float,
+    size: float,
+    towards: np.ndarray,
+) -> tuple[Shape, ...]:
+    """Return an actuator's effort as shapes where the mechanism stands.
+
+    Args:
+        model: MuJoCo's.
+        data: with poses of bodies, sites and tendons worked out.
+        actuator: whose effort it is.
+        share: of the effort's limit, signed as the effort.
+        size: the mechanism's [m].
+        towards: the direction (3,) in which the eye is: arcs stand a little that way, not to be hidden by links.
+    """
+    if not np.isfinite(share):
+        return ()
+    index = actuator.index
+    kind, (on, other) = int(model.actuator_trntype[index]), (int(i) for i in model.actuator_trnid[index])
+    gear = gear_of(model, index)
+    if kind in (TRN_JOINT, TRN_IN_PARENT):
+        return _on_joint(model, data, on, gear, share, size, towards)
+    if kind == TRN_TENDON and is_fixed(model, on):
+        first = int(model.tendon_adr[on])
+        shapes: tuple[Shape, ...] = ()
+        for wrap in range(first, first + int(model.tendon_num[on])):
+            pull = gear * np.sign(model.wrap_prm[wrap])
+            shapes += _on_joint(model, data, int(model.wrap_objid[wrap]), pull, share, size, towards)
+        return shapes
+    if kind == TRN_TENDON:
+        return _along_tendon(data, on, share, size)
+    if kind == TRN_CRANK:  # along the slider's axis, which is its site's z
+        return _straight(data.site_xpos[other], data.site_xmat[other].reshape(3, 3)[:, 2] * np.sign(gear[0]), share, size)
+    if kind == TRN_SITE:
+        turned = np.array(data.site_xmat[on if other < 0 else other]).reshape(3, 3)
+        return _wrench(data.site_xpos[on], turned, gear, share, size, towards)
+    return ()
+
+
+def _on_joint(model, data, joint: int, gear: np.ndarray, share: float, size: float, towards) -> tuple[Shape, ...]:
+    anchor, axis = np.array(data.xanchor[joint]), np.array(data.xaxis[joint])
+    kind = int(model.jnt_type[joint])
+    if kind == HINGE:
+        return _arc(anchor, axis * np.sign(gear[0]), share, size, towards)
+    if kind == SLIDE:
+        return _straight(anchor, axis * np.sign(gear[0]), share, size)
+    body = int(model.jnt_bodyid[joint])
+    turned = np.array(data.xmat[body]).reshape(3, 3)
+    wrench = gear if gear[3:].any() else np.concatenate([np.zeros(3), gear[:3]])  # a ball's gear is a moment
+    return _wrench(anchor, turned, wrench, share, size, towards)
+
+
+def _wrench(at, turned: np.ndarray, gear: np.ndarray, share: float, size: float, towards) -> tuple[Shape, ...]:
+    """Return a site's force and moment: `gear` (6,) in the frame `turned` (3, 3)."""
+    force, moment = turned @ gear[:3], turned @ gear[3:]
+    shapes = _straight(at, force / np.linalg.norm(force), share, size) if force.any() else ()
+    return shapes + (_arc(at, moment / np.linalg.norm(moment), share, size, towards) if moment.any() else ())
+
+
+def _arc(centre, axis: np.ndarray, share: float, size: float, towards: np.ndarray) -> tuple[Shape, ...]:
+    """Return an arc about an axis (3,), right-handed where `share` is above zero, that begins at the top."""
+    if abs(share) < _LEAST_SHARE:
+        return ()
+    up = np.array([0.0, 0.0, 1.0]) if abs(axis[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    first = up - (up @ axis) * axis
+    first /= np.linalg.norm(first)
+    second = np.cross(axis, first)
+    side = 1.0 if axis @ towards >= 0 else -1.0
+    middle = np.array(centre) + _BESIDE * size * side * axis
+    whole = float(np.clip(share, -1.0, 1.0)) * _FULL_TURN
+    head = np.sign(whole) * min(_HEAD, abs(whole))
+    steps = max(1, int(np.ceil(abs(whole - head) / _ARC_STEP)))
+    shaft = np.linspace(0.0, whole - head, steps + 1)
+    angles = np.append(shaft, np.linspace(whole - head, whole, _HEAD_PARTS + 1)[1:])
+    points = middle + _ARC_RADIUS * size * (np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second)
+    return arrow(points, _THICKNESS * size, load_colour(share), _HEAD_PARTS)
+
+
+def _straight(start, direction: np.ndarray, share: float, size: float) -> tuple[Shape, ...]:
+    """Return an arrow from a point, its length the share of the limit."""
+    if abs(share) < _LEAST_SHARE:
+        return ()
+    long = float(np.clip(share, -1.0, 1.0)) * _ARROW_LENGTH * size
+    head = np.sign(long) * min(_HEAD_LENGTH * size, abs(long))
+    along = np.append(0.0, np.linspace(long - head, long, _HEAD_PARTS + 1))
+    return arrow(np.array(start) + along[:, None] * direction, _THICKNESS * size, load_colour(share), _HEAD_PARTS)
+
+
+def _along_tendon(data: mujoco.MjData, tendon: int, share: float, size: float) -> tuple[Shape, ...]:
+    first, n = int(data.ten_wrapadr[tendon]), int(data.ten_wrapnum[tendon])
+    points = np.array(data.wrap_xpos).reshape(-1, 3)[first : first + n]
+    apart = zip(points[:-1], points[1:], strict=True)
+    thick = (0.4 + 0.6 * min(abs(share), 1.0)) * _THICKNESS * size
+    return tuple(Shape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in apart)
