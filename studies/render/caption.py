@@ -27,6 +27,13 @@ def frame_lines(motion: Motion, k: int, slow: float) -> list[Line]:
     return [(f"t = {motion.time_s[k]:.{decimals}f} s{pace}", _INK), *effort_lines(motion, k)]
 
 
+def head_share(motion: Motion, size: tuple[int, int]) -> float:
+    """Return which share of a picture's height its lines take, for a size in pixels."""
+    lines = 1 + min(motion.mechanism.n_u, _MOST_EFFORTS + 1)
+    letters = _letters_px(size[1], size[0])
+    return min(0.4, (lines * 1.25 + 1.0) * letters / size[1])
+
+
 def effort_lines(motion: Motion, k: int) -> list[Line]:
     """Return a line on each effort at control instant k, with its limit, in its load's colour."""
     lines = []
@@ -38,7 +45,7 @@ def effort_lines(motion: Motion, k: int) -> list[Line]:
         red, green, blue, _ = load_colour(float(share))
         darker = tuple(int(255 * 0.85 * c) for c in (red, green, blue))
         shown = 0.0 if abs(effort) < 5e-3 * abs(end) and np.isfinite(end) else effort
-        lines.append((f"{actuator.name}: {shown:.3g}{most} {actuator.unit}", darker))
+        lines.append((f"{actuator.name}: {shown:.4g}{most} {actuator.unit}", darker))
     more = len(lines) - _MOST_EFFORTS
     return lines if more <= 0 else [*lines[:_MOST_EFFORTS], (f"and {more} more", _INK)]
 
@@ -47,7 +54,7 @@ def written(image: np.ndarray, lines: Sequence[Line], foot: str = "") -> np.ndar
     """Return an image (height, width, 3) with lines in its upper left corner and one at its foot."""
     canvas = Image.fromarray(image)
     pen = ImageDraw.Draw(canvas, "RGBA")
-    size = max(_SMALLEST_PX, round(_HEIGHT * min(image.shape[0], 0.75 * image.shape[1])))
+    size = _letters_px(*image.shape[:2])
     font, gap = _font(size), round(1.25 * size)
     x = y = max(3, size // 2)
     for text, colour in lines:
@@ -57,6 +64,10 @@ def written(image: np.ndarray, lines: Sequence[Line], foot: str = "") -> np.ndar
         small = _font(max(_SMALLEST_PX - 2, round(0.8 * size)))
         _put(pen, (x, image.shape[0] - round(1.7 * size)), foot, small, (90, 90, 90))
     return np.asarray(canvas)
+
+
+def _letters_px(height: int, width: int) -> int:
+    return max(_SMALLEST_PX, round(_HEIGHT * min(height, 0.75 * width)))
 
 
 def _put(pen, place: tuple[int, int], text: str, font, colour: tuple[int, int, int]) -> None:

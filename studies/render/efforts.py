@@ -15,9 +15,12 @@ from linkplan.studies.render.shapes import Shape, arrow, load_colour
 # An effort at its limit goes so far round [rad]; sizes are shares of the mechanism's.
 _FULL_TURN = np.radians(270.0)
 _ARC_RADIUS, _ARROW_LENGTH, _THICKNESS, _BESIDE = 0.16, 0.45, 0.012, 0.06
-_ARC_STEP, _HEAD, _HEAD_LENGTH, _HEAD_PARTS = np.radians(8.0), np.radians(28.0), 0.08, 9
+_ARC_STEP = np.radians(8.0)
+# An arrow's head: its length and its base's radius as shares of the mechanism's size, made of so many parts; of a short
+# arrow it takes this share at the most, and is as much thinner.
+_HEAD_LENGTH, _HEAD_BASE, _HEAD_PARTS, _MOSTLY_HEAD = 0.085, 0.028, 18, 0.75
 # A smaller share of the limit than this is not drawn: an arrow would be all head.
-_LEAST_SHARE = 0.01
+_LEAST_SHARE = 0.02
 
 
 def load_shares(effort: np.ndarray, limit: np.ndarray, peak: np.ndarray) -> np.ndarray:
@@ -68,7 +71,8 @@ def effort_shapes(
     if kind == TRN_TENDON:
         return _along_tendon(data, on, share, size)
     if kind == TRN_CRANK:  # along the slider's axis, which is its site's z
-        return _straight(data.site_xpos[other], data.site_xmat[other].reshape(3, 3)[:, 2] * np.sign(gear[0]), share, size)
+        axis = data.site_xmat[other].reshape(3, 3)[:, 2] * np.sign(gear[0])
+        return _straight(data.site_xpos[other], axis, share, size, towards)
     if kind == TRN_SITE:
         turned = np.array(data.site_xmat[on if other < 0 else other]).reshape(3, 3)
         return _wrench(data.site_xpos[on], turned, gear, share, size, towards)
@@ -80,9 +84,9 @@ def _on_joint(model, data, joint: int, gear: np.ndarray, share: float, size: flo
     kind = int(model.jnt_type[joint])
     if kind == HINGE:
         return _arc(anchor, axis * np.sign(gear[0]), share, size, towards)
-    if kind == SLIDE:
-        return _straight(anchor, axis * np.sign(gear[0]), share, size)
     body = int(model.jnt_bodyid[joint])
+    if kind == SLIDE:  # its anchor stays where it is; the body moves
+        return _straight(data.xipos[body], axis * np.sign(gear[0]), share, size, towards)
     turned = np.array(data.xmat[body]).reshape(3, 3)
     wrench = gear if gear[3:].any() else np.concatenate([np.zeros(3), gear[:3]])  # a ball's gear is a moment
     return _wrench(anchor, turned, wrench, share, size, towards)
@@ -91,7 +95,7 @@ def _on_joint(model, data, joint: int, gear: np.ndarray, share: float, size: flo
 def _wrench(at, turned: np.ndarray, gear: np.ndarray, share: float, size: float, towards) -> tuple[Shape, ...]:
     """Return a site's force and moment: `gear` (6,) in the frame `turned` (3, 3)."""
     force, moment = turned @ gear[:3], turned @ gear[3:]
-    shapes = _straight(at, force / np.linalg.norm(force), share, size) if force.any() else ()
+    shapes = _straight(at, force / np.linalg.norm(force), share, size, towards) if force.any() else ()
     return shapes + (_arc(at, moment / np.linalg.norm(moment), share, size, towards) if moment.any() else ())
 
 
@@ -105,23 +109,33 @@ def _arc(centre, axis: np.ndarray, share: float, size: float, towards: np.ndarra
     second = np.cross(axis, first)
     side = 1.0 if axis @ towards >= 0 else -1.0
     middle = np.array(centre) + _BESIDE * size * side * axis
+    radius = _ARC_RADIUS * size
     whole = float(np.clip(share, -1.0, 1.0)) * _FULL_TURN
-    head = np.sign(whole) * min(_HEAD, abs(whole))
-    steps = max(1, int(np.ceil(abs(whole - head) / _ARC_STEP)))
-    shaft = np.linspace(0.0, whole - head, steps + 1)
-    angles = np.append(shaft, np.linspace(whole - head, whole, _HEAD_PARTS + 1)[1:])
-    points = middle + _ARC_RADIUS * size * (np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second)
-    return arrow(points, _THICKNESS * size, load_colour(share), _HEAD_PARTS)
+    angles = _stretches(whole * radius, size, _ARC_STEP * radius) / radius
+    points = middle + radius * (np.cos(angles)[:, None] * first + np.sin(angles)[:, None] * second)
+    return _arrow(points, abs(whole) * radius, share, size)
 
 
-def _straight(start, direction: np.ndarray, share: float, size: float) -> tuple[Shape, ...]:
+def _straight(start, direction: np.ndarray, share: float, size: float, towards: np.ndarray) -> tuple[Shape, ...]:
     """Return an arrow from a point, its length the share of the limit."""
     if abs(share) < _LEAST_SHARE:
         return ()
     long = float(np.clip(share, -1.0, 1.0)) * _ARROW_LENGTH * size
-    head = np.sign(long) * min(_HEAD_LENGTH * size, abs(long))
-    along = np.append(0.0, np.linspace(long - head, long, _HEAD_PARTS + 1))
-    return arrow(np.array(start) + along[:, None] * direction, _THICKNESS * size, load_colour(share), _HEAD_PARTS)
+    along = _stretches(long, size, _ARROW_LENGTH * size)
+    return _arrow(np.array(start) + _BESIDE * size * towards + along[:, None] * direction, abs(long), share, size)
+
+
+def _stretches(long: float, size: float, step: float) -> np.ndarray:
+    """Return where an arrow of length `long` [m], signed, is cut: its shaft by `step` [m], its head into its parts."""
+    head = np.sign(long) * min(_HEAD_LENGTH * size, _MOSTLY_HEAD * abs(long))
+    shaft = np.linspace(0.0, long - head, 1 + max(1, int(np.ceil(abs(long - head) / step))))
+    return np.append(shaft, np.linspace(long - head, long, _HEAD_PARTS + 1)[1:])
+
+
+def _arrow(points: np.ndarray, long: float, share: float, size: float) -> tuple[Shape, ...]:
+    base = size * min(_HEAD_BASE, max(_THICKNESS, _HEAD_BASE * _MOSTLY_HEAD * long / (_HEAD_LENGTH * size)))
+    thin = size * min(_THICKNESS, 0.6 * base / size)
+    return arrow(points, thin, load_colour(share), _HEAD_PARTS, base)
 
 
 def _along_tendon(data: mujoco.MjData, tendon: int, share: float, size: float) -> tuple[Shape, ...]:

@@ -7,13 +7,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from linkplan.studies.render.framing import axes_of
+from linkplan.studies.render.framing import FOOT, SIDE, axes_of
 from linkplan.studies.render.scenes import Scene
 from linkplan.studies.render.shapes import Shape
 
 _DPI = 100.0
-# What is drawn takes this share of the picture at the most.
-_FILLED = 0.86
 _THINNEST_PX = 1.0
 
 
@@ -38,7 +36,7 @@ class FlatPainter:
         axes.set_xlim(self.middle[0] - half[0], self.middle[0] + half[0])
         axes.set_ylim(self.middle[1] - half[1], self.middle[1] + half[1])
         axes.set_axis_off()
-        for layer, shapes in enumerate((*(one.shapes for one in picture.figures), picture.efforts)):
+        for layer, shapes in enumerate((*((*one.ground, *one.shapes) for one in picture.figures), picture.efforts)):
             self._add(axes, shapes, layer)
         canvas.draw()
         return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[:height, :width, :3])
@@ -52,23 +50,21 @@ class FlatPainter:
         axes.add_collection(LineCollection(lines, linewidths=widths, colors=colours, capstyle="round", zorder=2 + layer))
 
 
-def flat_painter(points: np.ndarray, direction: tuple[float, float], size: tuple[int, int]) -> FlatPainter:
+def flat_painter(
+    points: np.ndarray, direction: tuple[float, float], size: tuple[int, int], head: float = FOOT
+) -> FlatPainter:
     """Return the painter that sees all points (n, 3) [m] along an azimuth and elevation [rad].
 
     Args:
         points: everything that is to be seen, at every instant.
         direction: azimuth and elevation.
         size: of the pictures, width and height [px].
+        head: the share of the picture's height that is kept free at the top.
     """
     right, up, sight = axes_of(*direction)
     flat = np.stack([points @ right, points @ up], axis=1)
     low, high = flat.min(axis=0), flat.max(axis=0)
     extent = np.maximum(high - low, 1e-6 * max(1e-6, float((high - low).max())))
-    return FlatPainter(
-        right=right,
-        up=up,
-        sight=sight,
-        middle=0.5 * (low + high),
-        scale=float(np.min(_FILLED * np.array(size) / extent)),
-        size=size,
-    )
+    scale = float(np.min(np.array([1 - 2 * SIDE, 1 - head - FOOT]) * size / extent))
+    middle = 0.5 * (low + high) + np.array([0.0, 0.5 * (head - FOOT) * size[1] / scale])
+    return FlatPainter(right=right, up=up, sight=sight, middle=middle, scale=scale, size=size)

@@ -8,8 +8,8 @@ import numpy as np
 from linkplan.models.poses.skeleton import view
 from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
 
-# Of the picture's width and height, what is drawn takes this share at the most.
-_FILLED = 0.86
+# What is drawn keeps off the picture's sides by this share of its width, and of its height at the foot, where a line stands.
+SIDE, FOOT = 0.05, 0.07
 # Hinges whose axes share one direction to this share are a planar mechanism's.
 _PLANAR = 1e-3
 # A planar mechanism is seen a little from above [deg], to be seen in space; a spatial one from the side and above.
@@ -55,7 +55,7 @@ def own_direction(model: mujoco.MjModel, *, tilted: bool = True) -> tuple[float,
     return float(azimuth), elevation
 
 
-def framed(points: np.ndarray, azimuth: float, elevation: float, fovy: float, aspect: float) -> Eye:
+def framed(points: np.ndarray, azimuth: float, elevation: float, fovy: float, aspect: float, head: float = FOOT) -> Eye:
     """Return the eye that sees all points (n, 3) [m] in one picture, as near as it may be.
 
     Args:
@@ -64,14 +64,19 @@ def framed(points: np.ndarray, azimuth: float, elevation: float, fovy: float, as
         elevation: [rad].
         fovy: the vertical field of view [rad].
         aspect: the picture's width by its height.
+        head: the share of the picture's height that is kept free at the top.
     """
     right, up, sight = axes_of(azimuth, elevation)
     flat = np.stack([points @ right, points @ up, points @ sight], axis=1)
-    middle = 0.5 * (flat.min(axis=0) + flat.max(axis=0))
-    across, high, deep = (flat - middle).T
-    tall = np.tan(0.5 * fovy) * _FILLED
-    # A point at depth z beyond the target stands within the picture where |y| <= tan(fovy / 2) (distance + z).
-    distance = float(np.max(np.maximum(np.abs(high) / tall, np.abs(across) / (tall * aspect)) - deep))
+    low, high = flat.min(axis=0), flat.max(axis=0)
+    half = np.tan(0.5 * fovy)
+    above, below, aside = half * (1 - 2 * head), half * (1 - 2 * FOOT), half * aspect * (1 - 2 * SIDE)
+    middle = 0.5 * (low + high)
+    middle[1] = (high[1] * below + low[1] * above) / (above + below)
+    across, tall, deep = (flat - middle).T
+    # A point at depth z beyond the target stands within the picture where y <= above (distance + z), and so on.
+    needed = np.maximum(np.maximum(tall / above, -tall / below), np.abs(across) / aside) - deep
+    distance = float(needed.max())
     smallest = 1e-3 * max(float(np.ptp(points, axis=0).max()), 1e-6)
     return Eye(
         target=middle[0] * right + middle[1] * up + middle[2] * sight,

@@ -10,7 +10,7 @@ import numpy as np
 
 from linkplan.studies.render.framing import Eye
 from linkplan.studies.render.gl import context_class
-from linkplan.studies.render.scenes import Figure, Scene, stand
+from linkplan.studies.render.scenes import Figure, Scene, has_end, seen, stand
 from linkplan.studies.render.shapes import GHOST, Shape
 
 _GEOMS = 20_000
@@ -34,6 +34,7 @@ class MujocoPainter:
     camera: mujoco.MjvCamera
     option: mujoco.MjvOption
     size: tuple[int, int]
+    ground_is_seen: bool  # the ground has geoms of its own
 
     def paint(self, picture: Scene) -> np.ndarray:
         """Return a scene as an image (height, width, 3) of bytes."""
@@ -42,7 +43,7 @@ class MujocoPainter:
         stand(self.model, self.data, main.qpos)
         everything = int(mujoco.mjtCatBit.mjCAT_ALL)
         mujoco.mjv_updateScene(self.model, self.data, self.option, None, self.camera, everything, self.scene)
-        add_shapes(self.scene, main.shapes)
+        add_shapes(self.scene, main.shapes if self.ground_is_seen else (*main.ground, *main.shapes))
         for figure in others:
             stand(self.model, self.data, figure.qpos)
             add_figure(self.scene, self.model, self.data, self.option, figure)
@@ -115,6 +116,7 @@ def mujoco_painter(
                 camera=camera,
                 option=mujoco.MjvOption(),
                 size=size,
+                ground_is_seen=bool((seen(model) & has_end(model) & (model.body_weldid[model.geom_bodyid] == 0)).any()),
             )
         finally:
             drawn.free()

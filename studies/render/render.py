@@ -12,13 +12,13 @@ from linkplan.planner.files.whole_file import write_file_whole
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.studies.render.camera import Camera, camera_from
-from linkplan.studies.render.caption import effort_lines, frame_lines, written
+from linkplan.studies.render.caption import effort_lines, frame_lines, head_share, written
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
 from linkplan.studies.render.flat_painter import flat_painter
 from linkplan.studies.render.framing import framed
 from linkplan.studies.render.gl import GL
 from linkplan.studies.render.motion import Motion, frame_times, own_slowness, tracked_motion
-from linkplan.studies.render.scenes import Scene, all_points, film_scenes, stroboscopic_scene
+from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, stroboscopic_scene
 from linkplan.studies.render.settings import SUFFIXES, RenderSettings
 
 # Scenes are made so many at a time; progress is said so often.
@@ -87,16 +87,18 @@ def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callab
 
 @contextlib.contextmanager
 def _painter(motion: Motion, camera: Camera, settings: RenderSettings, gl: GL) -> Iterator[Paint]:
-    model, size, points = motion.mechanism.model, settings.size, all_points(motion)
+    model, size, points = motion.mechanism.model, settings.size, all_points(motion, camera.direction)
+    head = head_share(motion, size)
     if gl.name is None:
-        yield flat_painter(points, camera.direction, size).paint
+        yield flat_painter(points, camera.direction, size, head).paint
         return
     from linkplan.studies.render.mujoco_painter import mujoco_painter
 
     eye = camera.fixed
     if eye < 0:
-        eye = framed(points, *camera.direction, np.radians(float(model.vis.global_.fovy)), size[0] / size[1])
-    with mujoco_painter(model, gl.name, size, eye, points) as painter:
+        fovy = float(np.radians(model.vis.global_.fovy))
+        eye = framed(points, *camera.direction, fovy, size[0] / size[1], head)
+    with mujoco_painter(coloured_model(motion.mechanism), gl.name, size, eye, points) as painter:
         yield painter.paint
 
 

@@ -9,8 +9,7 @@ from linkplan.studies.output.drawing import SERIES
 
 # An effort's colour runs from the first at none to the second at its limit; they differ in lightness too.
 _IDLE, _AT_LIMIT = np.array([0.62, 0.62, 0.62]), np.array([0.78, 0.02, 0.09])
-# An arrow's head is so many times thicker than its shaft at its base, and at its tip.
-_HEAD_BASE, _HEAD_TIP = 2.6, 0.2
+_TIP = 0.05  # an arrow's tip, as a share of its head's base
 GHOST = (0.50, 0.16, 0.78, 0.32)  # rgba of the reference
 
 
@@ -25,7 +24,7 @@ class Shape:
 
 
 def bones(pins: dict[int, np.ndarray], radius: float, colours: dict[int, tuple[float, ...]]) -> tuple[Shape, ...]:
-    """Return a skeleton at one instant: rods between a body's pins, balls where pins stand on the ground.
+    """Return a skeleton at one instant: rods between a body's pins, balls where pins stand on the ground (body 0).
 
     Args:
         pins: where each body is pinned to others, by body (n_pins, 3) [m].
@@ -42,11 +41,12 @@ def bones(pins: dict[int, np.ndarray], radius: float, colours: dict[int, tuple[f
     return tuple(found)
 
 
-def arrow(points: np.ndarray, radius: float, rgba: tuple[float, float, float, float], head: int) -> tuple[Shape, ...]:
-    """Return an arrow along points (n, 3) [m], its last `head` stretches a tapering head."""
+def arrow(
+    points: np.ndarray, radius: float, rgba: tuple[float, float, float, float], head: int, base: float
+) -> tuple[Shape, ...]:
+    """Return an arrow along points (n, 3) [m], its last `head` stretches a head that tapers from the radius `base` [m]."""
     n = len(points) - 1
-    # Thicknesses of the stretches: of the shaft, then from the head's base to its tip.
-    thick = np.append(np.ones(n - head), np.linspace(_HEAD_BASE, _HEAD_TIP, head)) * radius
+    thick = np.append(np.full(n - head, radius), np.linspace(base, _TIP * base, head))
     pairs = zip(points[:-1], points[1:], thick, strict=True)
     return tuple(Shape(start=a, end=b, radius=float(r), rgba=rgba) for a, b, r in pairs)
 
