@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from linkplan.controllers.controls import keys_said
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
@@ -27,7 +28,7 @@ _MODULES = {
     "batch": "plan_commands",
     "track": "tracking_commands",
     "compare": "tracking_commands",
-    "view": "tracking_commands",
+    "view": "view_command",
     "render": "render_command",
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
@@ -128,7 +129,8 @@ def build_parser() -> Parser:
     tune.add_argument("--phase-margin-deg", type=float, default=60.0, metavar="P", help="at least (default: %(default)s)")
     tune.add_argument("--sensitivity-peak", type=float, metavar="M", help="largest |S| allowed (default: any)")
 
-    view = command("view", "play a tracked plan in MuJoCo's interactive viewer", output=False)
+    view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
+    view.epilog = f"keys in the window: {keys_said()}\n\n{_EPILOG}"
     view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _anyway(view)
     view.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")

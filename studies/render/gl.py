@@ -22,6 +22,10 @@ _ANY = ("", "enable", "enabled", "on", "true", "1")
 _MODULES = {"glx": "glfw", "wgl": "glfw"}
 _TRY = """
 import importlib, sys
+if sys.argv[1] == "glfw":
+    import glfw, warnings
+    warnings.simplefilter("ignore")
+    assert glfw.init(), "no window system answers"
 context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16)
 context.make_current()
 import mujoco

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.controllers.reference import SampledReference
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.plan import Plan
@@ -44,13 +45,13 @@ class Motion:
         return int(np.clip(np.searchsorted(self.time_s, time_s + 1e-9, side="right") - 1, 0, len(self.time_s) - 1))
 
 
-def tracked_motion(plan: Plan, tracker: str) -> Motion:
-    """Return a plan's motion as a tracker follows it in MuJoCo.
+def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None = None) -> Motion:
+    """Return a plan's motion as a tracker follows it in MuJoCo; `reference` is the plan's, where it is at hand.
 
     Raises:
         ProblemError: where the run ends before there is anything to see.
     """
-    reference = tracking_reference(plan)
+    reference = tracking_reference(plan) if reference is None else reference
     run = track(plan, tracker, None, reference)
     kept = int(np.sum(np.cumprod(np.isfinite(run.pose).all(axis=1))))
     if kept < 2:

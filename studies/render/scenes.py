@@ -75,18 +75,23 @@ def coloured_model(mechanism: Mechanism) -> mujoco.MjModel:
     return model
 
 
+def rod_radius(mechanism: Mechanism) -> float:
+    """Return how thick a skeleton's rods are [m]."""
+    return _ROD * mechanism.extent_m
+
+
 def skeletons(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[Shape, ...]]:
     """Return the skeleton of what moves at each of the poses (n, n_q)."""
     pins, colours = pins_in_space(mechanism, poses), body_colours(mechanism)
     pins.pop(0, None)
-    radius = _ROD * mechanism.extent_m
+    radius = rod_radius(mechanism)
     return [bones({body: points[k] for body, points in pins.items()}, radius, colours) for k in range(len(poses))]
 
 
 def ground_pins(mechanism: Mechanism) -> tuple[Shape, ...]:
     """Return where a mechanism is pinned to the ground, as balls."""
     pins = {body: points[0] for body, points in pins_in_space(mechanism, mechanism.home[None]).items() if body == 0}
-    return bones(pins, _ROD * mechanism.extent_m, body_colours(mechanism))
+    return bones(pins, rod_radius(mechanism), body_colours(mechanism))
 
 
 def film_scenes(motion: Motion, instants: np.ndarray, direction: tuple[float, float]) -> list[Scene]:
