@@ -39,7 +39,9 @@ def _gains(controls: Controls, kp_step: float, kd_step: float) -> Controls:
         found = min(max(factor, 1.0 / _MOST_GAIN), _MOST_GAIN)
         return 1.0 if abs(found - 1.0) < 1e-9 else found
 
-    return replace(controls, kp_factor=limited(controls.kp_factor * kp_step), kd_factor=limited(controls.kd_factor * kd_step))
+    return replace(
+        controls, kp_factor=limited(controls.kp_factor * kp_step), kd_factor=limited(controls.kd_factor * kd_step)
+    )
 
 
 def _slower(controls: Controls, step: float) -> Controls:

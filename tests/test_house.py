@@ -28,8 +28,8 @@ ROOMS = {
         "transcription", "trajectory", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain", "ode",
         "search", "diagnosis", "planning", "files", "replan", "batch",
     ),
-    "controllers": ("reference", "trackers", "integrator", "sampling", "rollout", "batch", "playback"),
-    "studies": ("output", "check", "compare", "frequency", "bode", "tune", "demo", "cli"),
+    "controllers": ("reference", "trackers", "integrator", "sampling", "rollout", "batch", "controls", "playback"),
+    "studies": ("output", "check", "compare", "frequency", "bode", "tune", "render", "demo", "cli"),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.
 MOST_ARROWS = 20

@@ -45,8 +45,8 @@ def run_render(arguments: argparse.Namespace) -> int:
     text = f"{done.file}: {width}x{height}, drawn by {done.drawn_by}"
     if done.length_s is not None:
         text = (
-            f"{done.file}: {done.frames} frames of {width}x{height}, {done.length_s:.3g} s at {done.fps:g} frames/s, the motion's"
-            f" {done.motion_s:.4g} s {done.slow:g} times slower, drawn by {done.drawn_by}"
+            f"{done.file}: {done.frames} frames of {width}x{height}, {done.length_s:.3g} s at {done.fps:g} frames/s, the"
+            f" motion's {done.motion_s:.4g} s {done.slow:g} times slower, drawn by {done.drawn_by}"
         )
     unstable = "" if done.stable else f"; the run with {done.tracker} is unstable"
     show(arguments, dataclasses.asdict(done) | {"plan": plan.problem.name}, text + unstable)

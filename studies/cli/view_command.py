@@ -45,9 +45,7 @@ def run_view(arguments: argparse.Namespace) -> int:
 def _refuse_without_screen() -> None:
     """Refuse at once, before a plan that may take minutes, where no window can be opened."""
     if not has_screen():
-        raise ProblemError(
-            f"view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set; {_INSTEAD}"
-        )
+        raise ProblemError(f"view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set; {_INSTEAD}")
     gl = find_gl("glfw", os.environ)
     if gl.name is None:
         raise ProblemError(f"view needs a screen, and none can be opened ({gl.why_not}); {_INSTEAD}")

@@ -116,10 +116,8 @@ def build_tracker(asked: Asked, plan: Plan, reference: SampledReference) -> Trac
     return feedback if name == "pd" else Feedforward(reference=reference, feedback=feedback)
 
 
-def track(
-    plan: Plan, asked: Asked, mismatch: Mismatch | None = None, reference: SampledReference | None = None
-) -> Rollout:
-    """Return one tracker's run on a plan, under a mismatch if one is given; `reference` is the plan's, where it is at hand."""
+def track(plan: Plan, asked: Asked, mismatch: Mismatch | None = None, reference: SampledReference | None = None) -> Rollout:
+    """Return one tracker's run on a plan, under a mismatch if one is given; `reference` is the plan's, if at hand."""
     reference = tracking_reference(plan) if reference is None else reference
     return run(plan.problem.mechanism, reference, build_tracker(asked, plan, reference), _loop(plan, mismatch))
 

@@ -20,7 +20,7 @@ from linkplan.studies.render.settings import RenderSettings
 LARGE_BYTES, SMALL_BYTES = 600_000, 300_000
 _LARGE, _SMALL = (480, 320), (320, 240)
 # The motion takes so long on the screen, one way [s], at so many frames a second.
-_SHOWN_S, _FPS = 2.4, 20.0
+_SHOWN_S, _FPS = 2.4, 15.0
 # On a cart without a loop PD alone goes astray; elsewhere it is what lets the plan's ghost be seen.
 _TRACKER = {"cart-pole-swing-up": "lqr", "five-bar-swing-up": "lqr"}
 

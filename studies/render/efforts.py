@@ -3,6 +3,8 @@
 How far an arc goes round, how long an arrow is and its colour say which share of its limit an effort is.
 """
 
+import itertools
+
 import mujoco
 import numpy as np
 
@@ -141,6 +143,6 @@ def _arrow(points: np.ndarray, long: float, share: float, size: float) -> tuple[
 def _along_tendon(data: mujoco.MjData, tendon: int, share: float, size: float) -> tuple[Shape, ...]:
     first, n = int(data.ten_wrapadr[tendon]), int(data.ten_wrapnum[tendon])
     points = np.array(data.wrap_xpos).reshape(-1, 3)[first : first + n]
-    apart = zip(points[:-1], points[1:], strict=True)
+    apart = itertools.pairwise(points)
     thick = (0.4 + 0.6 * min(abs(share), 1.0)) * _THICKNESS * size
     return tuple(Shape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in apart)

@@ -14,7 +14,7 @@ from linkplan.planner.files.whole_file import MADE_BY
 # H.264's constant rate factor: smaller is better and larger; 18 is told from the original by nobody.
 _QUALITY = "18"
 # Colours of a GIF, found in some of its frames: flat surfaces need no more, and dithering would double its size.
-_COLOURS = 96
+_COLOURS = 64
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
@@ -62,6 +62,9 @@ def write_gif(path: Path, images: Iterable[np.ndarray], n: int, fps: float, pale
     """
     samples = Image.fromarray(np.vstack(list(palette_from)))
     palette = samples.quantize(_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    colours = np.array(palette.getpalette()).reshape(-1, 3)
+    colours[colours.sum(axis=1).argmax()] = 255  # what is drawn on stays white
+    palette.putpalette(colours.ravel().tolist())
 
     def coloured() -> Iterator[Image.Image]:
         for image in images:
@@ -78,7 +81,6 @@ def write_gif(path: Path, images: Iterable[np.ndarray], n: int, fps: float, pale
         duration=[10 * int(one) for one in np.diff(ends)],
         loop=0,
         comment=MADE_BY.encode(),
-        optimize=False,
+        optimize=True,  # what stays as it was is left out of the next frame
         disposal=1,
     )
-

@@ -17,7 +17,7 @@ _THINNEST_PX = 1.0
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FlatPainter:
-    """Draws scenes along a direction: `right` and `up` (3,) are the picture's, `middle` (2,) [m] and `scale` [px/m] frame it."""
+    """Draws scenes along `sight`: `right` and `up` (3,) are the picture's, `middle` (2,) [m] and `scale` [px/m] frame it."""
 
     right: np.ndarray
     up: np.ndarray

@@ -1,4 +1,4 @@
-"""Where the eye stands: a direction, chosen by the mechanism or asked for, and a distance from which all that moves is seen."""
+"""Where the eye stands: a direction, the mechanism's own or asked for, and a distance from which all that moves is seen."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ _TILT_DEG, _SPATIAL_DEG = 10.0, (125.0, -20.0)
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Eye:
-    """A camera: looks at `target` (3,) [m] from `distance` [m], along `azimuth` and `elevation` [rad] as MuJoCo counts them."""
+    """A camera: looks at `target` (3,) [m] from `distance` [m], along azimuth and elevation [rad] as MuJoCo counts them."""
 
     target: np.ndarray
     distance: float
@@ -36,7 +36,7 @@ def axes_of(azimuth: float, elevation: float) -> tuple[np.ndarray, np.ndarray, n
 def own_direction(model: mujoco.MjModel, *, tilted: bool = True) -> tuple[float, float]:
     """Return azimuth and elevation [rad] from which a mechanism is best seen.
 
-    A planar one's hinges point to the eye, from a little above where `tilted`; a spatial one is seen from the side and above.
+    A planar one's hinges point to the eye, seen from a little above where `tilted`; a spatial one from the side and above.
     """
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)

@@ -71,7 +71,11 @@ def find_gl(asked: str | None, environment: Mapping[str, str] | None = None) -> 
         names = (loaded,)  # a process has one
     said = []
     for name in names:
-        if name == "glfw" and sys.platform == "linux" and not (environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY")):
+        if (
+            name == "glfw"
+            and sys.platform == "linux"
+            and not (environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY"))
+        ):
             said.append("glfw: no display")
             continue
         why_not = _tried(name, environment.get("DISPLAY", ""))

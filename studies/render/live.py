@@ -1,4 +1,4 @@
-"""A plan's runs as MuJoCo's interactive viewer shows them: with the gains that its keys ask for, ghost and efforts drawn in."""
+"""A plan's runs as MuJoCo's interactive viewer shows them: with the gains that keys ask for, ghost and efforts drawn in."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -73,7 +73,7 @@ def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None 
 
 
 def own_slowness(duration_s: float) -> float:
-    """Return how many times slower than real a motion is shown where nothing is said: 1, 2, 5, 10, ... to last some seconds."""
+    """Return how many times slower than real a motion is shown by default: 1, 2, 5, 10, ... to last some seconds."""
     wanted = max(1.0, _SHOWN_S / duration_s)
     ten = 10.0 ** np.floor(np.log10(wanted))
     return float(min((step * ten for step in (*_ROUND, 10.0)), key=lambda step: abs(np.log(step / wanted))))

@@ -55,7 +55,7 @@ def plain_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 
 def body_colours(mechanism: Mechanism) -> dict[int, tuple[float, ...]]:
-    """Return the rgba of each body: of its first geom that is seen and coloured, else one of a series; grey of the ground."""
+    """Return the rgba of each body: of its first geom that is seen and coloured, else of a series; grey of the ground."""
     model = mechanism.model
     coloured = seen(model) & ~plain_geoms(model) & (model.geom_matid < 0)
     colours: dict[int, tuple[float, ...]] = {0: (0.35, 0.35, 0.35, 1.0)}

@@ -17,8 +17,8 @@ MOST_INSTANTS = 40
 class RenderSettings:
     """How a motion is drawn: checked when it is made.
 
-    `slow` times slower than real, None to last some seconds; `size` width and height [px]; `camera` the name of one of the
-    model's or "azimuth/elevation" in degrees, None for the mechanism's own; `at_s` the one instant [s] of a picture, None for
+    `slow` times slower than real, None to last some seconds; `size` width and height [px]; `camera` one of the model's by
+    name or "azimuth/elevation" in degrees, None for the mechanism's own; `at_s` the one instant [s] of a picture, None for
     `instants` of them; `there_and_back` plays a film backwards after it, so that it goes on without a jump.
     """
 

@@ -1,5 +1,6 @@
 """What a picture is made of beside the model's own geoms: capsules in space, with colours."""
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -33,7 +34,7 @@ def bones(pins: dict[int, np.ndarray], radius: float, colours: dict[int, tuple[f
     """
     found = []
     for body, points in pins.items():
-        ends = list(zip(points[:-1], points[1:], strict=True)) + ([(points[-1], points[0])] if len(points) > 2 else [])
+        ends = list(itertools.pairwise(points)) + ([(points[-1], points[0])] if len(points) > 2 else [])
         if body == 0:
             ends = [(point, point) for point in points]
         thick = 1.6 * radius if body == 0 else radius
