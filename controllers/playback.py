@@ -85,6 +85,8 @@ def play(
             check()
             asked = after_keys(controls, keys)
             if asked.run != controls.run:
+                window.set_texts(_texts(mujoco, [("tracker", asked.tracker), ("", "is being run ...")]))
+                window.sync()
                 shown, refused = _made(make, asked, shown)
                 at, last = 0.0, time.monotonic()
             at = 0.0 if asked.begun != controls.begun else at
