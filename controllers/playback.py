@@ -31,6 +31,7 @@ class Shown:
     pose: np.ndarray
     decorate: Callable[[object, int, bool], None]
     words: Callable[[int], Rows]
+    stable: bool = True
 
 
 def has_screen() -> bool:

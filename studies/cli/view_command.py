@@ -35,10 +35,12 @@ def run_view(arguments: argparse.Namespace) -> int:
     say(f"keys: {keys_said()}")
     mechanism = plan.problem.mechanism
     begin = Controls(tracker=arguments.tracker, slowness=arguments.slow)
-    last = play(mechanism, begin, run_maker(plan), seconds=arguments.seconds, camera=aim(plan, arguments.tracker))
+    make = run_maker(plan)
+    last = play(mechanism, begin, make, seconds=arguments.seconds, camera=aim(plan, arguments.tracker))
     if arguments.json:
         gains = {"kp_factor": last.kp_factor, "kd_factor": last.kd_factor}
-        show(arguments, {"plan": plan.problem.name, "tracker": last.tracker, **gains}, "")
+        said = {"plan": plan.problem.name, "tracker": last.tracker, **gains, "stable": make(last).stable}
+        show(arguments, said, "")
     return DONE if plan.status == "optimal" else NO
 
 

@@ -12,7 +12,7 @@ from linkplan.studies.render.scenes import Scene
 from linkplan.studies.render.shapes import Shape
 
 _DPI = 100.0
-_THINNEST_PX = 1.0
+_THINNEST_PX, _HAIR_PX = 1.0, 0.01
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -43,7 +43,10 @@ class FlatPainter:
 
     def _add(self, axes, shapes: tuple[Shape, ...], layer: int) -> None:
         far_first = sorted(shapes, key=lambda shape: -float((shape.start + shape.end) @ self.sight))
-        lines = [[(p @ self.right, p @ self.up + 1e-9) for p in (shape.start, shape.end)] for shape in far_first]
+        # A ball is a line with round ends that is hardly longer than nothing; one of no length would not be drawn.
+        hair = _HAIR_PX / self.scale
+        ends = [((shape.start, 0.0), (shape.end, hair)) for shape in far_first]
+        lines = [[(p @ self.right + aside, p @ self.up) for p, aside in pair] for pair in ends]
         points_per_px = 72.0 / _DPI
         widths = [max(_THINNEST_PX, 2 * shape.radius * self.scale) * points_per_px for shape in far_first]
         colours = [shape.rgba for shape in far_first]

@@ -74,7 +74,7 @@ def shown(motion: Motion, words: Callable[[int], Rows]) -> Shown:
             stand(model, data, qpos)
             add_figure(scene, model, data, option, Figure(qpos=qpos, shapes=rods, ghost=True))
 
-    return Shown(time_s=motion.time_s, pose=motion.pose, decorate=decorate, words=words)
+    return Shown(time_s=motion.time_s, pose=motion.pose, decorate=decorate, words=words, stable=motion.stable)
 
 
 def aim(plan: Plan, tracker: str) -> Callable[[mujoco.MjvCamera], None]:

@@ -61,6 +61,8 @@ def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callab
     times = frame_times(motion.duration_s, slow, settings.fps, repeats=motion.repeats)  # refused before it is drawn
     if gl.name is None:
         say(f"no OpenGL to draw with ({gl.why_not}): the skeleton is drawn flat, by Matplotlib")
+    if settings.suffix != ".png":
+        say(f"tracked by {settings.tracker}; {motion.duration_s:.4g} s of motion, shown {slow:g} times slower")
     with _painter(motion, camera, settings, gl) as paint:
         if settings.suffix == ".png":
             write_file_whole(path, SUFFIXES, lambda place: write_png(place, picture(motion, camera, settings, paint)))

@@ -46,6 +46,13 @@ def test_the_mechanism_is_on_white_within_the_picture_and_moves(paint, source):
     assert np.mean(np.any(np.abs(first.astype(int) - later) > 40, axis=2)) > 0.01
 
 
+def test_pins_on_the_ground_are_drawn_where_there_is_nothing_else_of_it():
+    motion = waved("optimus-knee", 0.3, 0.0)
+    (image,) = by_matplotlib(motion, (0,))
+    grey = np.all(np.abs(image.astype(int) - round(0.35 * 255)) < 12, axis=2)
+    assert grey.sum() > 20
+
+
 @pytest.mark.parametrize("paint", [by_mujoco, by_matplotlib])
 def test_an_effort_at_its_limit_is_seen_in_red(paint):
     none, all_of_it = paint(waved("five-bar", 0.1, 0.0), (0, N - 1))

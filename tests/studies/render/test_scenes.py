@@ -132,6 +132,39 @@ def test_a_fixed_tendons_pull_turns_each_of_its_joints_to_its_own_side():
     assert sides[0] == -sides[1] != 0
 
 
+ACTED_ON = {
+    "ball joint": ('<joint name="j" type="ball"/>', '<motor joint="j" gear="0 0 1 0 0 0" ctrlrange="-1 1"/>'),
+    "free joint": ('<freejoint name="j"/>', '<motor joint="j" gear="0 2 0 0 0 0" ctrlrange="-1 1"/>'),
+    "site": ('<joint axis="0 1 0"/>', '<motor site="tip" gear="1 0 0 0 1 0" ctrlrange="-1 1"/>'),
+    "slider-crank": (
+        '<joint axis="0 1 0"/>',
+        '<motor cranksite="tip" slidersite="rail" cranklength="1.3" ctrlrange="-1 1"/>',
+    ),
+    "tendon": ('<joint axis="0 1 0"/>', '<motor tendon="rope" ctrlrange="-1 1"/>'),
+}
+
+
+@pytest.mark.parametrize("kind", ACTED_ON)
+def test_every_kind_of_actuator_is_drawn_in_its_loads_colour_and_otherwise_for_the_other_side(kind):
+    joint, motor = ACTED_ON[kind]
+    mechanism = load_mechanism(
+        f"""<mujoco><compiler autolimits="true"/><worldbody><site name="rail" pos="1 0 0" euler="0 90 0"/>
+        <body>{joint}<geom type="capsule" fromto="0 0 0 0 0 1" size=".1"/><site name="tip" pos="0 0 1"/></body></worldbody>
+        <tendon><spatial name="rope"><site site="tip"/><site site="rail"/></spatial></tendon>
+        <actuator>{motor}</actuator></mujoco>"""
+    )
+    data = mujoco.MjData(mechanism.model)
+    stand(mechanism.model, data, mechanism.qpos_of(mechanism.home))
+
+    def drawn(share: float):
+        return effort_shapes(mechanism.model, data, mechanism.actuators[0], share, 1.0, np.array([0.0, -1.0, 0.0]))
+
+    one, other = drawn(0.8), drawn(-0.8)
+    assert {shape.rgba for shape in (*one, *other)} == {load_colour(0.8)}
+    assert np.all(np.isfinite([[shape.start, shape.end] for shape in one]))
+    assert kind == "tendon" or np.abs(one[-1].end - other[-1].end).max() > 0.05
+
+
 def test_several_instants_in_one_picture_grow_stronger_and_the_last_is_whole():
     motion = waved("optimus-knee")
     scene = stroboscopic_scene(motion, np.array([0, 10, 20, 40]), (0.0, 0.0))
