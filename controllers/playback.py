@@ -1,50 +1,143 @@
-"""A logged run shown in MuJoCo's interactive viewer, at the pace it was run or slower."""
+"""A tracked motion in MuJoCo's interactive viewer, again and again; keys change gains, tracker and speed while it plays."""
 
 import os
+import queue
 import sys
 import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.rollout import Rollout
-from linkplan.models.errors import LinkplanError
+from linkplan.controllers.controls import KEYS, Controls, advanced, pressed
+from linkplan.models.errors import LinkplanError, one_line
+from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 
 _FRAMES_PER_S = 60.0
 
+# Two columns of words.
+Rows = Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Shown:
+    """A run to be shown: its instants (n,) [s] and poses (n, n_q), what is drawn beside it, and words on it.
+
+    `decorate(scene, k, ghost)` adds to MuJoCo's scene what belongs to instant k; `words(k)` are rows of two columns.
+    """
+
+    time_s: np.ndarray
+    pose: np.ndarray
+    decorate: Callable[[object, int, bool], None]
+    words: Callable[[int], Rows]
+    stable: bool = True
+
 
 def has_screen() -> bool:
-    """Return whether a window can be opened: always tried on macOS and Windows, with a display set elsewhere."""
+    """Return whether a window may be opened: always tried on macOS and Windows, with a display set elsewhere."""
     if sys.platform in ("darwin", "win32"):
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
-def play(mechanism: Mechanism, rollout: Rollout, slowness: float, seconds: float | None = None) -> None:
-    """Show a run again and again until its window is closed (or for some seconds), `slowness` times slower than real.
+def play(
+    mechanism: Mechanism,
+    controls: Controls,
+    make: Callable[[Controls], Shown],
+    *,
+    seconds: float | None = None,
+    camera: Callable[[object], None] | None = None,
+) -> Controls:
+    """Show a run again and again until its window is closed (or for some seconds), and return the last controls.
+
+    Args:
+        mechanism: that is shown.
+        controls: to begin with.
+        make: gives the run of a tracker and gains; called again when a key has changed them. What it refuses is shown.
+        seconds: after which the window closes by itself.
+        camera: called with MuJoCo's camera before the first picture.
 
     Raises:
-        LinkplanError: where no window can be opened.
+        LinkplanError: where no window can be opened, or the first run is refused.
     """
     if not has_screen():
         raise LinkplanError("view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set")
     import mujoco.viewer
 
+    shown = make(controls)
     data = mujoco.MjData(mechanism.model)
-    data.qpos[:] = mechanism.qpos_of(rollout.pose[0])
+    data.qpos[:] = mechanism.qpos_of(shown.pose[0])
     mujoco.mj_forward(mechanism.model, data)
+    keys: queue.SimpleQueue[int] = queue.SimpleQueue()
     try:
-        window = mujoco.viewer.launch_passive(mechanism.model, data)
+        window = mujoco.viewer.launch_passive(
+            mechanism.model, data, key_callback=keys.put, show_left_ui=False, show_right_ui=False
+        )
     except Exception as error:  # the window system's own errors have no common type
         raise LinkplanError(f"view cannot open a window: {error}") from error
-    begin = time.monotonic()
-    span = float(rollout.time_s[-1])
+    begin = last = time.monotonic()
+    at, refused = 0.0, ""
     with window:
+        if camera is not None:
+            with window.lock():
+                camera(window.cam)
         while window.is_running() and (seconds is None or time.monotonic() - begin < seconds):
-            at = ((time.monotonic() - begin) / slowness) % (span + 0.5)
-            k = min(int(np.searchsorted(rollout.time_s, at)), len(rollout.time_s) - 1)
-            data.qpos[:] = mechanism.qpos_of(rollout.pose[k])
-            data.time = float(rollout.time_s[k])
-            mujoco.mj_forward(mechanism.model, data)
+            check()
+            asked = after_keys(controls, keys)
+            if asked.run != controls.run:
+                window.set_texts(_texts(mujoco, [("tracker", asked.tracker), ("", "is being run ...")]))
+                window.sync()
+                shown, refused = _made(make, asked, shown)
+                at, last = 0.0, time.monotonic()
+            at = 0.0 if asked.begun != controls.begun else at
+            controls = asked
+            now = time.monotonic()
+            at, last = advanced(at, now - last, controls, float(shown.time_s[-1])), now
+            k = min(int(np.searchsorted(shown.time_s, at)), len(shown.time_s) - 1)
+            with window.lock():
+                data.qpos[:] = mechanism.qpos_of(shown.pose[k])
+                data.time = float(shown.time_s[k])
+                mujoco.mj_forward(mechanism.model, data)
+                window.user_scn.ngeom = 0
+                shown.decorate(window.user_scn, k, controls.ghost)
+            window.set_texts(_texts(mujoco, (*shown.words(k), *pace(controls, refused))))
             window.sync()
             time.sleep(1.0 / _FRAMES_PER_S)
+    return controls
+
+
+def after_keys(controls: Controls, keys: "queue.SimpleQueue[int]") -> Controls:
+    """Return the controls after all keys that wait in a queue."""
+    while True:
+        try:
+            controls = pressed(controls, keys.get_nowait())
+        except queue.Empty:
+            return controls
+
+
+def pace(controls: Controls, refused: str) -> Rows:
+    """Return the rows of words on how a run is shown, and on why another was refused."""
+    slow = controls.slowness
+    rows = [("speed", f"{slow:g}x slower" if slow >= 1 else f"{1 / slow:g}x faster")]
+    if controls.paused:
+        rows.append(("", "stopped"))
+    return [*rows, ("refused", refused)] if refused else rows
+
+
+def _made(make: Callable[[Controls], Shown], asked: Controls, before: Shown) -> tuple[Shown, str]:
+    """Return the run that is asked for; where it is refused, the one before and why."""
+    try:
+        return make(asked), ""
+    except LinkplanError as error:
+        return before, one_line(error)[:100]
+
+
+def _texts(mujoco, rows: Rows) -> list[tuple]:
+    """Return what MuJoCo's viewer writes over its picture: rows at the upper left, keys at the lower right."""
+    labels, values = ("\n".join(column) for column in zip(*rows, strict=True))
+    keys, does = ("\n".join(column) for column in zip(*[row[:2] for row in KEYS.values()], strict=True))
+    return [
+        (mujoco.mjtFontScale.mjFONTSCALE_150, mujoco.mjtGridPos.mjGRID_TOPLEFT, labels, values),
+        (mujoco.mjtFontScale.mjFONTSCALE_100, mujoco.mjtGridPos.mjGRID_BOTTOMRIGHT, keys, does),
+    ]

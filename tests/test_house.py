@@ -29,9 +29,12 @@ ROOMS = {
         "ode", "search", "diagnosis", "planning", "robustness", "files", "replan", "batch",
     ),
     "controllers": (
-        "reference", "trackers", "integrator", "sampling", "rollout", "imperfections", "ensemble", "batch", "playback",
+        "reference", "trackers", "integrator", "sampling", "rollout", "imperfections", "ensemble", "batch", "controls",
+        "playback",
     ),
-    "studies": ("output", "check", "compare", "experiment", "frequency", "bode", "tune", "new", "export", "demo", "cli"),
+    "studies": (
+        "output", "check", "compare", "experiment", "frequency", "bode", "tune", "render", "new", "export", "demo", "cli",
+    ),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.
 MOST_ARROWS = 20

@@ -22,7 +22,20 @@ class Stick:
 
 
 def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
-    """Return the bodies of a mechanism at poses (n, n_q), seen along the axis that most hinges share.
+    """Return the bodies of a mechanism at poses (n, n_q), seen along the axis that most hinges share."""
+    right, up = view(mechanism.model)
+    return tuple(
+        Stick(
+            body=body_name(mechanism.model, body),
+            fixed=body == 0,
+            pins=np.stack([points @ right, points @ up], axis=-1),
+        )
+        for body, points in pins_in_space(mechanism, poses).items()
+    )
+
+
+def pins_in_space(mechanism: Mechanism, poses: np.ndarray) -> dict[int, np.ndarray]:
+    """Return where bodies are pinned to others at poses (n, n_q): by MuJoCo's index of the body, (n, n_pins, 3) [m].
 
     A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it. A body that slides
     in a moving one is drawn from that body's own pin on; one that is pinned at a single point, as far as its centre of mass.
@@ -52,14 +65,11 @@ def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
     for body, points in pins.items():
         if len(points) == 1 and body != 0:
             points.append(tree.point(body, np.array(model.body_ipos[body])))
-    right, up = view(model)
-    result = []
+    found = {}
     for body in sorted(pins):
         function = ca.Function("pins", [tree.q], [ca.densify(ca.horzcat(*pins[body]))])
-        points = np.array(function.map(len(poses))(poses.T)).reshape(3, len(poses), -1).transpose(1, 2, 0)
-        flat = np.stack([points @ right, points @ up], axis=-1)
-        result.append(Stick(body=body_name(model, body), fixed=body == 0, pins=flat))
-    return tuple(result)
+        found[body] = np.array(function.map(len(poses))(poses.T)).reshape(3, len(poses), -1).transpose(1, 2, 0)
+    return found
 
 
 def _solid(model: mujoco.MjModel, body: int) -> int:

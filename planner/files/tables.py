@@ -77,7 +77,7 @@ def refuse_saved_plan(source: str, what: str, legal: str) -> None:
         return
     if is_plan or in_plan:
         is_what = "a saved plan" if is_plan else f"a file of the saved plan '{path.parent}'"
-        raise ProblemError(f"{what} '{source}' is {is_what}, which track, compare, view and export take; {legal}")
+        raise ProblemError(f"{what} '{source}' is {is_what}, which track, compare, render, view and export take; {legal}")
 
 
 def apply_override(tables: Tables, override: str) -> None:

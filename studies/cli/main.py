@@ -1,4 +1,4 @@
-"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | new | export | ...`.
+"""The command line: `linkplan list | check | plan | track | compare | experiment | bode | tune | view | render | ...`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
 problems found), said in a sentence; 2 bad input or a disk that refuses, one line; 130 or 143 ended by a signal; 141 nobody
@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from linkplan.controllers.controls import keys_said
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
@@ -32,7 +33,8 @@ _MODULES = {
     "track": "tracking_commands",
     "compare": "tracking_commands",
     "experiment": "experiment_command",
-    "view": "tracking_commands",
+    "view": "view_command",
+    "render": "render_command",
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
     "demo": "demo_command",
@@ -149,12 +151,16 @@ def build_parser() -> Parser:
     tune.add_argument("--phase-margin-deg", type=float, default=60.0, metavar="P", help="at least (default: %(default)s)")
     tune.add_argument("--sensitivity-peak", type=float, metavar="M", help="largest |S| allowed (default: any)")
 
-    view = command("view", "play a tracked plan in MuJoCo's interactive viewer", output=False)
+    view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
+    view.epilog = f"keys in the window: {keys_said()}\n\n{_EPILOG}"
     view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _anyway(view)
     _tracker(view)
     view.add_argument("--slow", type=float, default=4.0, metavar="X", help="times slower than real (default: %(default)s)")
     view.add_argument("--seconds", type=float, metavar="S", help="close the window after this time (default: when you do)")
+
+    text = "draw a tracked plan as a film (.mp4, .gif) or a picture (.png), without a screen"
+    _render(command("render", text, output=False))
 
     text = "run the whole path on the Optimus knee into one folder (default: linkplan-demo)"
     command("demo", text, settings=False).set_defaults(output="linkplan-demo")
@@ -217,6 +223,25 @@ def _file(parser: argparse.ArgumentParser, text: str, *, required: bool = False)
     parser.add_argument("-o", "--output", metavar="FILE", required=required, help=text)
 
 
+def _render(render: argparse.ArgumentParser) -> None:
+    render.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    text = "the file to write, whole: .mp4, .gif or .png; one that linkplan did not write is left alone"
+    render.add_argument("-o", "--output", metavar="FILE", required=True, help=text)
+    _anyway(render)
+    _tracker(render)
+    render.add_argument("--slow", type=float, metavar="X", help="times slower than real (default: to last some 4 s)")
+    render.add_argument("--fps", type=float, default=25.0, metavar="N", help="frames a second (default: %(default)s)")
+    render.add_argument("--size", default="800x600", metavar="WxH", help="of the picture in pixels (default: %(default)s)")
+    text = "a camera of the model by its name, or AZIMUTH/ELEVATION in degrees (default: the mechanism's own side)"
+    render.add_argument("--camera", metavar="VIEW", help=text)
+    text = "play a film backwards after it, so that it goes on without a jump"
+    render.add_argument("--there-and-back", action="store_true", help=text)
+    text = "a picture of one instant, with the plan's ghost (default: several instants in one picture)"
+    render.add_argument("--at-s", type=float, metavar="T", help=text)
+    text = "how many instants a picture has in one (default: %(default)s)"
+    render.add_argument("--instants", type=int, default=7, metavar="N", help=text)
+
+
 def _anyway(parser: argparse.ArgumentParser) -> None:
     text = "run a saved plan that does not pass its certificate, with a word and exit code 1"
     parser.add_argument("--anyway", action="store_true", help=text)
@@ -271,9 +296,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             else:
                 target = getattr(arguments, "output", None)
                 before = _Before(command=arguments.command, target=target, folder=_folder_at(target))
+                arguments.mujoco_gl = os.environ.get("MUJOCO_GL")
                 if argv is None and before.command != "view":
-                    # Nothing is rendered; MuJoCo would look for a window library, in a process that signals reach too.
-                    os.environ.setdefault("MUJOCO_GL", "disable")
+                    # MuJoCo would look for a window library, in a process that signals reach too. What is rendered goes
+                    # by MuJoCo's contexts themselves.
+                    os.environ["MUJOCO_GL"] = "disable"
                 code = _run(arguments)
             check()
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""The commands `track`, `compare` and `view`."""
+"""The commands `track` and `compare`."""
 
 import argparse
 from pathlib import Path
@@ -93,31 +93,3 @@ def _save_tracking(comparison, said: dict, place: Path, arguments: argparse.Name
     comparison_figure(comparison, place / f"{arguments.command}.png")
     if document:
         document_figure(document, KP, place / "desired_and_actual.png")
-
-
-def run_view(arguments: argparse.Namespace) -> int:
-    """Play a tracked plan in the viewer; 1 where the plan has no motion."""
-    from linkplan.controllers.playback import has_screen, play
-    from linkplan.studies.compare.compare import track
-    from linkplan.studies.compare.user_tracker import tracker_named
-
-    asked = tracker_named(arguments.tracker)
-    for name in ("slow", "seconds"):
-        value = getattr(arguments, name)
-        if value is not None and not (np.isfinite(value) and value > 0):
-            raise ProblemError(f"--{name} is a positive number, got {value:g}")
-    if not has_screen():  # before a plan that may take minutes
-        raise ProblemError(
-            "view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set; track -o and compare -o"
-            " write the same run as tables and figures"
-        )
-    say = progress(arguments)
-    plan = plan_asked(arguments, say)
-    if plan.trajectory is None:
-        return no_plan(arguments, plan)
-    rollout = track(plan, asked)
-    say.keep(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
-    play(plan.problem.mechanism, rollout, arguments.slow, arguments.seconds)
-    if arguments.json:
-        show(arguments, {"plan": plan.problem.name, "tracker": arguments.tracker, "stable": rollout.stable}, "")
-    return DONE if plan.passed else NO

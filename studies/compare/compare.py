@@ -162,9 +162,9 @@ BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
 }
 
 
-def track(plan: Plan, asked: Asked, mismatch: Mismatch | None = None) -> Rollout:
-    """Return one tracker's run on a plan, under a mismatch if one is given."""
-    reference = tracking_reference(plan)
+def track(plan: Plan, asked: Asked, mismatch: Mismatch | None = None, reference: SampledReference | None = None) -> Rollout:
+    """Return one tracker's run on a plan, under a mismatch if one is given; `reference` is the plan's, if at hand."""
+    reference = tracking_reference(plan) if reference is None else reference
     return run(plan.problem.mechanism, reference, build_tracker(asked, plan, reference), _loop(plan, mismatch))
 
 

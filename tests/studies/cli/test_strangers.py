@@ -42,7 +42,7 @@ TYPED = [
     ),
     (["plan", "my", "leg.toml"], ["1 word too many, 'leg.toml'; a name with spaces stands in quotes"]),
     # a plan's folder where a problem or a model belongs, and the reverse
-    (["plan", "planned"], ["problem 'planned' is a saved plan, which track, compare, view and export take"]),
+    (["plan", "planned"], ["problem 'planned' is a saved plan, which track, compare, render, view and export take"]),
     (["plan", "planned/plan.json"], ["a file of the saved plan 'planned'", "TOML"]),
     (["plan", "planned/trajectory.csv"], ["a file of the saved plan 'planned'"]),
     (["check", "planned"], ["model 'planned' is a saved plan", "MJCF"]),

@@ -1,0 +1,53 @@
+"""The command `view`."""
+
+import argparse
+import math
+import os
+
+from linkplan.controllers.controls import Controls, keys_said
+from linkplan.controllers.playback import has_screen, play
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.models.errors import ProblemError
+from linkplan.models.names import choose
+from linkplan.studies.cli.common import no_plan, plan_asked
+from linkplan.studies.cli.exit_codes import DONE, NO
+from linkplan.studies.cli.printing import progress, show
+from linkplan.studies.render.gl import find_gl
+
+_INSTEAD = "render writes the same motion as a film or a picture, report as a page"
+
+
+def run_view(arguments: argparse.Namespace) -> int:
+    """Play a tracked plan in the viewer; 1 where the plan has no motion."""
+    choose("tracker", arguments.tracker, TRACKERS, ProblemError)
+    for name in ("slow", "seconds"):
+        value = getattr(arguments, name)
+        if value is not None and not (math.isfinite(value) and value > 0):
+            raise ProblemError(f"--{name} is a positive number, got {value:g}")
+    _refuse_without_screen()
+    say = progress(arguments)
+    plan = plan_asked(arguments, say)
+    if plan.trajectory is None:
+        return no_plan(arguments, plan)
+    from linkplan.studies.render.live import aim, run_maker
+
+    say.keep(f"{plan.problem.name} tracked by {arguments.tracker}, {arguments.slow:g} times slower; close the window to end")
+    say.keep(f"keys: {keys_said()}")
+    mechanism = plan.problem.mechanism
+    begin = Controls(tracker=arguments.tracker, slowness=arguments.slow)
+    make = run_maker(plan)
+    last = play(mechanism, begin, make, seconds=arguments.seconds, camera=aim(plan, arguments.tracker))
+    if arguments.json:
+        gains = {"kp_factor": last.kp_factor, "kd_factor": last.kd_factor}
+        said = {"plan": plan.problem.name, "tracker": last.tracker, **gains, "stable": make(last).stable}
+        show(arguments, said, "")
+    return DONE if plan.passed else NO
+
+
+def _refuse_without_screen() -> None:
+    """Refuse at once, before a plan that may take minutes, where no window can be opened."""
+    if not has_screen():
+        raise ProblemError(f"view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set; {_INSTEAD}")
+    gl = find_gl("glfw", os.environ)
+    if gl.name is None:
+        raise ProblemError(f"view needs a screen, and none can be opened ({gl.why_not}); {_INSTEAD}")

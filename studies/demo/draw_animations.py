@@ -1,0 +1,60 @@
+"""Small animations for the pages: `python -m linkplan.studies.demo.draw_animations` plans, tracks and draws each.
+
+Every one is a GIF that plays there and back without a jump: knee-reach.gif for the README, and one for each built-in
+mechanism, named as it is, for docs/mechanisms.md.
+"""
+
+import sys
+from pathlib import Path
+
+from linkplan.models.errors import LinkplanError
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import plan_motion
+from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN
+from linkplan.studies.render.gl import GL, find_gl
+from linkplan.studies.render.render import render
+from linkplan.studies.render.settings import RenderSettings
+
+# What a page may weigh: the first picture of the README, and each small one.
+LARGE_BYTES, SMALL_BYTES = 600_000, 300_000
+_LARGE, _SMALL = (480, 320), (320, 240)
+# The motion takes so long on the screen, one way [s], at so many frames a second.
+_SHOWN_S, _FPS = 2.4, 15.0
+# On a cart without a loop PD alone goes astray; elsewhere it is what lets the plan's ghost be seen.
+_TRACKER = {"cart-pole-swing-up": "lqr", "five-bar-swing-up": "lqr"}
+
+
+def draw(plan: Plan, path: Path, gl: GL, size: tuple[int, int]) -> None:
+    """Draw a plan there and back as a small GIF."""
+    slow = max(1.0, _SHOWN_S / plan.trajectory.duration_s)
+    settings = RenderSettings(
+        suffix=".gif",
+        tracker=_TRACKER.get(plan.problem.name, "pd"),
+        slow=float(f"{slow:.2g}"),
+        fps=_FPS,
+        size=size,
+        there_and_back=True,
+    )
+    render(plan, path, settings, gl)
+
+
+def main() -> int:
+    """Write every animation of the gallery."""
+    gl = find_gl(None)
+    if gl.name is None:
+        raise LinkplanError(f"the gallery is drawn by MuJoCo, which finds no OpenGL ({gl.why_not})")
+    for name in SHOWN:
+        plan = plan_motion(load_problem(name)).require()
+        drawn = [(FOLDER / f"{plan.problem.mechanism.name}.gif", _SMALL, SMALL_BYTES)]
+        if name == "knee-reach":
+            drawn.append((FOLDER / "knee-reach.gif", _LARGE, LARGE_BYTES))
+        for path, size, most in drawn:
+            draw(plan, path, gl, size)
+            weight = path.stat().st_size
+            print(f"  {path}: {weight / 1000:.0f} kB of {most / 1000:.0f}", file=sys.stderr)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

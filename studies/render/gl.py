@@ -1,0 +1,113 @@
+"""Which OpenGL there is to draw with, found by trying: in a process of its own, which a broken driver may end.
+
+MuJoCo's contexts are used directly, not by way of the variable MUJOCO_GL, which is read once, when mujoco is loaded. Loads
+nothing heavy.
+"""
+
+import functools
+import importlib
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from linkplan.models.errors import LinkplanError, one_line
+
+# Without a window first. A try takes half a second; a driver that hangs is given up.
+_BY_SYSTEM = {"linux": ("egl", "osmesa", "glfw"), "darwin": ("cgl", "glfw")}
+_LONGEST_TRY_S = 30.0
+_OFF = ("disable", "disabled", "off", "false", "0")
+_ANY = ("", "enable", "enabled", "on", "true", "1")
+_MODULES = {"glx": "glfw", "wgl": "glfw"}
+_TRY = """
+import importlib, sys
+if sys.argv[1] == "glfw":
+    import glfw, warnings
+    warnings.simplefilter("ignore")
+    assert glfw.init(), "no window system answers"
+context = importlib.import_module("mujoco." + sys.argv[1]).GLContext(16, 16)
+context.make_current()
+import mujoco
+model = mujoco.MjModel.from_xml_string("<mujoco/>")
+drawn = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, drawn)
+assert drawn.currentBuffer == mujoco.mjtFramebuffer.mjFB_OFFSCREEN, "it draws to no picture"
+print("DRAWS")
+import os
+sys.stdout.flush()
+os._exit(0)
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GL:
+    """The OpenGL to draw with, by the name of MuJoCo's module for it; None where there is none, and why not."""
+
+    name: str | None
+    why_not: str = ""
+
+
+def find_gl(asked: str | None, environment: Mapping[str, str] | None = None) -> GL:
+    """Return the first OpenGL with which a picture can be drawn.
+
+    Args:
+        asked: what MUJOCO_GL says: one by name, none ("disable"), or any; None where it is not set.
+        environment: of the process; by default this one's.
+
+    Raises:
+        LinkplanError: where MUJOCO_GL is set to what is none.
+    """
+    environment = os.environ if environment is None else environment
+    word = (asked or "").lower().strip()
+    if word in _OFF:
+        return GL(name=None, why_not=f"MUJOCO_GL is {word}")
+    known = _BY_SYSTEM.get(sys.platform, ("glfw",))
+    if word not in (*_ANY, *known, *_MODULES):
+        raise LinkplanError(f"MUJOCO_GL is {', '.join(known)} or disable, got '{word}'")
+    names = known if word in _ANY else (_MODULES.get(word, word),)
+    loaded = os.environ.get("PYOPENGL_PLATFORM", "") if "OpenGL" in sys.modules else ""
+    if loaded in names:
+        names = (loaded,)  # a process has one
+    said = []
+    for name in names:
+        if (
+            name == "glfw"
+            and sys.platform == "linux"
+            and not (environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY"))
+        ):
+            said.append("glfw: no display")
+            continue
+        why_not = _tried(name, environment.get("DISPLAY", ""))
+        if not why_not:
+            return GL(name=name)
+        said.append(f"{name}: {why_not}")
+    return GL(name=None, why_not="; ".join(said))
+
+
+@functools.lru_cache(maxsize=16)
+def _tried(name: str, display: str) -> str:
+    """Return why an OpenGL cannot be used, "" where it can. `display` tells one screen from another."""
+    del display
+    environment = {key: value for key, value in os.environ.items() if key != "PYOPENGL_PLATFORM"} | {"MUJOCO_GL": "disable"}
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", _TRY, name],
+            env=environment,
+            capture_output=True,
+            stdin=subprocess.DEVNULL,
+            timeout=_LONGEST_TRY_S,
+            text=True,
+            errors="replace",
+        )
+    except (OSError, subprocess.SubprocessError) as error:
+        return one_line(error)[:120]
+    if "DRAWS" in done.stdout:
+        return ""
+    last = [line for line in done.stderr.splitlines() if line.strip()][-1:] or [f"ended by {done.returncode}"]
+    return one_line(last[0])[:120]
+
+
+def context_class(name: str) -> type:
+    """Return MuJoCo's class of contexts of an OpenGL that was found."""
+    return importlib.import_module(f"mujoco.{name}").GLContext

@@ -1,0 +1,110 @@
+"""A plan's runs as MuJoCo's interactive viewer shows them: with the gains that keys ask for, ghost and efforts drawn in."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from linkplan.controllers.controls import Controls
+from linkplan.controllers.playback import Rows, Shown
+from linkplan.models.poses.skeleton import pins_in_space
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.compare.compare import tracking_reference
+from linkplan.studies.render.caption import effort_lines
+from linkplan.studies.render.efforts import effort_shapes
+from linkplan.studies.render.framing import axes_of, framed, own_direction
+from linkplan.studies.render.motion import Motion, tracked_motion
+from linkplan.studies.render.mujoco_painter import add_figure, add_shapes
+from linkplan.studies.render.scenes import Figure, all_points, body_colours, rod_radius, stand
+from linkplan.studies.render.shapes import bones, ghostly
+
+
+def run_maker(plan: Plan) -> Callable[[Controls], Shown]:
+    """Return the function that gives a plan's run with a tracker and gains."""
+    reference = tracking_reference(plan)
+
+    def make(controls: Controls) -> Shown:
+        """Run the tracker in MuJoCo."""
+        tracking = with_gains(plan.problem.tracking, controls.kp_factor, controls.kd_factor)
+        with_them = replace(plan, problem=replace(plan.problem, tracking=tracking))
+        motion = tracked_motion(with_them, controls.tracker, reference)
+        return shown(motion, lambda k: _words(motion, tracking, controls, k))
+
+    return make
+
+
+def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracking:
+    """Return settings with gains multiplied; of LQR the position and velocity errors that weigh 1 are divided."""
+
+    def times(gain, factor: float):
+        return {name: factor * one for name, one in gain.items()} if isinstance(gain, dict) else factor * gain
+
+    if kp_factor == kd_factor == 1.0:
+        return tracking
+    return replace(
+        tracking,
+        kp=times(tracking.kp, kp_factor),
+        kd=times(tracking.kd, kd_factor),
+        lqr_position=tracking.lqr_position / kp_factor,
+        lqr_position_m=tracking.lqr_position_m / kp_factor,
+        lqr_velocity=tracking.lqr_velocity / kd_factor,
+        lqr_velocity_m_s=tracking.lqr_velocity_m_s / kd_factor,
+    )
+
+
+def shown(motion: Motion, words: Callable[[int], Rows]) -> Shown:
+    """Return a motion as the viewer shows it."""
+    mechanism, model = motion.mechanism, motion.mechanism.model
+    colours, radius, size = body_colours(mechanism), rod_radius(mechanism), mechanism.extent_m
+    own, planned = ({b: p for b, p in pins_in_space(mechanism, q).items() if b} for q in (motion.pose, motion.reference))
+    data, option = mujoco.MjData(model), mujoco.MjvOption()
+    towards = -axes_of(*own_direction(model))[2]
+
+    def decorate(scene, k: int, ghost: bool) -> None:
+        """Add the skeleton, the ghost and the efforts of instant k."""
+        add_shapes(scene, bones({body: pins[k] for body, pins in own.items()}, radius, colours))
+        stand(model, data, mechanism.qpos_of(motion.pose[k]))
+        for actuator, share in zip(mechanism.actuators, motion.shares[k], strict=True):
+            add_shapes(scene, effort_shapes(model, data, actuator, float(share), size, towards))
+        if ghost:
+            qpos = mechanism.qpos_of(motion.reference[k])
+            rods = ghostly(bones({body: pins[k] for body, pins in planned.items()}, radius, colours))
+            stand(model, data, qpos)
+            add_figure(scene, model, data, option, Figure(qpos=qpos, shapes=rods, ghost=True))
+
+    return Shown(time_s=motion.time_s, pose=motion.pose, decorate=decorate, words=words, stable=motion.stable)
+
+
+def aim(plan: Plan, tracker: str) -> Callable[[mujoco.MjvCamera], None]:
+    """Return the function that points MuJoCo's camera at the whole of a plan's motion."""
+    motion = tracked_motion(plan, tracker)
+    model = motion.mechanism.model
+    direction = own_direction(model)
+    eye = framed(all_points(motion, direction), *direction, float(np.radians(model.vis.global_.fovy)), 1.5)
+
+    def point(camera: mujoco.MjvCamera) -> None:
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        camera.lookat[:], camera.distance = eye.target, eye.distance
+        camera.azimuth, camera.elevation = np.degrees(eye.azimuth), np.degrees(eye.elevation)
+
+    return point
+
+
+def _words(motion: Motion, tracking: Tracking, controls: Controls, k: int) -> Rows:
+    factors = [f"  (x{factor:.3g})" if factor != 1.0 else "" for factor in (controls.kp_factor, controls.kd_factor)]
+    if controls.tracker == "lqr":
+        hinge = any(joint.kind == "hinge" for joint in motion.mechanism.independent_joints)
+        position = f"{np.degrees(tracking.lqr_position):.4g} deg" if hinge else f"{tracking.lqr_position_m:.4g} m"
+        velocity = f"{np.degrees(tracking.lqr_velocity):.4g} deg/s" if hinge else f"{tracking.lqr_velocity_m_s:.4g} m/s"
+        gains = [("weighs 1: position", position + factors[0]), ("weighs 1: speed", velocity + factors[1])]
+    else:
+        gains = [("kp", _gain_said(tracking.kp) + factors[0]), ("kd", _gain_said(tracking.kd) + factors[1])]
+    efforts = [(name, said) for name, _, said in (text.partition(": ") for text, _ in effort_lines(motion, k))]
+    stable = [] if motion.stable else [("", "unstable")]
+    return [(motion.name, f"t = {motion.time_s[k]:.4f} s"), ("tracker", motion.tracker), *gains, *efforts, *stable]
+
+
+def _gain_said(gain) -> str:
+    return ", ".join(f"{one:.4g}" for one in (gain.values() if isinstance(gain, dict) else [gain]))

@@ -1,0 +1,99 @@
+"""A tracked motion as it is drawn: where the mechanism stands, where the plan would have it, and what acts."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.reference import SampledReference
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.plan import Plan
+from linkplan.studies.compare.compare import track, tracking_reference
+from linkplan.studies.render.efforts import load_shares
+
+# A film lasts about so long [s] where nothing is said, and has so many frames at the most.
+_SHOWN_S, MOST_FRAMES = 4.0, 20_000
+_ROUND = (1.0, 2.0, 5.0)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Motion:
+    """A run at its control instants (n,) [s]: poses and the plan's (n, n_q), efforts (n, n_u) and their limits (n_u, 2).
+
+    `shares` (n, n_u) is which share of its limit each effort is. `repeats` where the last instant leads on to the first.
+    """
+
+    mechanism: Mechanism
+    name: str
+    tracker: str
+    time_s: np.ndarray
+    pose: np.ndarray
+    reference: np.ndarray
+    effort: np.ndarray
+    limit: np.ndarray
+    shares: np.ndarray
+    stable: bool
+    repeats: bool
+
+    @property
+    def duration_s(self) -> float:
+        """The duration [s], to the end of the last control period."""
+        return float(self.time_s[-1] + (self.time_s[1] - self.time_s[0]))
+
+    def index_at(self, time_s: float) -> int:
+        """Return the control instant that holds at a time [s]; the last one beyond the end."""
+        return int(np.clip(np.searchsorted(self.time_s, time_s + 1e-9, side="right") - 1, 0, len(self.time_s) - 1))
+
+
+def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None = None) -> Motion:
+    """Return a plan's motion as a tracker follows it in MuJoCo; `reference` is the plan's, where it is at hand.
+
+    Raises:
+        ProblemError: where the run ends before there is anything to see.
+    """
+    reference = tracking_reference(plan) if reference is None else reference
+    run = track(plan, tracker, None, reference)
+    kept = int(np.sum(np.cumprod(np.isfinite(run.pose).all(axis=1))))
+    if kept < 2:
+        raise ProblemError(f"the run with {tracker} blows up at once: there is no motion to draw")
+    effort, limit = run.applied[:kept], np.array(run.effort_limit)
+    return Motion(
+        mechanism=plan.problem.mechanism,
+        name=plan.problem.name,
+        tracker=tracker,
+        time_s=run.time_s[:kept],
+        pose=run.pose[:kept],
+        reference=reference.pose[:kept],
+        effort=effort,
+        limit=limit,
+        shares=load_shares(effort, limit, np.abs(effort).max(axis=0, initial=0.0)),
+        stable=run.stable,
+        repeats=bool(plan.trajectory.periodic),
+    )
+
+
+def own_slowness(duration_s: float) -> float:
+    """Return how many times slower than real a motion is shown by default: 1, 2, 5, 10, ... to last some seconds."""
+    wanted = max(1.0, _SHOWN_S / duration_s)
+    ten = 10.0 ** np.floor(np.log10(wanted))
+    return float(min((step * ten for step in (*_ROUND, 10.0)), key=lambda step: abs(np.log(step / wanted))))
+
+
+def frame_times(duration_s: float, slow: float, fps: float, *, repeats: bool = False) -> np.ndarray:
+    """Return the times (n,) [s] of a film's frames, from 0 to the end; without the end where the motion repeats itself.
+
+    Raises:
+        ProblemError: where there would be too many.
+    """
+    step = 1.0 / (fps * slow)
+    many = duration_s / step
+    if many > MOST_FRAMES:
+        raise ProblemError(
+            f"a motion of {duration_s:.4g} s, {slow:g} times slower at {fps:g} frames a second, has {many:.0f} frames;"
+            f" at most {MOST_FRAMES} are drawn"
+        )
+    if repeats:
+        n = max(1, round(many))
+        return duration_s * np.arange(n) / n
+    times = step * np.arange(int(np.floor(many + 1e-6)) + 1)
+    return times if duration_s - times[-1] < 0.5 * step else np.append(times, duration_s)

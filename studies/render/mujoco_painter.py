@@ -1,0 +1,171 @@
+"""Pictures drawn by MuJoCo's own renderer, without a window."""
+
+import contextlib
+import copy
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from linkplan.studies.render.framing import Eye
+from linkplan.studies.render.gl import context_class
+from linkplan.studies.render.scenes import Figure, Scene, has_end, seen, stand
+from linkplan.studies.render.shapes import GHOST, Shape
+
+_GEOMS = 20_000
+# The ghost is drawn a hair smaller than it is: where it coincides with the mechanism, it is inside, and nothing flickers.
+_GHOST_SIZE = 0.985
+# Behind everything stands a white wall, at this share of the farthest distance that is drawn.
+_WALL = 0.9
+# A floor is drawn where what moves comes as near to it as this share of its extent.
+_NEAR = 0.3
+_MOVING = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class MujocoPainter:
+    """Draws scenes through one camera; made by `mujoco_painter`, which ends its OpenGL."""
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    scene: mujoco.MjvScene
+    context: mujoco.MjrContext
+    camera: mujoco.MjvCamera
+    option: mujoco.MjvOption
+    size: tuple[int, int]
+    ground_is_seen: bool  # the ground has geoms of its own
+
+    def paint(self, picture: Scene) -> np.ndarray:
+        """Return a scene as an image (height, width, 3) of bytes."""
+        width, height = self.size
+        main, others = picture.figures[-1], picture.figures[:-1]
+        stand(self.model, self.data, main.qpos)
+        everything = int(mujoco.mjtCatBit.mjCAT_ALL)
+        mujoco.mjv_updateScene(self.model, self.data, self.option, None, self.camera, everything, self.scene)
+        add_shapes(self.scene, main.shapes if self.ground_is_seen else (*main.ground, *main.shapes))
+        for figure in others:
+            stand(self.model, self.data, figure.qpos)
+            add_figure(self.scene, self.model, self.data, self.option, figure)
+        add_shapes(self.scene, picture.efforts)
+        self._add_wall()
+        image = np.empty((height, width, 3), dtype=np.uint8)
+        whole = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_render(whole, self.scene, self.context)
+        mujoco.mjr_readPixels(image, None, whole, self.context)
+        return np.ascontiguousarray(image[::-1])
+
+    def _add_wall(self) -> None:
+        """Put a white wall behind everything: what the picture stands on is the same for every model."""
+        eye = self.scene.camera[0]
+        sight = np.array(eye.forward, dtype=float)
+        far = _WALL * float(eye.frustum_far)
+        right, up = np.cross(sight, np.array(eye.up, dtype=float)), np.array(eye.up, dtype=float)
+        turned = np.stack([right, up, -sight], axis=1)
+        wide = 4.0 * far * max(1.0, self.size[0] / self.size[1])
+        geom = self.scene.geoms[self.scene.ngeom]
+        place = np.array(eye.pos, dtype=float) + far * sight
+        box = mujoco.mjtGeom.mjGEOM_BOX
+        mujoco.mjv_initGeom(geom, box, np.array([wide, wide, 1e-3 * far]), place, turned.ravel(), np.ones(4, np.float32))
+        geom.emission, geom.specular, geom.reflectance = 1.0, 0.0, 0.0
+        geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)  # which casts no shadow
+        self.scene.ngeom += 1
+
+
+@contextlib.contextmanager
+def mujoco_painter(
+    model: mujoco.MjModel, gl: str, size: tuple[int, int], eye: Eye | int, points: np.ndarray
+) -> Iterator[MujocoPainter]:
+    """Give a painter that draws by an OpenGL that was found.
+
+    Args:
+        model: MuJoCo's.
+        gl: the OpenGL's name.
+        size: of the pictures, width and height.
+        eye: the camera, or the index of one of the model's.
+        points: what the picture is about (n, 3) [m]: a floor far from it is left out.
+    """
+    model = copy.copy(model)
+    model.geom_group[far_planes(model, points)] = mujoco.mjNGROUP - 1  # a group that is not drawn
+    width, height = size
+    model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+    camera = mujoco.MjvCamera()
+    if isinstance(eye, Eye):
+        camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+        camera.lookat[:], camera.distance = eye.target, eye.distance
+        camera.azimuth, camera.elevation = np.degrees(eye.azimuth), np.degrees(eye.elevation)
+        # What is drawn lies between a hundredth of the distance and a hundred times it.
+        model.stat.extent, model.vis.map.znear, model.vis.map.zfar = eye.distance, 0.01, 100.0
+        model.stat.center[:] = eye.target
+    else:
+        camera.type, camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, eye
+    context = context_class(gl)(width, height)
+    try:
+        context.make_current()
+        drawn = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        try:
+            mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, drawn)
+            scene = mujoco.MjvScene(model, _GEOMS)
+            for flag in (mujoco.mjtRndFlag.mjRND_SKYBOX, mujoco.mjtRndFlag.mjRND_REFLECTION, mujoco.mjtRndFlag.mjRND_SHADOW):
+                scene.flags[int(flag)] = False
+            yield MujocoPainter(
+                model=model,
+                data=mujoco.MjData(model),
+                scene=scene,
+                context=drawn,
+                camera=camera,
+                option=mujoco.MjvOption(),
+                size=size,
+                ground_is_seen=bool((seen(model) & has_end(model) & (model.body_weldid[model.geom_bodyid] == 0)).any()),
+            )
+        finally:
+            drawn.free()
+    finally:
+        context.free()
+
+
+def far_planes(model: mujoco.MjModel, points: np.ndarray) -> np.ndarray:
+    """Return the indices of planes that stand far from all points (n, 3) [m], by the points' extent, or far into them."""
+    reach = float(np.ptp(points, axis=0).max())
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    found = []
+    for geom in np.flatnonzero(model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)):
+        height = (points - np.array(data.geom_xpos[geom])) @ np.array(data.geom_xmat[geom]).reshape(3, 3)[:, 2]
+        if not -_NEAR * reach < height.min() < _NEAR * reach:
+            found.append(int(geom))
+    return np.array(found, dtype=int)
+
+
+def add_figure(scene, model: mujoco.MjModel, data: mujoco.MjData, option: mujoco.MjvOption, figure: Figure) -> None:
+    """Add a mechanism in a pose that `data` has: its moving geoms and its skeleton, translucent."""
+    first = scene.ngeom
+    mujoco.mjv_addGeoms(model, data, option, mujoco.MjvPerturb(), _MOVING, scene)
+    for k in range(first, scene.ngeom):
+        geom = scene.geoms[k]
+        if figure.ghost:
+            geom.rgba[:], geom.size[:] = GHOST, np.array(geom.size) * _GHOST_SIZE
+            geom.matid = -1
+        else:
+            geom.rgba[3] *= figure.alpha
+        geom.transparent = True
+    add_shapes(scene, figure.shapes)
+
+
+def add_shapes(scene, shapes: Sequence[Shape]) -> None:
+    """Add shapes to one of MuJoCo's scenes, as far as there is room."""
+    for shape in shapes:
+        if scene.ngeom >= scene.maxgeom - 1:
+            return
+        geom = scene.geoms[scene.ngeom]
+        colour = np.array(shape.rgba, dtype=np.float32)
+        if float(np.linalg.norm(shape.end - shape.start)) < 1e-9:
+            kind = mujoco.mjtGeom.mjGEOM_SPHERE
+            mujoco.mjv_initGeom(geom, kind, np.full(3, shape.radius), np.array(shape.start), np.eye(3).ravel(), colour)
+        else:
+            kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+            mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+            mujoco.mjv_connector(geom, kind, shape.radius, np.array(shape.start), np.array(shape.end))
+        geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)
+        geom.transparent = shape.rgba[3] < 1.0
+        scene.ngeom += 1

@@ -1,0 +1,154 @@
+"""A plan's tracked motion as an MP4, a GIF or a PNG: what `linkplan render` does."""
+
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.interrupts import check
+from linkplan.planner.files.whole_file import write_file_whole
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import silent
+from linkplan.studies.render.camera import Camera, camera_from
+from linkplan.studies.render.caption import effort_lines, frame_lines, head_share, written
+from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
+from linkplan.studies.render.flat_painter import flat_painter
+from linkplan.studies.render.framing import framed
+from linkplan.studies.render.gl import GL
+from linkplan.studies.render.motion import Motion, frame_times, own_slowness, tracked_motion
+from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, stroboscopic_scene
+from linkplan.studies.render.settings import SUFFIXES, RenderSettings
+
+# Scenes are made so many at a time; progress is said so often.
+_CHUNK, _SAID_EVERY = 50, 25
+# Frames from which a GIF's colours are found.
+_PALETTE_FRAMES = 5
+
+Paint = Callable[[Scene], np.ndarray]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Rendered:
+    """What was written: frames of which size, how many a second, how much slower than real, and by whom they were drawn."""
+
+    file: str
+    frames: int
+    size: tuple[int, int]
+    fps: float | None
+    slow: float | None
+    length_s: float | None  # of the film
+    motion_s: float
+    drawn_by: str
+    tracker: str
+    stable: bool
+
+
+def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callable[[str], None] = silent) -> Rendered:
+    """Draw a plan's motion as a tracker follows it into a file, whole or not at all.
+
+    Args:
+        plan: with a motion.
+        path: of the file.
+        settings: how.
+        gl: the OpenGL to draw with; where there is none, the skeleton is drawn flat.
+        say: told of progress.
+    """
+    camera = camera_from(settings.camera, plan.problem.mechanism)
+    motion = tracked_motion(plan, settings.tracker)
+    slow = own_slowness(motion.duration_s) if settings.slow is None else settings.slow
+    times = frame_times(motion.duration_s, slow, settings.fps, repeats=motion.repeats)  # refused before it is drawn
+    if gl.name is None:
+        say(f"no OpenGL to draw with ({gl.why_not}): the skeleton is drawn flat, by Matplotlib")
+    if settings.suffix != ".png":
+        say(f"tracked by {settings.tracker}; {motion.duration_s:.4g} s of motion, shown {slow:g} times slower")
+    with _painter(motion, camera, settings, gl) as paint:
+        if settings.suffix == ".png":
+            write_file_whole(path, SUFFIXES, lambda place: write_png(place, picture(motion, camera, settings, paint)))
+            n, film = 1, False
+        else:
+            instants = np.array([motion.index_at(time) for time in times])
+            if settings.there_and_back:
+                instants = np.concatenate([instants, instants[-2:0:-1]])
+            _write_film(path, motion, instants, camera, settings, slow, paint, say)
+            n, film = len(instants), True
+    return Rendered(
+        file=str(path),
+        frames=n,
+        size=settings.size,
+        fps=settings.fps if film else None,
+        slow=slow if film else None,
+        length_s=n / settings.fps if film else None,
+        motion_s=motion.duration_s,
+        drawn_by="Matplotlib" if gl.name is None else f"MuJoCo ({gl.name})",
+        tracker=motion.tracker,
+        stable=motion.stable,
+    )
+
+
+@contextlib.contextmanager
+def _painter(motion: Motion, camera: Camera, settings: RenderSettings, gl: GL) -> Iterator[Paint]:
+    model, size, points = motion.mechanism.model, settings.size, all_points(motion, camera.direction)
+    head = head_share(motion, size)
+    if gl.name is None:
+        yield flat_painter(points, camera.direction, size, head).paint
+        return
+    from linkplan.studies.render.mujoco_painter import mujoco_painter
+
+    eye = camera.fixed
+    if eye < 0:
+        fovy = float(np.radians(model.vis.global_.fovy))
+        eye = framed(points, *camera.direction, fovy, size[0] / size[1], head)
+    with mujoco_painter(coloured_model(motion.mechanism), gl.name, size, eye, points) as painter:
+        yield painter.paint
+
+
+def picture(motion: Motion, camera: Camera, settings: RenderSettings, paint: Paint) -> np.ndarray:
+    """Return one image: an instant with the plan's ghost, or several instants of the run, the last one strong."""
+    if settings.at_s is not None:
+        k = motion.index_at(settings.at_s)
+        image = paint(film_scenes(motion, np.array([k]), camera.direction)[0])
+        return written(image, frame_lines(motion, k, 1.0), _foot(motion, ghost=True))
+    shown = np.linspace(0.0, motion.time_s[-1], settings.instants if settings.instants > 1 else 2)[-settings.instants :]
+    instants = np.array([motion.index_at(time) for time in shown])
+    image = paint(stroboscopic_scene(motion, instants, camera.direction))
+    ink = (30, 30, 30)
+    said = f"{settings.instants} instants from 0 to {motion.time_s[-1]:.3g} s; efforts at the last"
+    return written(image, [(said, ink), *effort_lines(motion, int(instants[-1]))], _foot(motion, ghost=False))
+
+
+def _write_film(path: Path, motion: Motion, instants, camera: Camera, settings: RenderSettings, slow, paint, say) -> None:
+    n, foot = len(instants), _foot(motion, ghost=True)
+
+    def images(chosen: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the images of some control instants, one at a time."""
+        for begin in range(0, len(chosen), _CHUNK):
+            chunk = chosen[begin : begin + _CHUNK]
+            for k, scene in zip(chunk, film_scenes(motion, chunk, camera.direction), strict=True):
+                check()
+                yield written(paint(scene), frame_lines(motion, int(k), slow), foot)
+
+    def told() -> Iterator[np.ndarray]:
+        for done, image in enumerate(images(instants), start=1):
+            yield image
+            if done % _SAID_EVERY == 0:
+                say(f"{done} of {n} frames")
+
+    def write(place: Path) -> None:
+        """Write the film in its work folder."""
+        if settings.suffix == ".mp4":
+            write_mp4(place, told(), settings.fps)
+            return
+        some = instants[np.linspace(0, n - 1, min(n, _PALETTE_FRAMES)).astype(int)]
+        write_gif(place, told(), n, settings.fps, list(images(some)))
+
+    write_file_whole(path, SUFFIXES, write)
+
+
+def _foot(motion: Motion, *, ghost: bool) -> str:
+    return (
+        f"{motion.name}, tracked by {motion.tracker}"
+        + ("" if motion.stable else ", which is unstable")
+        + ("; violet: the plan" if ghost else "")
+    )

@@ -1,0 +1,91 @@
+"""The keys of the viewer without a window: what each changes, and how a motion goes on."""
+
+import itertools
+import queue
+
+import pytest
+
+from linkplan.controllers.controls import HOLD_S, KEYS, Controls, advanced, keys_said, pressed
+from linkplan.controllers.playback import after_keys, pace
+
+START = Controls(tracker="pd", slowness=4.0)
+KEY = {name: number for number, (name, _, _) in KEYS.items()}
+
+
+def after(*names: str, start: Controls = START) -> Controls:
+    for name in names:
+        start = pressed(start, KEY[name])
+    return start
+
+
+@pytest.mark.parametrize(("less", "more", "gain"), [("6", "7", "kp_factor"), ("8", "9", "kd_factor")])
+def test_a_gain_grows_and_shrinks_by_the_same_step_and_the_other_stays(less, more, gain):
+    assert getattr(after(more), gain) == pytest.approx(1.25)
+    assert getattr(after(less), gain) == pytest.approx(0.8)
+    assert after(more, more, less, less) == START
+    other = {"kp_factor": "kd_factor", "kd_factor": "kp_factor"}[gain]
+    assert getattr(after(more, more), other) == 1.0
+
+
+def test_gains_end_somewhere():
+    assert after(*["7"] * 100).kp_factor == pytest.approx(1000.0)
+    assert after(*["6"] * 100).kp_factor == pytest.approx(0.001)
+
+
+def test_speed_doubles_and_halves():
+    assert after("Up").slowness == pytest.approx(2.0)
+    assert after("Down").slowness == pytest.approx(8.0)
+
+
+def test_trackers_come_round():
+    assert [after(*["."] * k).tracker for k in range(4)] == ["pd", "pd+ff", "lqr", "pd"]
+
+
+def test_only_trackers_and_gains_ask_for_another_run():
+    assert all(after(name).run == START.run for name in ("Up", "Down", "Space", "End"))
+    assert all(after(name).run != START.run for name in ("6", "7", "8", "9", "."))
+
+
+def test_home_begins_again_with_the_first_gains():
+    again = after("7", "9", "Space", "Home")
+    assert again.run == START.run
+    assert not again.paused
+    assert again.begun == START.begun + 1
+
+
+def test_a_key_of_mujocos_own_changes_nothing():
+    assert all(pressed(START, key) == START for key in range(400) if key not in KEYS)
+
+
+def test_keys_that_wait_are_all_heard_in_their_order():
+    keys: queue.SimpleQueue[int] = queue.SimpleQueue()
+    for name in ("7", "7", ".", "Space"):
+        keys.put(KEY[name])
+    assert after_keys(START, keys) == after("7", "7", ".", "Space")
+    assert keys.empty()
+
+
+def test_a_motion_goes_on_for_ever_and_holds_its_end():
+    duration, at, shown = 1.0, 0.0, []
+    for _ in range(200):
+        at = advanced(at, 0.1, START, duration)
+        shown.append(at)
+    assert max(shown) > duration  # the end is held
+    assert max(shown) < duration + HOLD_S / START.slowness
+    assert sum(b < a for a, b in itertools.pairwise(shown)) == int(200 * 0.025 / (duration + 0.125))
+
+
+def test_a_motion_that_is_stopped_stands_still():
+    assert advanced(0.3, 10.0, after("Space"), 1.0) == 0.3
+
+
+def test_every_key_is_said():
+    assert all(name in keys_said() for name in KEY)
+
+
+def test_what_is_written_says_speed_stop_and_refusal():
+    assert pace(START, "") == [("speed", "4x slower")]
+    said = pace(after("Space", *["Up"] * 3), "no gain")
+    assert ("speed", "2x faster") in said
+    assert ("refused", "no gain") in said
+    assert len(said) == 3

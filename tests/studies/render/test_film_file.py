@@ -1,0 +1,70 @@
+"""Films read back by the library that wrote them, and by others."""
+
+import av
+import numpy as np
+import pytest
+from PIL import Image, ImageSequence
+
+from linkplan.planner.files.whole_file import MADE_BY
+from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
+
+WIDTH, HEIGHT, MANY = 96, 64, 30
+
+
+def frames() -> list[np.ndarray]:
+    """Return images with a dark square that goes from left to right."""
+    found = []
+    for k in range(MANY):
+        image = np.full((HEIGHT, WIDTH, 3), 255, dtype=np.uint8)
+        image[20:40, 2 * k : 2 * k + 20] = (200, 30, 30)
+        found.append(image)
+    return found
+
+
+def square(image: np.ndarray) -> float:
+    """Return where the square's middle is [px from the left]."""
+    return float(np.mean(np.nonzero(np.any(image < 128, axis=2))[1]))
+
+
+def test_an_mp4_has_the_frames_the_size_and_the_duration_that_went_in(tmp_path):
+    path = tmp_path / "film.mp4"
+    write_mp4(path, frames(), 25.0)
+    with av.open(str(path)) as film:
+        stream = film.streams.video[0]
+        assert (stream.width, stream.height, stream.codec_context.name) == (WIDTH, HEIGHT, "h264")
+        assert stream.pix_fmt == "yuv420p"
+        assert film.duration / av.time_base == pytest.approx(MANY / 25.0, abs=1e-3)
+        found = [frame.to_ndarray(format="rgb24") for frame in film.decode(video=0)]
+    assert len(found) == MANY
+    assert [square(image) for image in found] == pytest.approx([square(image) for image in frames()], abs=1.0)
+
+
+def test_a_gif_has_the_frames_goes_on_for_ever_and_lasts_as_long(tmp_path):
+    path = tmp_path / "film.gif"
+    write_gif(path, frames(), MANY, 15.0, frames()[::10])
+    with Image.open(path) as film:
+        assert film.size == (WIDTH, HEIGHT)
+        assert film.info["loop"] == 0
+        shown = [(square(np.array(one.convert("RGB"))), one.info["duration"]) for one in ImageSequence.Iterator(film)]
+    assert len(shown) == MANY
+    assert sum(duration for _, duration in shown) == pytest.approx(1000 * MANY / 15.0, abs=10)
+    assert [at for at, _ in shown] == pytest.approx([square(image) for image in frames()], abs=0.5)
+
+
+def test_a_png_is_the_image_itself(tmp_path):
+    path = tmp_path / "picture.png"
+    write_png(path, frames()[3])
+    with Image.open(path) as picture:
+        assert np.array_equal(np.array(picture), frames()[3])
+
+
+@pytest.mark.parametrize("kind", ["mp4", "gif", "png"])
+def test_every_file_says_who_made_it(kind, tmp_path):
+    path = tmp_path / f"film.{kind}"
+    write = {
+        "mp4": lambda: write_mp4(path, frames(), 25.0),
+        "gif": lambda: write_gif(path, frames(), MANY, 25.0, frames()[:1]),
+        "png": lambda: write_png(path, frames()[0]),
+    }
+    write[kind]()
+    assert MADE_BY.encode() in path.read_bytes()

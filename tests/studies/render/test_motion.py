@@ -1,0 +1,71 @@
+"""Which instants a film shows, how slowly, and what may be asked of it."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import ProblemError
+from linkplan.studies.render.motion import frame_times, own_slowness
+from linkplan.studies.render.settings import RenderSettings, size_from
+from tests.support.pictures import PERIOD_S, waved
+
+
+def test_a_films_frames_are_evenly_spaced_from_the_beginning_to_the_end():
+    times = frame_times(0.16, 25.0, 25.0)
+    assert len(times) == 101
+    assert times[[0, -1]] == pytest.approx([0.0, 0.16])
+    assert np.diff(times) == pytest.approx(0.0016)
+
+
+def test_the_end_is_shown_even_where_no_frame_falls_on_it():
+    times = frame_times(0.1, 1.0, 25.0)
+    assert times[-1] == pytest.approx(0.1, abs=0.02)
+    assert times[-1] >= 0.08
+    assert np.all(np.diff(times) > 0)
+
+
+def test_a_motion_that_repeats_itself_leaves_out_the_end_which_is_the_beginning():
+    times = frame_times(0.25, 4.0, 25.0, repeats=True)
+    assert len(times) == 25
+    assert times[-1] == pytest.approx(0.25 - 0.01)
+
+
+def test_too_many_frames_are_refused_with_how_many_there_would_be():
+    with pytest.raises(ProblemError, match=r"2\.?\d*.* s, 1e\+06 times slower .* frames; at most 20000"):
+        frame_times(2.0, 1e6, 25.0)
+
+
+@pytest.mark.parametrize(("duration", "slow"), [(4.0, 1.0), (100.0, 1.0), (2.0, 2.0), (0.4, 10.0), (0.004, 1000.0)])
+def test_a_short_motion_is_slowed_down_to_some_seconds_by_a_round_factor(duration, slow):
+    assert own_slowness(duration) == pytest.approx(slow)
+
+
+def test_an_instant_is_the_control_period_that_it_falls_into():
+    motion = waved("optimus-knee")
+    assert [motion.index_at(t) for t in (0.0, 2.5 * PERIOD_S, 3 * PERIOD_S, 99.0)] == [0, 2, 3, len(motion.time_s) - 1]
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ({"fps": -1.0}, "fps"),
+        ({"fps": float("nan")}, "fps"),
+        ({"fps": 60.0, "suffix": ".gif"}, "at most 50"),
+        ({"slow": 0.0}, "slow"),
+        ({"size": (801, 600)}, "even"),
+        ({"size": (8, 6)}, "64 to 4096"),
+        ({"at_s": 0.1}, ".png"),
+        ({"at_s": -0.1, "suffix": ".png"}, "from 0 on"),
+        ({"there_and_back": True, "suffix": ".png"}, "film"),
+        ({"instants": 0}, "1 to 40"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(asked, words):
+    with pytest.raises(ProblemError, match=words):
+        RenderSettings(**({"suffix": ".mp4"} | asked))
+
+
+def test_a_size_is_width_times_height():
+    assert size_from("640x480") == (640, 480)
+    for text in ("640", "640x", "a x b", "6.5x4"):
+        with pytest.raises(ProblemError, match="WIDTHxHEIGHT"):
+            size_from(text)

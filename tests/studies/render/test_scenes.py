@@ -1,0 +1,183 @@
+"""What is in a picture, before anybody draws it: skeletons, ghost, efforts, colours."""
+
+import itertools
+
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.studies.render.efforts import effort_shapes, load_shares
+from linkplan.studies.render.framing import own_direction
+from linkplan.studies.render.scenes import all_points, body_colours, film_scenes, stand, stroboscopic_scene
+from linkplan.studies.render.shapes import GHOST, load_colour
+from tests.support.linkages import GRIPPER, RSSR
+from tests.support.pictures import N, rods, waved
+from tests.support.tolerances_planner import ROUNDING
+
+SHOWN = ["optimus-knee", "slider-crank", "five-bar", "andrews-squeezer", RSSR]
+
+# What moves by this share of the mechanism's size is seen to move.
+VISIBLE = 0.003
+
+
+def scenes(source: str, instants=(0, N // 4, N - 1)):
+    motion = waved(source, 0.1, 0.1)
+    return film_scenes(motion, np.array(instants), own_direction(motion.mechanism.model))
+
+
+@pytest.mark.parametrize("source", SHOWN)
+def test_frames_differ_along_the_motion(source):
+    first, later, last = (rods(scene, -1) for scene in scenes(source))
+    visible = VISIBLE * load_mechanism(source).extent_m
+    assert np.abs(later - first).max() > visible
+    assert np.abs(last - later).max() > visible
+
+
+@pytest.mark.parametrize("source", SHOWN)
+def test_the_ghost_coincides_with_the_mechanism_where_it_is_tracked_exactly_and_parts_where_it_is_not(source):
+    exact, astray = scenes(source, (N // 4, N - 1))
+    assert np.abs(rods(exact, 0) - rods(exact, -1)).max() < ROUNDING
+    assert np.abs(rods(astray, 0) - rods(astray, -1)).max() > VISIBLE * load_mechanism(source).extent_m
+
+
+def test_the_ghost_is_translucent_and_the_mechanism_is_not():
+    (scene,) = scenes("optimus-knee", (0,))
+    assert {shape.rgba for shape in scene.figures[0].shapes} == {GHOST}
+    assert 0 < GHOST[3] < 1
+    assert {shape.rgba[3] for shape in scene.figures[-1].shapes} == {1.0}
+
+
+def test_the_skeleton_stands_on_the_models_own_sites():
+    motion = waved("optimus-knee")
+    (scene,) = film_scenes(motion, np.array([7]), (0.0, 0.0))
+    data = mujoco.MjData(motion.mechanism.model)
+    stand(motion.mechanism.model, data, motion.mechanism.qpos_of(motion.pose[7]))
+    ends = rods(scene, -1).reshape(-1, 3)
+    for site in ("O", "C", "B_coupler"):
+        assert np.linalg.norm(ends - data.site(site).xpos, axis=1).min() < ROUNDING, site
+
+
+def test_a_mechanism_without_geoms_is_drawn_as_its_skeleton_in_a_colour_for_each_body():
+    mechanism = load_mechanism(RSSR)
+    colours = body_colours(mechanism)
+    moving = [colours[body] for body in range(1, mechanism.model.nbody)]
+    assert len(set(moving)) == len(moving) == 3
+
+
+def test_an_efforts_colour_runs_from_grey_to_red_as_it_nears_its_limit():
+    def redness(share: float) -> float:
+        red, green, blue, _ = load_colour(share)
+        return red - 0.5 * (green + blue)
+
+    at = [redness(share) for share in (0.0, 0.25, 0.5, 0.75, 1.0)]
+    assert at[0] == pytest.approx(0.0, abs=1e-12)
+    assert np.all(np.diff(at) > 0.1)
+    assert load_colour(-0.5) == load_colour(0.5)
+    assert load_colour(3.0) == load_colour(1.0)
+
+
+def test_an_effort_is_a_share_of_the_limit_on_its_own_side_or_of_its_peak_without_one():
+    limit = np.array([[-10.0, 20.0], [-np.inf, np.inf], [0.0, 5.0]])
+    shares = load_shares(np.array([[-5.0, 3.0, 5.0], [5.0, -6.0, 0.0]]), limit, np.array([5.0, 6.0, 5.0]))
+    assert shares == pytest.approx(np.array([[-0.5, 0.5, 1.0], [0.25, -1.0, 0.0]]))
+
+
+def arc_of(share: float, source: str = "optimus-knee") -> np.ndarray:
+    """Return the points (n, 3) along an arc about the driven hinge at home."""
+    mechanism = load_mechanism(source)
+    data = mujoco.MjData(mechanism.model)
+    stand(mechanism.model, data, mechanism.qpos_of(mechanism.home))
+    shapes = effort_shapes(mechanism.model, data, mechanism.actuators[0], share, 1.0, np.array([0.0, -1.0, 0.0]))
+    joint = int(mechanism.model.dof_jntid[mechanism.actuators[0].joint])
+    return np.array([shapes[0].start, *[shape.end for shape in shapes]]) - data.xanchor[joint]
+
+
+@pytest.mark.parametrize("share", [-1.0, -0.4, 0.2, 0.9])
+def test_an_arc_goes_round_the_axis_as_far_as_the_share_of_the_limit_and_to_its_side(share):
+    points = arc_of(share)
+    axis = np.array([0.0, 1.0, 0.0])
+    flat = points - np.outer(points @ axis, axis)
+    turned = [np.arctan2(np.cross(a, b) @ axis, a @ b) for a, b in itertools.pairwise(flat)]
+    assert np.sum(turned) == pytest.approx(share * np.radians(270.0), rel=1e-9)
+
+
+def test_no_effort_is_no_arrow():
+    mechanism = load_mechanism("optimus-knee")
+    data = mujoco.MjData(mechanism.model)
+    stand(mechanism.model, data, mechanism.qpos_of(mechanism.home))
+    assert effort_shapes(mechanism.model, data, mechanism.actuators[0], 0.0, 1.0, np.array([0.0, -1.0, 0.0])) == ()
+
+
+def test_a_force_on_a_slide_is_a_straight_arrow_along_it_from_the_body():
+    mechanism = load_mechanism("cart-pole")
+    data = mujoco.MjData(mechanism.model)
+    pose = mechanism.home.copy()
+    pose[0] = 0.7
+    stand(mechanism.model, data, mechanism.qpos_of(pose))
+    shapes = effort_shapes(mechanism.model, data, mechanism.actuators[0], -0.5, 1.0, np.array([0.0, -1.0, 0.0]))
+    way = shapes[-1].end - shapes[0].start
+    assert way == pytest.approx([-0.225, 0.0, 0.0])
+    assert shapes[0].start[0] == pytest.approx(0.7)
+
+
+def test_a_fixed_tendons_pull_turns_each_of_its_joints_to_its_own_side():
+    mechanism = load_mechanism(GRIPPER)
+    data = mujoco.MjData(mechanism.model)
+    stand(mechanism.model, data, mechanism.qpos_of(mechanism.home))
+    pull = next(actuator for actuator in mechanism.actuators if actuator.joint is None)
+    shapes = effort_shapes(mechanism.model, data, pull, 0.5, 1.0, np.array([0.0, -1.0, 0.0]))
+    halves = [np.array([shape.end for shape in shapes[k : k + len(shapes) // 2]]) for k in (0, len(shapes) // 2)]
+    sides = [np.sign(half[-1, 0] - half[0, 0]) for half in halves]
+    assert sides[0] == -sides[1] != 0
+
+
+ACTED_ON = {
+    "ball joint": ('<joint name="j" type="ball"/>', '<motor joint="j" gear="0 0 1 0 0 0" ctrlrange="-1 1"/>'),
+    "free joint": ('<freejoint name="j"/>', '<motor joint="j" gear="0 2 0 0 0 0" ctrlrange="-1 1"/>'),
+    "site": ('<joint axis="0 1 0"/>', '<motor site="tip" gear="1 0 0 0 1 0" ctrlrange="-1 1"/>'),
+    "slider-crank": (
+        '<joint axis="0 1 0"/>',
+        '<motor cranksite="tip" slidersite="rail" cranklength="1.3" ctrlrange="-1 1"/>',
+    ),
+    "tendon": ('<joint axis="0 1 0"/>', '<motor tendon="rope" ctrlrange="-1 1"/>'),
+}
+
+
+@pytest.mark.parametrize("kind", ACTED_ON)
+def test_every_kind_of_actuator_is_drawn_in_its_loads_colour_and_otherwise_for_the_other_side(kind):
+    joint, motor = ACTED_ON[kind]
+    mechanism = load_mechanism(
+        f"""<mujoco><compiler autolimits="true"/><worldbody><site name="rail" pos="1 0 0" euler="0 90 0"/>
+        <body>{joint}<geom type="capsule" fromto="0 0 0 0 0 1" size=".1"/><site name="tip" pos="0 0 1"/></body></worldbody>
+        <tendon><spatial name="rope"><site site="tip"/><site site="rail"/></spatial></tendon>
+        <actuator>{motor}</actuator></mujoco>"""
+    )
+    data = mujoco.MjData(mechanism.model)
+    stand(mechanism.model, data, mechanism.qpos_of(mechanism.home))
+
+    def drawn(share: float):
+        return effort_shapes(mechanism.model, data, mechanism.actuators[0], share, 1.0, np.array([0.0, -1.0, 0.0]))
+
+    one, other = drawn(0.8), drawn(-0.8)
+    assert {shape.rgba for shape in (*one, *other)} == {load_colour(0.8)}
+    assert np.all(np.isfinite([[shape.start, shape.end] for shape in one]))
+    assert kind == "tendon" or np.abs(one[-1].end - other[-1].end).max() > 0.05
+
+
+def test_several_instants_in_one_picture_grow_stronger_and_the_last_is_whole():
+    motion = waved("optimus-knee")
+    scene = stroboscopic_scene(motion, np.array([0, 10, 20, 40]), (0.0, 0.0))
+    alphas = [figure.alpha for figure in scene.figures]
+    assert alphas == sorted(alphas)
+    assert alphas[-1] == 1.0 > alphas[-2] > alphas[0] > 0
+
+
+def test_the_picture_holds_all_that_moves_at_every_instant():
+    motion = waved("andrews-squeezer", 0.1, 0.1)
+    points = all_points(motion, (0.0, -1.0))
+    low, high = points.min(axis=0), points.max(axis=0)
+    for scene in film_scenes(motion, np.arange(0, N, 3), (0.0, -1.0)):
+        for which in (0, -1):
+            ends = rods(scene, which).reshape(-1, 3)
+            assert np.all((ends >= low - 1e-4) & (ends <= high + 1e-4))
