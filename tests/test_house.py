@@ -29,7 +29,7 @@ ROOMS = {
         "search", "diagnosis", "planning", "files", "replan", "batch",
     ),
     "controllers": ("reference", "trackers", "integrator", "sampling", "rollout", "batch", "playback"),
-    "studies": ("output", "check", "compare", "frequency", "bode", "tune", "demo", "cli"),
+    "studies": ("output", "check", "compare", "frequency", "bode", "tune", "report", "demo", "cli"),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.
 MOST_ARROWS = 20
