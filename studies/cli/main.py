@@ -1,4 +1,4 @@
-"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | demo`.
+"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | demo | report`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
 problems found), said in a sentence; 2 bad input or a disk that refuses, one line; 130 or 143 ended by a signal; 141 nobody
@@ -31,6 +31,7 @@ _MODULES = {
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
     "demo": "demo_command",
+    "report": "report_command",
 }
 
 _EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), said in a sentence;
@@ -49,13 +50,17 @@ def build_parser() -> Parser:
     parser.add_argument("--version", action="store_true", help="print linkplan's version and exit")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
 
-    def command(name: str, text: str, *, output: bool = True, settings: bool = True) -> argparse.ArgumentParser:
+    def command(
+        name: str, text: str, *, output: bool = True, settings: bool = True, report: bool = False
+    ) -> argparse.ArgumentParser:
         sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=_EPILOG)
         parser.commands[name] = sub
         sub.formatter_class = argparse.RawDescriptionHelpFormatter
         sub.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
         if output:
             sub.add_argument("-o", "--output", metavar="DIR", help="write results and figures into this folder, whole")
+        if report:
+            sub.add_argument("--report", action="store_true", help="write report.html, a page that moves, into -o too")
         if settings:
             sub.add_argument(
                 "--set",
@@ -68,11 +73,11 @@ def build_parser() -> Parser:
 
     command("list", "list the built-in models, problems, payloads, schemes and trackers", output=False, settings=False)
     text = "report on a mechanism: degrees of freedom, closure, reach, singular poses, ratios, inertias, forces, faults"
-    check = command("check", text)
+    check = command("check", text, report=True)
     check.add_argument("model", metavar="MODEL", help="a built-in model or problem, or an MJCF or problem file")
     _at(check, "report inertia, gravity and effort map at this pose; may be given again")
 
-    plan = command("plan", "plan a motion and certify it between the nodes")
+    plan = command("plan", "plan a motion and certify it between the nodes", report=True)
     text = (
         "a built-in problem or a TOML file; paths in it (model, guess.plan) are from its own folder, else the working folder"
     )
@@ -82,18 +87,18 @@ def build_parser() -> Parser:
     batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
     batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
 
-    track = command("track", "run one tracker on a plan in MuJoCo")
+    track = command("track", "run one tracker on a plan in MuJoCo", report=True)
     track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     track.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
     _mismatch(track, 1.0, 0)
 
-    compare = command("compare", "run all trackers side by side on a plan, nominal and with a mismatch")
+    text = "run all trackers side by side on a plan, nominal and with a mismatch"
+    compare = command("compare", text, report=True)
     compare.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _mismatch(compare, 1.2, 1)
 
-    bode = command(
-        "bode", "frequency response, margins and sampled stability of a feedback loop, predicted and measured in MuJoCo"
-    )
+    text = "frequency response, margins and sampled stability of a feedback loop, predicted and measured in MuJoCo"
+    bode = command("bode", text, report=True)
     _loop(bode)
     bode.add_argument("--kp", type=float, metavar="KP", help="proportional gain [N.m/rad] (default: the problem's, 200)")
     bode.add_argument("--kd", type=float, metavar="KD", help="derivative gain [N.m.s/rad] (default: the problem's, 1)")
@@ -121,7 +126,7 @@ def build_parser() -> Parser:
         help="analyse the tracked motion of the problem: margins at frozen instants, Floquet multipliers",
     )
 
-    tune = command("tune", "find PD gains or LQR weights for a bandwidth and margins at the worst angle")
+    tune = command("tune", "find PD gains or LQR weights for a bandwidth and margins at the worst angle", report=True)
     _loop(tune)
     tune.add_argument("--bandwidth-hz", type=float, required=True, metavar="F", help="of the closed loop, at least")
     tune.add_argument("--phase-margin-deg", type=float, default=60.0, metavar="P", help="at least (default: %(default)s)")
@@ -135,7 +140,12 @@ def build_parser() -> Parser:
     view.add_argument("--seconds", type=float, metavar="S", help="close the window after this time (default: when you do)")
 
     text = "run the whole path on the Optimus knee into one folder (default: linkplan-demo)"
-    command("demo", text, settings=False).set_defaults(output="linkplan-demo")
+    command("demo", text, settings=False, report=True).set_defaults(output="linkplan-demo")
+
+    text = "make one HTML file of a saved folder: animation, plots, certificate; it opens offline"
+    report = command("report", text, output=False, settings=False)
+    report.add_argument("folder", metavar="DIR", help="what plan, check, compare, bode, tune, batch or demo wrote")
+    report.add_argument("-o", "--output", metavar="FILE", default="report.html", help="default: %(default)s")
     return parser
 
 

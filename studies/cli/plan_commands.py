@@ -23,7 +23,17 @@ def run_plan(arguments: argparse.Namespace) -> int:
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
     if plan.status == "optimal" and target is not None:
-        write_whole(target, lambda place: save_plan(plan, place, target, jumps=arguments.jumps))
+
+        def write(place: Path) -> None:
+            save_plan(plan, place, target, jumps=arguments.jumps)
+            if arguments.report:
+                from linkplan.studies.report.render import write_report
+                from linkplan.studies.report.reports import plan_report
+                from linkplan.studies.report.saving import PAGE
+
+                write_report(plan_report(plan), place / PAGE)
+
+        write_whole(target, write)
         say(f"saved in {target}")
     elif target is not None:
         say(f"nothing written: {plan.status}")

@@ -41,6 +41,7 @@ def animation(
     sites: Mapping[str, int] | None = None,
     period: float | None = None,
     planned: str = "planned",
+    unit: str = "s",
 ) -> Animation:
     """Return the animation of a mechanism.
 
@@ -56,6 +57,7 @@ def animation(
         sites: MuJoCo's sites by name, whose paths are drawn.
         period: of a motion that repeats [s].
         planned: what the solid drawing is called beside ghosts.
+        unit: of `time_s`, where the mechanism is drawn over another quantity than time.
     """
     drawn = sticks(mechanism, poses)
     right, up = view(mechanism.model)
@@ -80,6 +82,7 @@ def animation(
         paths=[(name, rounded(place)) for name, place in places.items()],
         planned=planned,
         period=period,
+        unit=unit,
     )
 
 

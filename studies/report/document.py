@@ -60,7 +60,7 @@ class Checklist:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Axis:
-    """An axis: what it shows, its unit ("1" for none), whether it is logarithmic, and its ends where they are not the data's."""
+    """An axis: what it shows, its unit ("1" for none), whether it is logarithmic, its ends where they are not the data's."""
 
     label: str
     unit: str
@@ -191,10 +191,10 @@ class Ghost:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Animation:
-    """A mechanism in motion over times (n_frames,) [s]: in its plane (`dimension` 2) or in space (3).
+    """A mechanism in motion over times (n_frames,) [`unit`]: in its plane (`dimension` 2) or in space (3).
 
     `labels` are joints' names and where they stand, (n_frames, dimension) each; `paths` the ways of named sites;
-    `axes` what the two directions of a plane are called. `up` is the world's direction up in space.
+    `axes` what the two directions of a plane are called.
     """
 
     title: str
@@ -209,6 +209,7 @@ class Animation:
     paths: Sequence[tuple[str, Sequence[Numbers]]] = ()
     planned: str = "planned"
     period: float | None = None
+    unit: str = "s"
     kind: str = field(default="animation", init=False)
 
 

@@ -24,6 +24,7 @@ class Line:
     limits: tuple[float, float] = (-np.inf, np.inf)
     look: str = ""  # "" for one by its place
     colour: int | None = -1  # -1 for one by its place
+    width: float = 1.6
 
 
 def plots(
@@ -36,12 +37,14 @@ def plots(
     group: str = "",
     log: bool = False,
     period: float | None = None,
+    ends: tuple[float, float] | None = None,
 ) -> list[Plot]:
     """Return a plot for each unit among lines over x (n,), thinned and rounded; none where there are no lines."""
     found, units = [], list(dict.fromkeys(line.unit for line in lines))
     for unit in units:
         of_it = [line for line in lines if line.unit == unit]
-        rows = kept(np.column_stack([line.values for line in of_it]))
+        columns = np.column_stack([line.values for line in of_it])
+        rows = kept(np.log10(np.where(columns > 0, columns, np.nan)) if log else columns)
         values = np.column_stack([line.values[rows] for line in of_it])
         shown = [rounded(row, log=log) for row in values.T]
         series = [
@@ -50,6 +53,7 @@ def plots(
                 y=y,
                 look=line.look or LOOKS[k // _COLOURS % len(LOOKS)],
                 colour=k % _COLOURS if line.colour == -1 else line.colour,
+                width=line.width,
             )
             for k, (line, y) in enumerate(zip(of_it, shown, strict=True))
         ]
@@ -58,7 +62,7 @@ def plots(
                 title=title if len(units) == 1 else f"{title} [{unit}]",
                 group=group,
                 x_axis=x_axis,
-                y_axis=Axis(label=what, unit=unit, log=log),
+                y_axis=Axis(label=what, unit=unit, log=log, ends=ends),
                 x=times(x[rows]),
                 series=series,
                 limits=() if log else _limits(of_it, values),

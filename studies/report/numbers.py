@@ -1,6 +1,7 @@
 """Numbers as a page shows them: samples thinned to what a screen has room for, digits to what is known."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -8,6 +9,8 @@ import numpy as np
 MOST = 800
 # Digits of a value, counted from the largest of its kind; on a logarithmic axis each value has its own.
 _DIGITS, _OWN_DIGITS = 5, 4
+# What a sample is off a line by, as a share of the line's range, below which nobody sees it.
+_SEEN = 0.01
 
 
 def rounded(values: np.ndarray, *, log: bool = False, digits: int = _DIGITS) -> list:
@@ -42,19 +45,22 @@ def times(values: np.ndarray) -> list:
 
 
 def kept(columns: np.ndarray, most: int = MOST) -> np.ndarray:
-    """Return the indices of the rows of columns (n, k) that a line of each needs: all, or every stretch's extremes.
+    """Return the indices of the rows of columns (n, k) that lines of them need: all, or so many even ones and the peaks.
 
-    Rows are cut into stretches; of each its first row and the least and largest value of every column stay, so that a
-    peak of one sample is still drawn.
+    Of the rows between two even ones that one stays, for every column, which is furthest from the straight line between
+    them, where that is more than a screen shows: a peak of one sample is still drawn.
     """
     columns = np.asarray(columns, dtype=float)
-    n, k = columns.shape
+    n = len(columns)
     if n <= most:
         return np.arange(n)
-    stretches = max(40, most // (1 + 2 * k))
-    edges = np.linspace(0, n, stretches + 1).astype(int)
-    found = {n - 1, *edges[:-1].tolist()}
-    for a, b in zip(edges[:-1], edges[1:], strict=True):
-        part = np.nan_to_num(columns[a:b])
-        found |= set((a + part.argmin(axis=0)).tolist()) | set((a + part.argmax(axis=0)).tolist())
+    even = np.linspace(0, n - 1, most // 2).astype(int)
+    found = set(even.tolist())
+    for values in np.nan_to_num(columns.T):
+        off = np.abs(values - np.interp(np.arange(n), even, values[even]))
+        least = _SEEN * float(np.ptp(values))
+        for a, b in pairwise(even.tolist()):
+            k = a + int(np.argmax(off[a:b]))
+            if off[k] > least:
+                found.add(k)
     return np.array(sorted(found))

@@ -12,10 +12,10 @@ from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.objective import TERMS
 from linkplan.studies.report.animation import animation, frames_of
 from linkplan.studies.report.certificate_list import certificate_list
-from linkplan.studies.report.document import Block, Code, Facts, Plot, Section, Series, Table, Text
+from linkplan.studies.report.columns import columns
+from linkplan.studies.report.document import Block, Code, Facts, Plot, Section, Table, Text
 from linkplan.studies.report.lines import TIME, Line, plots
 from linkplan.studies.report.motion import Motion, motion_of
-from linkplan.studies.report.numbers import rounded, times
 from linkplan.studies.report.phase import phase_plane
 
 # Dependent joints are drawn in plots of their own up to so many coordinates in all.
@@ -188,8 +188,8 @@ def _solves(plan: Plan) -> list[Block]:
         return [
             Text(text="No solves are known: the motion was worked out without any, or not saved with them.", tone="note")
         ]
-    columns = [("what was tried", ""), ("scheme", ""), ("intervals", ""), ("segments", ""), ("solved", ""), ("solver's answer", ""),
-               ("objective", "SI"), ("integration error", "deg"), ("time to build", "s"), ("time to solve", "s")]  # fmt: skip
+    heads = columns("what was tried", "scheme", "intervals", "segments", "solved", "solver's answer", "objective [SI]")
+    heads += columns("integration error [deg]", "time to build [s]", "time to solve [s]")
     rows = [
         [
             step.what,
@@ -205,7 +205,7 @@ def _solves(plan: Plan) -> list[Block]:
         ]
         for step in plan.history
     ]
-    return [Table(title="Attempts in their order, each with its mesh", columns=columns, rows=rows)]
+    return [Table(title="Attempts in their order, each with its mesh", columns=heads, rows=rows)]
 
 
 def _number(value: float | None, digits: int) -> float | None:

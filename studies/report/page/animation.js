@@ -202,16 +202,16 @@ function drawFrame(ctx, view, block, time, shown) {
     ctx.stroke();
   }
   const moving = block.bodies.filter((body) => !body.fixed);
+  for (const body of [...moving].reverse()) drawBody(ctx, view, body, frame, block.dimension, theme.series(moving.indexOf(body)), 4);
+  for (const body of block.bodies) if (body.fixed) drawBody(ctx, view, body, frame, block.dimension, theme.colour("fixed"), 4);
   const ghost = block.ghosts.find((one) => one.name === shown.ghost);
   if (ghost) {
-    ctx.globalAlpha = 0.75;
+    ctx.globalAlpha = 0.9;
     ctx.setLineDash([5, 4]);
-    for (const body of ghost.bodies) if (!body.fixed) drawBody(ctx, view, body, frame, block.dimension, theme.colour("ghost"), 2.6);
+    for (const body of ghost.bodies) if (!body.fixed) drawBody(ctx, view, body, frame, block.dimension, theme.colour("ghost"), 2);
     ctx.setLineDash([]);
     ctx.globalAlpha = 1;
   }
-  for (const body of [...moving].reverse()) drawBody(ctx, view, body, frame, block.dimension, theme.series(moving.indexOf(body)), 4);
-  for (const body of block.bodies) if (body.fixed) drawBody(ctx, view, body, frame, block.dimension, theme.colour("fixed"), 4);
   for (const drive of block.drives) drawDrive(ctx, view, drive, frame, block.dimension);
   if (shown.names) drawNames(ctx, view, block, frame);
 }

@@ -12,7 +12,8 @@ function showFacts(block) {
 function cellOf(value) {
   if (typeof value === "number") return make("td", { class: "number" }, said(value));
   if (typeof value === "boolean") return make("td", { class: value ? "good" : "bad" }, value ? "yes" : "NO");
-  return make("td", {}, value === null ? "–" : String(value));
+  const text = value === null ? "–" : String(value);
+  return make("td", { class: text.length < 30 ? "short" : false }, text);
 }
 
 function showTable(block) {

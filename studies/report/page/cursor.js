@@ -10,6 +10,8 @@ class Cursor {
     this.due = false;
     this.playing = false;
     this.speed = 1;
+    this.animated = false; // whether there is something to play
+    this.log = false;
   }
 
   /** Widen the span that the cursor may be moved over. */
@@ -40,7 +42,7 @@ class Cursor {
 
   step(parts) {
     this.pause();
-    this.move(this.time + parts * (this.high - this.low));
+    this.move(this.log ? this.time * (this.high / this.low) ** parts : this.time + parts * (this.high - this.low));
   }
 
   pause() {
@@ -67,6 +69,7 @@ class Cursor {
   }
 
   toggle() {
+    if (!this.animated) return;
     if (this.playing) this.pause();
     else this.play();
   }

@@ -15,11 +15,18 @@ const SHOW = {
 function showSection(section, id) {
   const heading = make(section.depth > 1 ? "h3" : "h2", {}, section.title);
   const blocks = [];
+  const show = (block) => {
+    try {
+      return SHOW[block.kind](block);
+    } catch (error) {
+      return make("p", { class: "text bad" }, `This part cannot be shown: ${error.message}`);
+    }
+  };
   for (const block of section.blocks) {
     const small = block.kind === "plot" || block.kind === "plane";
-    if (small && blocks.length && blocks.at(-1).classList.contains("grid")) blocks.at(-1).append(SHOW[block.kind](block));
-    else if (small) blocks.push(make("div", { class: "grid" }, SHOW[block.kind](block)));
-    else if (SHOW[block.kind]) blocks.push(SHOW[block.kind](block));
+    if (small && blocks.length && blocks.at(-1).classList.contains("grid")) blocks.at(-1).append(show(block));
+    else if (small) blocks.push(make("div", { class: "grid" }, show(block)));
+    else if (SHOW[block.kind]) blocks.push(show(block));
   }
   return make("section", { id, class: `depth-${section.depth}` }, heading, ...blocks);
 }
@@ -38,7 +45,7 @@ function showReport(report) {
   const versions = Object.entries(report.versions).map(([name, version]) => `${name} ${version}`);
   main.append(make("footer", {}, `Made by ${versions.join(", ")}.`));
   document.body.append(make("div", { class: "page" }, nav, make("div", { class: "column" }, head, main)));
-  Cursor.active ??= [...Cursor.all.values()][0] ?? null;
+  Cursor.active ??= [...Cursor.all.values()].find((one) => one.animated) ?? [...Cursor.all.values()][0] ?? null;
 }
 
 /** Return whether keys are another's: a field's, a button's, the browser's own. */
@@ -51,7 +58,7 @@ document.addEventListener("keydown", (event) => {
   const cursor = Cursor.active;
   if (!cursor || isTaken(event)) return;
   const steps = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
-  if (event.key === " ") cursor.toggle();
+  if (event.key === " ") (cursor.animated ? cursor : [...Cursor.all.values()].find((one) => one.animated) ?? cursor).toggle();
   else if (steps) cursor.step((steps * (event.shiftKey ? 10 : 1)) / 200);
   else return;
   event.preventDefault();

@@ -140,6 +140,7 @@ function buildPlane(block, place) {
   const plot = new uPlot(
     {
       ...size(),
+      pxAlign: 0,
       padding: [SIDES.padding, SIDES.padding, 0, 0],
       scales: { x: scale("x"), y: scale("y") },
       axes: [axisOf(block.x_axis, "x"), { ...axisOf(block.y_axis, "y"), size: SIDES.left - 20 }],

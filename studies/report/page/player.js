@@ -7,8 +7,11 @@ const SHOWN_S = 4; // a motion is shown in about as many seconds
 function showAnimation(block) {
   const cursor = cursorOf(block.group);
   cursor.reach(block.times[0], block.times.at(-1));
+  cursor.animated = true;
   const wanted = (cursor.high - cursor.low) / SHOWN_S;
-  cursor.speed = SPEEDS.reduce((best, one) => (Math.abs(Math.log(one / wanted)) < Math.abs(Math.log(best / wanted)) ? one : best));
+  const timed = block.unit === "s";
+  cursor.speed = wanted;
+  if (timed) cursor.speed = SPEEDS.reduce((best, one) => (Math.abs(Math.log(one / wanted)) < Math.abs(Math.log(best / wanted)) ? one : best));
   const shown = { names: false, ghost: block.ghosts.length ? block.ghosts[0].name : "" };
   const canvas = make("canvas", { class: "stage", role: "img", "aria-label": `${block.title}, drawn in motion` });
   const button = make("button", { type: "button", class: "play", onclick: () => cursor.toggle() }, "Play");
@@ -22,7 +25,7 @@ function showAnimation(block) {
   const speed = make("select", { "aria-label": "speed", onchange: (event) => (cursor.speed = Number(event.target.value)) });
   for (const one of SPEEDS) speed.append(make("option", { value: one, selected: one === cursor.speed }, `${one} of real time`));
   const names = make("input", { type: "checkbox" });
-  const controls = make("div", { class: "controls" }, button, bar, clock, make("label", {}, "speed ", speed), make("label", {}, names, " names"));
+  const controls = make("div", { class: "controls" }, button, bar, clock, timed ? make("label", {}, "speed ", speed) : null, make("label", {}, names, " names"));
   const figure = make("figure", { class: "animation" }, make("figcaption", {}, block.title), canvas, controls, efforts, keyOf(block));
   if (block.ghosts.length) {
     const choice = make("select", { "aria-label": "ghost" });
@@ -45,7 +48,7 @@ function showAnimation(block) {
     ctx.lineJoin = ctx.lineCap = "round";
     view.fit(width, height);
     drawFrame(ctx, view, block, time, shown);
-    clock.textContent = `${said(time, 4)} s`;
+    clock.textContent = `${said(Number(time.toPrecision(4)))} ${block.unit}`;
     const frame = frameAt(block.times, within(block, time));
     efforts.textContent = block.drives.map((drive) => effortSaid(drive, mixed(drive.effort, frame))).join("; ");
     bar.value = 1000 * ((time - cursor.low) / (cursor.high - cursor.low || 1));

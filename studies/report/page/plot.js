@@ -2,9 +2,36 @@
 
 const HEIGHT = 210;
 
+/** Return the ticks of a logarithmic axis: powers of ten, their multiples where there are few, even steps within one. */
+function logTicks(low, high, most) {
+  const found = (multiples) => {
+    const ticks = [];
+    for (let k = Math.floor(Math.log10(low)); k <= Math.ceil(Math.log10(high)); k += 1) {
+      for (const m of multiples) ticks.push(Number((m * 10 ** k).toPrecision(3)));
+    }
+    return ticks.filter((x) => x >= low * 0.999999 && x <= high * 1.000001);
+  };
+  for (const multiples of [[1, 1.5, 2, 3, 4, 5, 7], [1, 2, 5], [1, 3], [1]]) {
+    const ticks = found(multiples);
+    if (ticks.length > most) continue;
+    if (ticks.length > 1) return ticks;
+    return [0, 1, 2, 3].map((k) => Number((low + (k * (high - low)) / 3).toPrecision(3)));
+  }
+  const tens = found([1]);
+  const every = Math.ceil(tens.length / most);
+  return tens.filter((x) => Math.round(Math.log10(x)) % every === 0);
+}
+
 /** Return an axis of uPlot for one of the document. */
 function axisOf(axis, side) {
+  const own = axis.log
+    ? {
+        splits: (u, k, low, high) => logTicks(low, high, Math.max(2, u.bbox[side === "x" ? "width" : "height"] / devicePixelRatio / (side === "x" ? 55 : 26))),
+        filter: (u, splits) => splits,
+      }
+    : {};
   return {
+    ...own,
     label: labelled(axis),
     labelFont: "12px system-ui, sans-serif",
     font: "11px system-ui, sans-serif",
@@ -101,6 +128,7 @@ function showPlot(block) {
   const cursor = block.group ? cursorOf(block.group) : null;
   const known = block.x.filter((x) => x !== null);
   if (cursor && known.length) cursor.reach(known[0], known[known.length - 1]);
+  if (cursor) cursor.log = block.x_axis.log;
   if (block.limits.length) {
     const names = block.limits.map((limit) => `${limit.name} ${withUnit(said(limit.value), block.y_axis.unit)}`);
     figure.append(make("p", { class: "limits" }, make("span", { class: "swatch limit" }), names.join(", ")));
@@ -115,6 +143,7 @@ function buildPlot(block, place, cursor) {
   const options = {
     width: Math.max(place.clientWidth, 200),
     height: HEIGHT,
+    pxAlign: 0,
     padding: [8, 14, 0, 0],
     scales: { x: scaleOf(block.x_axis, [], 0), y: scaleOf(block.y_axis, block.limits.map((limit) => limit.value)) },
     axes: [axisOf(block.x_axis, "x"), axisOf(block.y_axis, "y")],
@@ -141,7 +170,9 @@ function buildPlot(block, place, cursor) {
   place.style.minHeight = "";
   function follow(time) {
     own = true;
-    plot.setCursor({ left: plot.valToPos(within(block, time), "x"), top: 1 });
+    const left = plot.valToPos(within(block, time), "x");
+    const inside = left > -1 && left < plot.bbox.width / devicePixelRatio + 1;
+    plot.setCursor({ left: inside ? Math.max(left, 0) : -10, top: 1 });
     own = false;
   }
   if (cursor) {
