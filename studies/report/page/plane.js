@@ -187,7 +187,7 @@ function withDot(plot, block) {
     const y = plot.valToPos(mixed(curve.y, frame), "y");
     dot.style.transform = `translate(${x}px, ${y}px)`;
   };
-  cursor.listen(follow);
+  queueMicrotask(() => cursor.listen(follow)); // when the plot has its axes
   plot.over.style.touchAction = "pan-y";
   plot.over.addEventListener("pointermove", (event) => {
     if (cursor.playing || (event.pointerType !== "mouse" && !event.buttons)) return;

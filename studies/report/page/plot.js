@@ -156,6 +156,7 @@ function buildPlot(block, place, cursor) {
       bind: { mouseleave: () => () => (cursor ? follow(cursor.time) : null), dblclick: () => () => null },
     },
     hooks: {
+      ready: [() => cursor && cursor.listen(follow)],
       draw: [(u) => drawLimits(u, block.limits)],
       setCursor: [
         (u) => {
@@ -176,7 +177,6 @@ function buildPlot(block, place, cursor) {
     own = false;
   }
   if (cursor) {
-    cursor.listen(follow);
     const drag = (event) => {
       if (event.pointerType === "mouse" && !event.buttons) return;
       cursor.pause();
