@@ -10,7 +10,7 @@ from linkplan.studies.report.document import Axis, Curve, Plane
 from linkplan.studies.report.motion import Motion
 from linkplan.studies.report.numbers import kept, rounded, times
 
-_CELLS = 300
+_CELLS = 600
 # Limit curves are drawn up to so many times the motion's largest speed: next to singular poses they have no end.
 _SEEN = 2.5
 

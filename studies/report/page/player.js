@@ -17,8 +17,9 @@ function showAnimation(block) {
   const button = make("button", { type: "button", class: "play", onclick: () => cursor.toggle() }, "Play");
   const bar = make("input", { type: "range", min: 0, max: 1000, value: 0, "aria-label": "instant of the motion" });
   bar.addEventListener("input", () => {
-    cursor.pause();
-    cursor.move(cursor.low + (bar.value / 1000) * (cursor.high - cursor.low));
+    const asked = cursor.low + (bar.value / 1000) * (cursor.high - cursor.low);
+    cursor.pause(); // which puts the bar where the cursor still is
+    cursor.move(asked);
   });
   const clock = make("output", { class: "clock" });
   const efforts = make("p", { class: "efforts" });
