@@ -81,14 +81,7 @@ def _margins(study: BodeStudy) -> Table:
     mechanism = study.mechanism
     several = mechanism.dof > 1
     inertias = " or ".join(dict.fromkeys("kg m2" if j.kind == "hinge" else "kg" for j in mechanism.independent_joints))
-    heads = [
-        "pose",
-        *(["loop of"] if several else []),
-        f"inertia [{inertias}]",
-        "stable",
-        "settles in MuJoCo",
-        "largest pole",
-    ]
+    heads = ["pose", *(["loop of"] if several else []), f"inertia [{inertias}]", "stable", "settles in MuJoCo"]
     heads += ["largest pole", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "disk margin", "crossover [Hz]"]
     heads += ["bandwidth [Hz]", "resonance [dB]", "peak of |S|"]
     rows = []

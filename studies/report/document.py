@@ -9,6 +9,12 @@ from dataclasses import dataclass, field
 Numbers = Sequence[float | None]  # None where there is no value
 
 
+def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None:
+    """Refuse what does not fit: a programming error, not a user's."""
+    if len(values) != len(others):
+        raise ValueError(f"{what} has {len(values)} values for {len(others)} {of}")
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Text:
     """A paragraph. `tone` is "plain", "good", "bad", "note" or, for lines as they stand on a terminal, "lines"."""
@@ -34,6 +40,10 @@ class Table:
     columns: Sequence[tuple[str, str]]
     rows: Sequence[Sequence[object]]
     kind: str = field(default="table", init=False)
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            _same_length(f"a row of table '{self.title}'", row, "columns", self.columns)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -108,6 +118,10 @@ class Plot:
     period: float | None = None
     kind: str = field(default="plot", init=False)
 
+    def __post_init__(self) -> None:
+        for one in self.series:
+            _same_length(f"'{one.name}' in plot '{self.title}'", one.y, "places", self.x if one.x is None else one.x)
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Curve:
@@ -120,6 +134,9 @@ class Curve:
     colour: int | None = 0
     width: float = 1.6
 
+    def __post_init__(self) -> None:
+        _same_length(f"curve '{self.name}'", self.y, "places", self.x)
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Heat:
@@ -131,6 +148,11 @@ class Heat:
     y: Numbers
     values: Sequence[Numbers]
     ends: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        _same_length(f"map '{self.name}'", self.values, "rows", self.y)
+        for row in self.values:
+            _same_length(f"a row of map '{self.name}'", row, "columns", self.x)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -74,15 +74,16 @@ function tableOf(block) {
   return uPlot.join(tables, tables.map((table) => table.map(() => 1)));
 }
 
-/** Return the index of the row next to `index` at which a series has a value, or null. */
+/** Return the row next to `index` at which a series has a value: of its own places alone, and not beyond its ends. */
 function nearest(values, index) {
-  if (values[index] !== null && values[index] !== undefined) return index;
-  for (let away = 1; away < values.length; away += 1) {
-    for (const other of [index - away, index + away]) {
-      if (values[other] !== null && values[other] !== undefined) return other;
-    }
-  }
-  return index;
+  if (index === null || (values[index] !== null && values[index] !== undefined)) return index;
+  const known = (at, step) => {
+    while (at >= 0 && at < values.length && (values[at] === null || values[at] === undefined)) at += step;
+    return at >= 0 && at < values.length ? at : null;
+  };
+  const [before, after] = [known(index, -1), known(index, 1)];
+  if (before === null || after === null) return index;
+  return index - before <= after - index ? before : after;
 }
 
 /** Draw the limits of a plot across it, each with its name where there is room. */
