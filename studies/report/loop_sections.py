@@ -211,9 +211,8 @@ def tune_sections(found: Tuning) -> list[Section]:
         motor, stiff = motor_gains(found), "N.m/rad" if joint.kind == "hinge" else "N/m"
         rows.append(("gains at the joint", f"kp = {settings.kp:.5g} {stiff}, kd = {settings.kd:.5g} {_damping(joint)}"))
         own = f"its own effort [{mechanism.actuators[0].unit}] over its own motion"
-        rows.append(
-            (f"gains at the motor, gear {motor['gear']:g}", f"kp = {motor['kp']:.5g}, kd = {motor['kd']:.5g}, {own}")
-        )
+        at_motor = f"kp = {motor['kp']:.5g}, kd = {motor['kd']:.5g}, {own}"
+        rows.append((f"gains at the motor, gear {motor['gear']:g}", at_motor))
     heads = columns("stable", "bandwidth [Hz]", "phase margin [deg]", "gain margin [dB]", "peak of |S|")
     points = list(zip(found.points, found.best.bounds, strict=True))
     cells = [

@@ -81,6 +81,7 @@ def test_the_command_makes_a_page_of_a_plan_s_folder(tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["bytes"] == (tmp_path / "page.html").stat().st_size
 
 
+@pytest.mark.slow
 def test_check_writes_the_page_that_is_asked_for(tmp_path, capsys):
     assert main(["check", "slider-crank", "-o", str(tmp_path / "checked"), "--report"]) == 0
     assert capsys.readouterr().out
