@@ -14,11 +14,15 @@ from linkplan.models.tree.ties import tied_points
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Stick:
-    """One body: its name, whether it is fixed to the world, and its pins in the plane of the drawing (n, n_pins, 2) [m]."""
+    """One body: its name, whether it is fixed to the world, and its pins at n poses.
+
+    `pins` (n, n_pins, 2) [m] are in the plane of the drawing, `places` (n, n_pins, 3) [m] in the world's frame.
+    """
 
     body: str
     fixed: bool
     pins: np.ndarray
+    places: np.ndarray
 
 
 def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
@@ -29,6 +33,7 @@ def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
             body=body_name(mechanism.model, body),
             fixed=body == 0,
             pins=np.stack([points @ right, points @ up], axis=-1),
+            places=points,
         )
         for body, points in pins_in_space(mechanism, poses).items()
     )

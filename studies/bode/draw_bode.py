@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, response_curves
+from linkplan.studies.bode.curves import lowest_hz, sensitivity_along, turned, turned_beside
 from linkplan.studies.bode.scan import Scan
-from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.frequency.response import Response
 from linkplan.studies.output.drawing import (
@@ -26,8 +26,6 @@ from linkplan.studies.output.drawing import (
 
 # Margins have so many times their largest as their axis.
 _ROOM = 1.08
-# Curves begin this many times below the lowest frequency measured.
-_BELOW = 5.0
 # What is drawn of a Nyquist curve: the square about the origin, in units of the critical point's distance, or so many times
 # as far as the nearest point of a curve that stays outside of it.
 _NYQUIST, _FAR, _SEEN = 2.5, 30.0, 1.3
@@ -81,21 +79,19 @@ def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | Non
 def draw_response(axes, entry: BodePoint, quantity: str, colour: str, style: str = "-") -> None:
     """Draw gain (axes[0]) and phase (axes[1]) of a quantity at a pose."""
     name = _name(entry)
-    lowest = _lowest(entry)
+    lowest = lowest_hz(entry)
     phases = {}
     for loop, look, width in ((entry.sampled, style, 1.3), (entry.continuous, ":", 0.9)):
         curve = response_curves(loop, entry.channel, [quantity])[quantity]
         shown = curve.frequency_hz >= lowest
-        frequency, phase = curve.frequency_hz[shown], _turned(curve.phase_deg[shown], curve.gain[shown], quantity)
+        frequency, phase = curve.frequency_hz[shown], turned(curve.phase_deg[shown], curve.gain[shown], quantity)
         label = name if loop is entry.sampled else None
         axes[0].semilogx(frequency, curve.db[shown], color=colour, linestyle=look, linewidth=width, label=label)
         axes[1].semilogx(frequency, phase, color=colour, linestyle=look, linewidth=width)
         phases[look] = frequency, phase
     if quantity in entry.measured:
         response = entry.measured[quantity]
-        near = np.interp(np.log(response.frequency_hz), np.log(phases[style][0]), phases[style][1])
-        phase = np.degrees(np.angle(response.gain))
-        phase += 360.0 * np.round((near - phase) / 360.0)
+        phase = turned_beside(response, *phases[style])
         axes[0].semilogx(response.frequency_hz, response.db, "o", color=colour, markersize=3.5)
         axes[1].semilogx(response.frequency_hz, phase, "o", color=colour, markersize=3.5)
 
@@ -176,7 +172,7 @@ def sensitivity_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Pat
             for (colour, style), entry in zip(_looks(entries), entries, strict=True):
                 curve = response_curves(entry.sampled, entry.channel, [quantity])[quantity]
                 unit = curve.unit
-                shown = curve.frequency_hz >= _lowest(entry)
+                shown = curve.frequency_hz >= lowest_hz(entry)
                 look = {"color": colour, "linestyle": style, "linewidth": 1.3, "label": _name(entry)}
                 cell.semilogx(curve.frequency_hz[shown], curve.db[shown], **look)
                 _mark_peak(cell, curve, quantity, colour)
@@ -207,16 +203,7 @@ def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
     """Draw the sensitivity over position and frequency as a heat map, and the margins over position, the worst marked."""
     joint, line = study.mechanism.independent_joints[scan.channel], scan.line
     positions = np.array([line.shown(x) for x in scan.positions])
-    grid = frequency_grid(study.timing.period_s)[::4]
-    grid = grid[grid >= min((_lowest(entry) for entry in study.points), default=grid[0])]
-    limit = study.effort_limit
-    heat = np.full((len(grid), len(positions)), np.nan)
-    for column, (position, bounds) in enumerate(zip(scan.positions, scan.margins, strict=True)):
-        if not bounds.stable:  # an unstable loop has no sensitivity
-            continue
-        point = operating_point(study.mechanism, line.at(position), np.array([[-np.inf, np.inf]] * len(limit)))
-        loop = feedback_loop(point, law_gain(point, study.law, study.settings, limit), study.timing, SIMULATED)
-        heat[:, column] = 20 * np.log10(np.abs(loop.gains("sensitivity", grid, scan.channel)))
+    grid, heat = sensitivity_along(study, scan)
     with page(path, rows=2, columns=1, size=(8.0, 7.2), sharex=True) as axes:
         upper, lower = axes[:, 0]
         image = upper.pcolormesh(positions, grid, heat, shading="nearest", cmap="RdBu_r", vmin=-12, vmax=12)
@@ -249,19 +236,3 @@ def margin_figure(study: BodeStudy, scan: Scan, path: Path) -> None:
         outside_legend(lower)
         of = "" if study.mechanism.dof == 1 else f", loop of {joint.name}"
         upper.figure.suptitle(f"{study.mechanism.name}, {study.law}{of}: {study.loop_name}")
-
-
-def _lowest(entry: BodePoint) -> float:
-    """Return the lowest frequency worth drawing [Hz]."""
-    if entry.measured:
-        return float(next(iter(entry.measured.values())).frequency_hz[0]) / _BELOW
-    crossing = entry.margins.crossover_hz or entry.continuous_margins.crossover_hz
-    return (crossing or 0.05 / entry.sampled.timing.period_s) / 100.0
-
-
-def _turned(phase: np.ndarray, gain: np.ndarray, quantity: str) -> np.ndarray:
-    """Return a phase [deg] by whole turns: an open loop's to half a turn about -180 deg where its gain crosses one."""
-    if quantity != "loop":
-        return phase - 360.0 * np.round(phase[0] / 360.0)
-    crossing = int(np.argmin(np.abs(np.log(np.abs(gain)))))
-    return phase - 360.0 * np.round((phase[crossing] + 180.0) / 360.0)

@@ -27,9 +27,12 @@ def run_check(arguments: argparse.Namespace) -> int:
     if target is not None:
         from linkplan.studies.check.draw_kinematic_loop_report import path_figure
         from linkplan.studies.check.draw_mechanism import inspection_figure
+        from linkplan.studies.report.reports import check_report
+        from linkplan.studies.report.saving import save_report
 
         def write(place: Path) -> None:
             write_json(place / "check.json", said)
+            save_report(check_report(whole), place, page=arguments.report)
             inspection_figure(found, place / "mechanism.png")
             for number, path in enumerate(whole.paths, 1):
                 path_figure(path, found.reaches, place / f"loop-{number}.png")
@@ -43,6 +46,13 @@ def _refused(arguments: argparse.Namespace, target: Path | None, found: RefusedM
     """Report on a model that is no mechanism; a problem found, and no bad input."""
     said = found.record()
     if target is not None:
-        write_whole(target, lambda place: write_json(place / "check.json", said), "check.json")
+        from linkplan.studies.report.reports import check_report
+        from linkplan.studies.report.saving import save_report
+
+        def write(place: Path) -> None:
+            write_json(place / "check.json", said)
+            save_report(check_report(found), place, page=arguments.report)
+
+        write_whole(target, write, "check.json")
     show(arguments, said, found.text())
     return NO

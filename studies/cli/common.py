@@ -26,6 +26,8 @@ from linkplan.studies.cli.progress import Progress
 def output_folder(arguments: argparse.Namespace) -> Path | None:
     """Return the output folder, refused now and not after long work where it cannot be used."""
     if arguments.output is None:
+        if getattr(arguments, "report", False):
+            raise ProblemError("--report writes report.html into the folder of -o, and there is none; say -o DIR too")
         return None
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")

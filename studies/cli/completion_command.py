@@ -56,7 +56,7 @@ def completion_script(shell: str) -> str:
     """Return a shell's completion script."""
     import shtab
 
-    from linkplan.studies.cli.main import build_parser
+    from linkplan.studies.cli.command_line import build_parser
 
     parser = build_parser()
     for command in (parser, *parser.commands.values()):

@@ -62,17 +62,21 @@ def run_bode(arguments: argparse.Namespace) -> int:
     said["note"] = note
     texts += [f"note: {note}"] if note else []
     extras = [name for name in ("map", "large", "along") if getattr(arguments, name)]
-    drawers = []
+    drawers, others = [], []
     for name in extras:
-        record, text, draw = _EXTRAS[name](study, problem, say)
+        other, record, text, draw = _EXTRAS[name](study, problem, say)
+        others.append(other)
         said[name] = record
         texts.append(text)
         drawers.append(draw)
     if target is not None:
         from linkplan.studies.bode.draw_bode import save_bode
+        from linkplan.studies.report.reports import bode_report
+        from linkplan.studies.report.saving import save_report
 
         def write(place: Path) -> None:
             write_json(place / "bode.json", said)
+            save_report(bode_report(study, others, note), place, page=arguments.report)
             save_bode(study, place)
             for draw in drawers:
                 draw(place)
@@ -107,11 +111,14 @@ def run_tune(arguments: argparse.Namespace) -> int:
     found = tune(points, wanted, settings, timing, limit, law=arguments.tracker, say=say, line=looked.line)
     said, text = tune_record(found) | {"note": note}, tune_text(found) + (f"\nnote: {note}" if note else "")
     if target is not None:
+        from linkplan.studies.report.reports import tune_report
+        from linkplan.studies.report.saving import save_report
         from linkplan.studies.tune.draw_tune import tune_figure
         from linkplan.studies.tune.tune_report import tracking_table
 
         def write(place: Path) -> None:
             write_json(place / "tune.json", said)
+            save_report(tune_report(found, note), place, page=arguments.report)
             (place / "tracking.toml").write_text(tracking_table(found), encoding="utf-8")
             tune_figure(found, place / "tune.png")
 
@@ -172,26 +179,26 @@ def _frequencies(arguments: argparse.Namespace, settings: Tracking) -> np.ndarra
 
 
 def _map(study, problem: PlanningProblem | None, say: Progress):
-    """Return the stability map's record, text and drawer."""
+    """Return the stability map, its record, text and drawer."""
     from linkplan.studies.bode.draw_map import map_figure
     from linkplan.studies.bode.map_study import map_record, map_study, map_text
 
     del problem
     found = map_study(study, say)
-    return map_record(found), map_text(found), lambda place: map_figure(found, place / "map.png")
+    return found, map_record(found), map_text(found), lambda place: map_figure(found, place / "map.png")
 
 
 def _large(study, problem: PlanningProblem | None, say: Progress):
-    """Return the large signals' record, text and drawer."""
+    """Return the large signals, their record, text and drawer."""
     from linkplan.studies.bode.draw_large import large_figure
     from linkplan.studies.bode.large_study import large_study, large_study_record, large_text
 
     found = large_study(study, None if problem is None else problem.limits, say)
-    return large_study_record(found), large_text(found), lambda place: large_figure(found, place / "large.png")
+    return found, large_study_record(found), large_text(found), lambda place: large_figure(found, place / "large.png")
 
 
 def _along(study, problem: PlanningProblem | None, say: Progress):
-    """Return the record, text and drawer of the loop along the problem's motion."""
+    """Return the loop along the problem's motion, its record, text and drawer."""
     from linkplan.studies.bode.along_motion import along_motion, along_record, along_text
     from linkplan.studies.bode.draw_along import along_figure
 
@@ -199,7 +206,7 @@ def _along(study, problem: PlanningProblem | None, say: Progress):
     if plan.trajectory is None:
         raise LinkplanError(f"--along: {problem.name} has no motion: {plan.message}")
     found = along_motion(plan, study.law, study.settings, say)
-    return along_record(found), along_text(found), lambda place: along_figure(found, place / "along.png")
+    return found, along_record(found), along_text(found), lambda place: along_figure(found, place / "along.png")
 
 
 _EXTRAS = {"map": _map, "large": _large, "along": _along}

@@ -1,4 +1,4 @@
-"""The command line: `linkplan list | check | plan | track | compare | experiment | bode | tune | view | render | ...`.
+"""The command line: `linkplan list | check | plan | track | compare | experiment | bode | tune | view | report | ...`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
 problems found), said in a sentence; 2 bad input or a disk that refuses, one line; 130 or 143 ended by a signal; 141 nobody
@@ -13,16 +13,12 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from linkplan.controllers.controls import keys_said
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
+from linkplan.studies.cli.command_line import build_parser
 from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
-from linkplan.studies.cli.parser import Parser
 from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, quiet, refuse
-from linkplan.studies.cli.shells import SHELLS
 from linkplan.studies.cli.streams import put
-from linkplan.studies.export.formats import FORMATS
-from linkplan.studies.output.tables import folded
 
 # The module of each command, loaded when the command is given.
 _MODULES = {
@@ -41,233 +37,8 @@ _MODULES = {
     "new": "new_command",
     "export": "export_command",
     "completion": "completion_command",
+    "report": "report_command",
 }
-
-_EPILOG = """exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found),
-said in a sentence; 2 bad input, or a file that cannot be read or written (a
-full disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 the
-reader of stdout left before the result, which no -o has saved"""
-
-
-def build_parser() -> Parser:
-    """Return the command line's parser."""
-    parser = Parser(
-        prog="linkplan",
-        description="Optimal-control motion planning for closed-chain mechanisms.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="store_true", help="print linkplan's version and exit")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", parser_class=Parser)
-
-    def command(name: str, text: str, *, output: bool = True, settings: bool = True) -> argparse.ArgumentParser:
-        sentence = folded(f"{text[0].upper()}{text[1:]}.", below="")
-        sub = commands.add_parser(name, help=text, description=sentence, epilog=_EPILOG)
-        parser.commands[name] = sub
-        sub.formatter_class = argparse.RawDescriptionHelpFormatter
-        sub.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
-        if output:
-            sub.add_argument("-o", "--output", metavar="DIR", help="write results and figures into this folder, whole")
-        if settings:
-            sub.add_argument(
-                "--set",
-                action="append",
-                default=[],
-                metavar="KEY=VALUE",
-                help="set any key of the problem file, e.g. motion.duration_s=0.2 (TOML; a bare word is a string)",
-            )
-        return sub
-
-    command("list", "list the built-in models, problems, payloads, schemes and trackers", output=False, settings=False)
-    text = "report on a mechanism: degrees of freedom, closure, reach, singular poses, ratios, inertias, forces, faults"
-    check = command("check", text)
-    check.add_argument("model", metavar="MODEL", help="a built-in model or problem, or an MJCF or problem file")
-    _at(check, "report inertia, gravity and effort map at this pose; may be given again")
-
-    plan = command("plan", "plan a motion and certify it between the nodes")
-    text = (
-        "a built-in problem or a TOML file; paths in it (model, guess.plan) are from its own folder, else the working folder"
-    )
-    plan.add_argument("problem", metavar="PROBLEM", help=text)
-    _parquet(plan, "trajectory.csv")
-    plan.add_argument("--jumps", action="store_true", help="trajectory.csv has both sides of a jump in effort, at one time")
-
-    batch = command("batch", "plan the cases of a batch file, each from the last one's solution", settings=False)
-    batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
-
-    _parquet(batch, "every trajectory.csv")
-
-    track = command("track", "run one tracker on a plan in MuJoCo")
-    track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
-    _tracker(track)
-    text = "run this sample of an experiment again; PLAN is the experiment's folder"
-    track.add_argument("--sample", type=int, metavar="N", help=text)
-    _mismatch(track, 1.0, 0)
-    _parquet(track, "every run's .csv")
-
-    compare = command("compare", "run trackers side by side on a plan, nominal and with a mismatch")
-    compare.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
-    text = "names with commas between them, as track takes them; or all (default: %(default)s)"
-    compare.add_argument("--trackers", default="pd, pd+ff, lqr", metavar="NAMES", help=text)
-    _mismatch(compare, 1.2, 1)
-    _parquet(compare, "every run's .csv")
-
-    experiment = command("experiment", "run trackers on many imperfect machines, the same ones for each")
-    _experiment(experiment)
-
-    bode = command(
-        "bode", "frequency response, margins and sampled stability of a feedback loop, predicted and measured in MuJoCo"
-    )
-    _loop(bode)
-    bode.add_argument("--kp", type=float, metavar="KP", help="proportional gain [N.m/rad] (default: the problem's, 200)")
-    bode.add_argument("--kd", type=float, metavar="KD", help="derivative gain [N.m.s/rad] (default: the problem's, 1)")
-    bode.add_argument(
-        "--measure",
-        default="sinestream",
-        metavar="HOW",
-        help="sinestream, multisine, chirp or none (default: %(default)s)",
-    )
-    bode.add_argument("--from-hz", type=float, metavar="F", help="lowest frequency measured (default: about the crossover)")
-    bode.add_argument("--to-hz", type=float, metavar="F", help="highest frequency measured, below half the sampling rate")
-    bode.add_argument("--frequencies", type=int, metavar="N", help="how many frequencies are measured (default: 20)")
-    bode.add_argument("--amplitude-deg", type=float, metavar="A", help="of the test signal's motion (default: small)")
-    bode.add_argument(
-        "--map",
-        action="store_true",
-        help="map the stable gains over all angles, checked in MuJoCo next to the stability boundary",
-    )
-    bode.add_argument(
-        "--large", action="store_true", help="large signals past the effort limit, beside the describing function"
-    )
-    bode.add_argument(
-        "--along",
-        action="store_true",
-        help="analyse the tracked motion of the problem: margins at frozen instants, Floquet multipliers",
-    )
-
-    tune = command("tune", "find PD gains or LQR weights for a bandwidth and margins at the worst angle")
-    _loop(tune)
-    tune.add_argument("--bandwidth-hz", type=float, required=True, metavar="F", help="of the closed loop, at least")
-    tune.add_argument("--phase-margin-deg", type=float, default=60.0, metavar="P", help="at least (default: %(default)s)")
-    tune.add_argument("--sensitivity-peak", type=float, metavar="M", help="largest |S| allowed (default: any)")
-
-    view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
-    view.epilog = f"keys in the window: {keys_said()}\n\n{_EPILOG}"
-    view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
-    _anyway(view)
-    _tracker(view)
-    view.add_argument("--slow", type=float, default=4.0, metavar="X", help="times slower than real (default: %(default)s)")
-    view.add_argument("--seconds", type=float, metavar="S", help="close the window after this time (default: when you do)")
-
-    text = "draw a tracked plan as a film (.mp4, .gif) or a picture (.png), without a screen"
-    _render(command("render", text, output=False))
-
-    text = "run the whole path on the Optimus knee into one folder (default: linkplan-demo)"
-    command("demo", text, settings=False).set_defaults(output="linkplan-demo")
-
-    text = "begin a problem file for a mechanism: a motion that it can make, every option in comments"
-    new = command("new", text, output=False, settings=False)
-    new.add_argument("model", metavar="MODEL", help="a built-in model or an MJCF file")
-    _file(new, "the problem file to write; it must not be there (default: print it)")
-
-    export = command("export", "write a plan for other programs", output=False)
-    export.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
-    text = f"one of {', '.join(f'{name} ({what})' for name, what in FORMATS.items())}"
-    export.add_argument("--to", required=True, metavar="FORMAT", help=text)
-    _file(export, "the file to write; it must not be there", required=True)
-    text = "time between samples (default: ten samples in every interval of the plan's mesh)"
-    export.add_argument("--every-s", type=float, metavar="T", help=text)
-    _anyway(export)
-
-    completion = command("completion", "print a shell's completion script", output=False, settings=False)
-    text = f"{', '.join(SHELLS)}; e.g. linkplan completion bash > ~/.local/share/bash-completion/completions/linkplan"
-    completion.add_argument("shell", metavar="SHELL", help=text)
-    return parser
-
-
-def _loop(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("model", metavar="MODEL-or-PROBLEM", help="a built-in model or problem, or an MJCF or TOML file")
-    parser.add_argument("--tracker", default="pd", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
-    parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
-    parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
-    _at(parser, "a pose to analyse; may be given again (default: over the motion or the reach)")
-
-
-def _tracker(parser: argparse.ArgumentParser) -> None:
-    text = "pd, pd+ff, lqr, lqi, gs-pd+ff, ct or mpc; your own as module:object (default: %(default)s)"
-    parser.add_argument("--tracker", default="pd+ff", metavar="NAME", help=text)
-
-
-def _experiment(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a built-in problem, a TOML file or a saved plan's folder")
-    _anyway(parser)
-    parser.add_argument("--samples", type=int, default=200, metavar="N", help="machines (default: %(default)s)")
-    parser.add_argument("--trackers", default="pd,pd+ff,lqr", metavar="NAMES", help="with commas (default: %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random numbers (default: %(default)s)")
-    text = "how samples lie: latin-hypercube or grid (default: %(default)s)"
-    parser.add_argument("--design", default="latin-hypercube", metavar="HOW", help=text)
-    parser.add_argument("--levels", type=int, default=3, metavar="N", help="of a grid (default: %(default)s)")
-    text = "success: no hinge is farther from the path (default: %(default)s)"
-    parser.add_argument("--tube-deg", type=float, default=1.0, metavar="A", help=text)
-    text = "success: no slide is farther from the path (default: %(default)s)"
-    parser.add_argument("--tube-m", type=float, default=0.01, metavar="L", help=text)
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
-    parser.add_argument("--threads", type=int, default=0, metavar="N", help="of the simulator in each (default: all cores)")
-
-
-def _parquet(parser: argparse.ArgumentParser, what: str) -> None:
-    parser.add_argument("--parquet", action="store_true", help=f"with -o: the table of {what} as Parquet too")
-
-
-def _file(parser: argparse.ArgumentParser, text: str, *, required: bool = False) -> None:
-    parser.add_argument("-o", "--output", metavar="FILE", required=required, help=text)
-
-
-def _render(render: argparse.ArgumentParser) -> None:
-    render.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
-    text = "the file to write, whole: .mp4, .gif or .png; one that linkplan did not write is left alone"
-    render.add_argument("-o", "--output", metavar="FILE", required=True, help=text)
-    _anyway(render)
-    _tracker(render)
-    render.add_argument("--slow", type=float, metavar="X", help="times slower than real (default: to last some 4 s)")
-    render.add_argument("--fps", type=float, default=25.0, metavar="N", help="frames a second (default: %(default)s)")
-    render.add_argument("--size", default="800x600", metavar="WxH", help="of the picture in pixels (default: %(default)s)")
-    text = "a camera of the model by its name, or AZIMUTH/ELEVATION in degrees (default: the mechanism's own side)"
-    render.add_argument("--camera", metavar="VIEW", help=text)
-    text = "play a film backwards after it, so that it goes on without a jump"
-    render.add_argument("--there-and-back", action="store_true", help=text)
-    text = "a picture of one instant, with the plan's ghost (default: several instants in one picture)"
-    render.add_argument("--at-s", type=float, metavar="T", help=text)
-    text = "how many instants a picture has in one (default: %(default)s)"
-    render.add_argument("--instants", type=int, default=7, metavar="N", help=text)
-
-
-def _anyway(parser: argparse.ArgumentParser) -> None:
-    text = "run a saved plan that does not pass its certificate, with a word and exit code 1"
-    parser.add_argument("--anyway", action="store_true", help=text)
-
-
-def _at(parser: argparse.ArgumentParser, text: str) -> None:
-    text += "; degrees, metres for a slide"
-    parser.add_argument("--at-deg", action="append", default=[], metavar="JOINT=ANGLE", help=text)
-
-
-def _mismatch(parser: argparse.ArgumentParser, mass_factor: float, delay: int) -> None:
-    _anyway(parser)
-    parser.add_argument(
-        "--mass-factor",
-        type=float,
-        default=mass_factor,
-        metavar="X",
-        help="mismatch: factor on the payload's mass, on all moving masses without one (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--delay-periods",
-        type=int,
-        default=delay,
-        metavar="N",
-        help="mismatch: further control periods of delay (default: %(default)s)",
-    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

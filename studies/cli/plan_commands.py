@@ -25,7 +25,17 @@ def run_plan(arguments: argparse.Namespace) -> int:
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
     if plan.passed and target is not None:
-        write_whole(target, lambda place: save_plan(plan, place, target, jumps=arguments.jumps, parquet=arguments.parquet))
+
+        def write(place: Path) -> None:
+            save_plan(plan, place, target, jumps=arguments.jumps, parquet=arguments.parquet)
+            if arguments.report:
+                from linkplan.studies.report.render import write_report
+                from linkplan.studies.report.reports import plan_report
+                from linkplan.studies.report.saving import PAGE
+
+                write_report(plan_report(plan), place / PAGE)
+
+        write_whole(target, write)
         say.keep(f"saved in {target}")
     elif target is not None:
         say.keep(f"nothing written: {plan.status}")

@@ -32,7 +32,7 @@ def run_track(arguments: argparse.Namespace) -> int:
     comparison = _single(plan, asked, arguments, mismatch_given)
     said = comparison_record(comparison) | {"tracker": next(iter(comparison.nominal))}
     if target is not None:
-        write_whole(target, lambda place: _save_tracking(comparison, said, place, arguments), "track.json")
+        write_whole(target, lambda place: _save_tracking(arguments, comparison, said, place), "track.json")
     show(arguments, said, comparison_text(comparison))
     return DONE if plan.passed and next(iter(comparison.nominal.values())).stable else NO
 
@@ -78,18 +78,24 @@ def run_compare(arguments: argparse.Namespace) -> int:
         document = mended_runs(plan, say)
         said["document"] = document_record(document)
     if target is not None:
-        write_whole(target, lambda place: _save_tracking(comparison, said, place, arguments, document), "compare.json")
+        write_whole(target, lambda place: _save_tracking(arguments, comparison, said, place, document), "compare.json")
     show(arguments, said, comparison_text(comparison))
     return DONE if plan.passed and any(rollout.stable for rollout in comparison.nominal.values()) else NO
 
 
-def _save_tracking(comparison, said: dict, place: Path, arguments: argparse.Namespace, document: dict | None = None) -> None:
-    from linkplan.studies.compare.document import KP
+def _save_tracking(arguments: argparse.Namespace, comparison, said: dict, place: Path, document: dict | None = None) -> None:
+    from linkplan.studies.compare.document import KP, document_record
     from linkplan.studies.compare.draw_tracking import comparison_figure, document_figure
     from linkplan.studies.compare.time_series import save_time_series
+    from linkplan.studies.report.reports import comparison_report
+    from linkplan.studies.report.saving import save_report
+    from linkplan.studies.report.tracking_sections import document_section
 
-    write_json(place / f"{arguments.command}.json", said)
+    name = arguments.command
+    write_json(place / f"{name}.json", said)
     save_time_series(comparison, place, parquet=arguments.parquet)
-    comparison_figure(comparison, place / f"{arguments.command}.png")
+    comparison_figure(comparison, place / f"{name}.png")
     if document:
         document_figure(document, KP, place / "desired_and_actual.png")
+    section = document_section(document, document_record(document), KP) if document else None
+    save_report(comparison_report(comparison, section), place, page=arguments.report)

@@ -224,6 +224,18 @@ class Plan:
         write_whole(target, lambda place: save_plan(self.answer, place, target, jumps=jumps))
         return target
 
+    def report(self, path: str | Path) -> Path:
+        """Write the plan's report, one HTML file that opens offline, and return its path.
+
+        Raises:
+            LinkplanError: when something that is no report stands there.
+        """
+        from linkplan.studies.report.render import write_report
+        from linkplan.studies.report.reports import plan_report
+
+        write_report(plan_report(self.answer), Path(path))
+        return Path(path)
+
     def to_dict(self) -> dict:
         """Return what plan.json has of a plan: status, message, certificate, history, problem, versions; units in names."""
         return plan_folder.record(self.answer)

@@ -140,14 +140,29 @@ class TrackingResult:
         from linkplan.planner.files.folders import write_json, write_whole
         from linkplan.studies.compare.draw_tracking import comparison_figure
         from linkplan.studies.compare.time_series import save_time_series
+        from linkplan.studies.report.reports import comparison_report
+        from linkplan.studies.report.saving import save_report
 
         def write(place: Path) -> None:
             write_json(place / "compare.json", self.to_dict())
+            save_report(comparison_report(self.comparison), place, page=False)
             save_time_series(self.comparison, place)
             comparison_figure(self.comparison, place / "compare.png")
 
         write_whole(Path(folder), write, "compare.json")
         return Path(folder)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the runs' report, one HTML file that opens offline, and return its path.
+
+        Raises:
+            LinkplanError: when something that is no report stands there.
+        """
+        from linkplan.studies.report.render import write_report
+        from linkplan.studies.report.reports import comparison_report
+
+        write_report(comparison_report(self.comparison), Path(path))
+        return Path(path)
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of motion, error and effort of every tracker; it is saved at `path` where one is given."""

@@ -158,7 +158,7 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
     assert code == 0
     assert set(tracked["trackers"]) == {"lqr"}
     assert {path.name for path in (tmp_path / "tracked").iterdir()} == {
-        *(".linkplan.json", "track.json", "track.png", "nominal-lqr.csv", "nominal-lqr.npz")
+        *(".linkplan.json", "track.json", "track.png", "nominal-lqr.csv", "nominal-lqr.npz", "report.json")
     }
     code, compared = ask_json("compare", folder, "-o", str(tmp_path / "compared"))
     assert code == 0
@@ -175,7 +175,7 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
         for end in ("csv", "npz")
     }
     written = {path.name for path in (tmp_path / "compared").iterdir()}
-    assert written == {".linkplan.json", "compare.json", "compare.png", *series}
+    assert written == {".linkplan.json", "compare.json", "compare.png", "report.json", *series}
 
 
 @pytest.mark.slow

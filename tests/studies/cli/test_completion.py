@@ -6,8 +6,8 @@ import sys
 
 import pytest
 
+from linkplan.studies.cli.command_line import build_parser
 from linkplan.studies.cli.completion_command import completion_script
-from linkplan.studies.cli.main import build_parser
 from linkplan.studies.cli.shells import SHELLS
 
 # What is typed, and what must be among the answers.

@@ -119,7 +119,8 @@ def test_tune_writes_gains_that_a_problem_file_takes_and_a_figure(tracker, ask, 
         "tune", "optimus-knee", "--bandwidth-hz", "60", "--tracker", tracker, *where, "--json", "-o", str(folder)
     )
     assert code == 0
-    assert {path.name for path in folder.iterdir()} == {".linkplan.json", "tune.json", "tune.png", "tracking.toml"}
+    written = {".linkplan.json", "tune.json", "tune.png", "tracking.toml", "report.json"}
+    assert {path.name for path in folder.iterdir()} == written
     assert json.loads((folder / "tune.json").read_text()) == json.loads(out)
     table = tomllib.loads((folder / "tracking.toml").read_text())["tracking"]
     settings = [f"tracking.{key}={value!r}" for key, value in table.items()]

@@ -1,0 +1,224 @@
+"""A check's part of a report: what is found, and the mechanism along its motion or over the reach of its coordinates."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit, unheld_sentences, weight_sentences
+from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
+from linkplan.studies.check.refused_model import RefusedModel
+from linkplan.studies.check.whole_check import WholeCheck
+from linkplan.studies.report.animation import animation, frames_of
+from linkplan.studies.report.bode_sections import known
+from linkplan.studies.report.document import Axis, Block, Code, Facts, Plot, Section, Table, Text
+from linkplan.studies.report.lines import TIME, Line, plots
+
+# Paths of more coordinates than this are not drawn: the record has them all.
+_DRAWN = 6
+# Of what grows without bound next to a singular pose, what lies between these shares of the samples is shown, where the
+# whole would be so many times as high.
+_INNER, _GROWN = (0.05, 0.95), 3.0
+# An inertia that changes by more than this factor is drawn on a logarithmic axis.
+_LOGARITHMIC = 5.0
+# Springs that take less than this share of what is held are not drawn: rounding.
+_NO_SPRING = 1e-9
+
+
+def check_sections(whole: WholeCheck, *, depth: int = 1) -> list[Section]:
+    """Return the sections of all that a check finds."""
+    found = whole.found
+    first = Section(title=f"Mechanism: {whole.name}", blocks=inspection_blocks(found), depth=depth)
+    paths = [path_section(path, whole.name, depth=depth + 1) for path in whole.paths[:_DRAWN]]
+    if len(whole.paths) > _DRAWN:
+        said = f"Drawn are {_DRAWN} of {len(whole.paths)} coordinates; check.json in the same folder has all of them."
+        paths.append(Section(title="Other coordinates", blocks=[Text(text=said, tone="note")], depth=depth + 1))
+    return [first, *paths]
+
+
+def inspection_blocks(found: Inspection) -> list[Block]:
+    """Return what is found of an assembled mechanism: its problems first."""
+    mechanism = found.mechanism
+    verdict = [Text(text=problem, tone="bad") for problem in found.problems] or [
+        Text(text="No problems found.", tone="good")
+    ]
+    rank = f"{mechanism.n_closure_rows} rows, rank {len(mechanism.closure_rows)}"
+    rows = [
+        ("degrees of freedom", f"{mechanism.dof} ({', '.join(j.name for j in mechanism.independent_joints)} independent)"),
+        ("joints", ", ".join(joint.name for joint in mechanism.joints)),
+        ("closure", f"{', '.join(mechanism.closure_names) or 'none'}: {rank}, gap {found.closure_gap_m:.3g} m"),
+    ]
+    if mechanism.closures:
+        rows.append(("det J_z at home", ", ".join(f"{x:.4g}" for x in branch(mechanism))))
+    reaches = Table(
+        title="Reach, the other coordinates at home",
+        columns=[
+            ("coordinate", ""),
+            ("home", ""),
+            ("from", ""),
+            ("to", ""),
+            ("unit", ""),
+            ("what ends it below", ""),
+            ("above", ""),
+        ],
+        rows=[
+            [
+                joint.name,
+                joint.said(float(mechanism.home[index]), 5),
+                joint.said(can.lower.position, 5),
+                joint.said(can.upper.position, 5),
+                joint.unit,
+                can.lower.reason,
+                can.upper.reason,
+            ]
+            for index, joint, can in zip(mechanism.independent, mechanism.independent_joints, found.reaches, strict=True)
+        ],
+    )
+    drives = Table(
+        title="Actuators",
+        columns=[("actuator", ""), ("acts on", ""), ("least effort", ""), ("most effort", ""), ("unit", "")],
+        rows=[[a.name, a.target, known(a.lower), known(a.upper), a.unit] for a in mechanism.actuators],
+    )
+    places = [[name, *(known(float(x)) for x in place)] for name, place in sites_at_home(mechanism).items()]
+    sites = (
+        [Table(title="Sites at home", columns=[("site", ""), *((axis, "m") for axis in "xyz")], rows=places)]
+        if places
+        else []
+    )
+    notes = [Text(text=note, tone="note") for note in found.notes]
+    return [*verdict, Facts(rows=rows), reaches, drives, *sites, *_poses(found), *notes]
+
+
+def _poses(found: Inspection) -> list[Table]:
+    """Return the table of the poses that were asked for."""
+    if not found.points:
+        return []
+    mechanism = found.mechanism
+    independent = mechanism.independent_joints
+    columns = [(joint.name, joint.unit) for joint in mechanism.joints]
+    columns += [(f"inertia {joint.name}", inertia_unit(joint)) for joint in independent]
+    columns += [(f"weight alone {joint.name}", effort_unit(joint)) for joint in independent]
+    columns += [(f"holds all {joint.name}", effort_unit(joint)) for joint in independent]
+    rows = []
+    for point in found.points:
+        positions = [joint.shown(x) for joint, x in zip(mechanism.joints, point.pose, strict=True)]
+        figures = [*positions, *point.reduced_inertia.diagonal(), *point.gravity_effort, *point.holding_effort]
+        rows.append([known(float(x)) for x in figures])
+    return [Table(title="At the poses asked for", columns=columns, rows=rows)]
+
+
+def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2) -> Section:
+    """Return the section of a mechanism along a path: animated, with its ratios, inertias, efforts and forces."""
+    axis, x = _over(path)
+    group = f"path:{name}:{path.title}"
+    rising = bool(np.all(np.diff(x) > 0))
+    order = np.arange(len(x)) if rising else np.argsort(x, kind="stable")
+    frames = order[np.unique(np.linspace(0, len(order) - 1, min(len(order), frames_of(path.mechanism))).astype(int))]
+    moving = animation(
+        path.mechanism,
+        f"{name} along {path.title}",
+        group,
+        x[frames],
+        path.poses[frames],
+        effort=path.holding_effort[frames],
+        effort_limit=path.limit,
+        unit=axis.unit,
+    )
+    said = [Text(text=text, tone="note") for text in (*weight_sentences(path), *unheld_sentences(path))]
+    return Section(
+        title=f"Along {path.title}, at rest",
+        blocks=[moving, *said, *_path_plots(path, axis, x[order], order, group)],
+        depth=depth,
+    )
+
+
+def _over(path: KinematicLoopPath) -> tuple[Axis, np.ndarray]:
+    """Return the axis that a path is drawn over, and its values (n,): the coordinate, or time of a motion."""
+    if path.coordinate is None and path.time_s is not None:
+        return Axis(label="time of the path", unit="s") if path.mechanism.dof > 1 else TIME, path.time_s
+    column = path.coordinate or 0
+    joint = path.mechanism.independent_joints[column]
+    return Axis(label=joint.name, unit=joint.unit), np.array([joint.shown(s) for s in path.positions[:, column]])
+
+
+def _path_plots(path: KinematicLoopPath, axis: Axis, x: np.ndarray, order: np.ndarray, group: str) -> list[Plot]:
+    mechanism = path.mechanism
+    joints, actuators = list(enumerate(mechanism.independent_joints)), list(enumerate(mechanism.actuators))
+    if path.coordinate is not None and mechanism.dof > _DRAWN:
+        joints = [joints[path.coordinate]]  # of many coordinates its own alone
+    dependent = [(int(k), mechanism.joints[int(k)]) for k in mechanism.dependent]
+    at_all = acts(path) if mechanism.actuators else np.zeros((mechanism.dof, 0), dtype=bool)
+    needed = np.einsum("ksu,ku->ks", path.ratio, path.holding_effort) + path.unheld_effort
+    sprung = np.abs(needed - path.gravity_effort).max() > _NO_SPRING * max(np.abs(needed).max(), np.finfo(float).tiny)
+    i_own, closures = [i for i, _ in joints], list(enumerate(mechanism.closure_names))
+
+    def own(values: np.ndarray, unit, said: str = "") -> list[Line]:
+        return [_line(f"{joint.name}{said}", values[:, i], unit(joint)) for i, joint in joints]
+
+    acting = [(j, a) for j, a in actuators if at_all[i_own, j].any()]
+    ratios = [
+        _line(f"{a.name} to {joint.name}", path.ratio[:, i, j], ratio_unit(joint, a.unit))
+        for i, joint in joints
+        for j, a in acting
+        if at_all[i, j]
+    ]
+    felt = [_line(a.name, path.reflected_inertia[:, j], "kg m2" if a.unit == "N.m" else "kg") for j, a in acting]
+    weights = own(needed, effort_unit) + (own(path.gravity_effort, effort_unit, ", weight alone") if sprung else [])
+    available: list[Line] = []
+    if actuators:
+        available += own(path.available_effort[:, :, 0], effort_unit, ", least")
+        available += own(path.available_effort[:, :, 1], effort_unit, ", most")
+        available += own(needed, effort_unit, ", holds it still")
+    singular = [_line("least of J_z's blocks", path.singularity, "1")] if closures else []
+    followers = [_line(j.name, j.shown(1.0) * path.poses[:, k], j.unit) for k, j in dependent]
+    forces = [_line(name, path.closure_force[:, c], "N") for c, name in closures]
+    kinds: Sequence[tuple[str, str, list[Line], bool]] = (
+        ("Dependent joints", "position", followers, False),
+        ("Transmission ratio", "ratio", ratios, False),
+        ("Reduced inertia", "inertia", own(path.reduced_inertia.diagonal(axis1=1, axis2=2), inertia_unit), True),
+        ("Inertia that an actuator feels", "inertia", felt, True),
+        ("Effort that holds it still", "effort", weights, False),
+        ("Effort within the actuators' limits", "effort", available, False),
+        ("Distance from a singular pose", "det J_z over that at home", singular, False),
+        ("Closure force at rest", "force", forces, False),
+    )
+    found = []
+    for title, what, lines, may_grow in kinds:
+        sorted_lines = [_line(line.name, line.values[order], line.unit) for line in lines]
+        log = may_grow and _spans_much(sorted_lines)
+        found += plots(
+            title, what, axis, x, sorted_lines, group=group, log=log, ends=None if log else inner_ends(sorted_lines)
+        )
+    return found
+
+
+def _line(name: str, values: np.ndarray, unit: str) -> Line:
+    return Line(name=name, values=values, unit=unit)
+
+
+def _spans_much(lines: Sequence[Line]) -> bool:
+    rows = [line.values[np.isfinite(line.values)] for line in lines]
+    return all(len(row) and row.min() > 0 for row in rows) and any(row.max() > _LOGARITHMIC * row.min() for row in rows)
+
+
+def inner_ends(lines: Sequence[Line]) -> tuple[float, float] | None:
+    """Return the ends of an axis that shows lines' inner part where an end of them grows without bound; None elsewhere."""
+    if len({line.unit for line in lines}) != 1:
+        return None
+    known_rows = [row for line in lines if len(row := line.values[np.isfinite(line.values)])]
+    if not known_rows:
+        return None
+    low, high = min(float(row.min()) for row in known_rows), max(float(row.max()) for row in known_rows)
+    inner = [np.quantile(row, _INNER) for row in known_rows]
+    least, most = float(np.min(inner)), float(np.max(inner))
+    if not high - low > _GROWN * (most - least) > 0:
+        return None
+    room = 0.3 * (most - least)
+    return least - room, most + room
+
+
+def refused_section(found: RefusedModel) -> Section:
+    """Return the section of a model that is no mechanism as it stands."""
+    blocks: list[Block] = [Text(text=problem, tone="bad") for problem in found.problems]
+    blocks.append(Code(title="What there is to know", text=found.text()))
+    return Section(title=f"Model: {found.name}", blocks=blocks)

@@ -1,0 +1,267 @@
+"""A report as a document: sections of blocks, plain values that JSON has, and nothing of how they are shown.
+
+Every number is in the unit that stands beside it. Names come from models and are text, whatever they hold.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+Numbers = Sequence[float | None]  # None where there is no value
+
+
+def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None:
+    """Refuse what does not fit: a programming error, not a user's."""
+    if len(values) != len(others):
+        raise ValueError(f"{what} has {len(values)} values for {len(others)} {of}")
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Text:
+    """A paragraph. `tone` is "plain", "good", "bad", "note" or, for lines as they stand on a terminal, "lines"."""
+
+    text: str
+    tone: str = "plain"
+    kind: str = field(default="text", init=False)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Facts:
+    """Short facts: (label, value with its unit)."""
+
+    rows: Sequence[tuple[str, str]]
+    kind: str = field(default="facts", init=False)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Table:
+    """Rows under columns (head, unit); a cell is a number, a word, True or False, or None. `title` may be empty."""
+
+    title: str
+    columns: Sequence[tuple[str, str]]
+    rows: Sequence[Sequence[object]]
+    kind: str = field(default="table", init=False)
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            _same_length(f"a row of table '{self.title}'", row, "columns", self.columns)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Item:
+    """One line of a checklist: the worst number against its limit, in a unit, and the instant [s] at which it is worst."""
+
+    label: str
+    passed: bool
+    worst: float | None = None
+    limit: float | None = None
+    unit: str = ""
+    instant_s: float | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Checklist:
+    """Items with their verdicts; an item with an instant moves the cursor of `group` there."""
+
+    title: str
+    group: str
+    items: Sequence[Item]
+    kind: str = field(default="checklist", init=False)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Axis:
+    """An axis: what it shows, its unit ("1" for none), whether it is logarithmic, its ends where they are not the data's."""
+
+    label: str
+    unit: str
+    log: bool = False
+    ends: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Series:
+    """A line over a plot's x, or over its own. `look` is "line", "dash", "dots" or "points"; `colour` counts from 0.
+
+    Without a colour it is drawn in the colour of text.
+    """
+
+    name: str
+    y: Numbers
+    x: Numbers | None = None
+    look: str = "line"
+    colour: int | None = 0
+    width: float = 1.6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Limit:
+    """A limit drawn across a plot, in the unit of its vertical axis."""
+
+    name: str
+    value: float
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Plot:
+    """Quantities over a common x (n,), increasing. Plots of one `group` share a cursor; an empty group is of no other plot.
+
+    Of a motion that repeats, `period` is what the cursor's place is taken modulo of.
+    """
+
+    title: str
+    group: str
+    x_axis: Axis
+    y_axis: Axis
+    x: Numbers
+    series: Sequence[Series]
+    limits: Sequence[Limit] = ()
+    period: float | None = None
+    kind: str = field(default="plot", init=False)
+
+    def __post_init__(self) -> None:
+        for one in self.series:
+            _same_length(f"'{one.name}' in plot '{self.title}'", one.y, "places", self.x if one.x is None else one.x)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Curve:
+    """A curve in a plane through points (n,), (n,). `look` as of `Series`, or "cross", "star", "area" (filled, closed)."""
+
+    name: str
+    x: Numbers
+    y: Numbers
+    look: str = "line"
+    colour: int | None = 0
+    width: float = 1.6
+
+    def __post_init__(self) -> None:
+        _same_length(f"curve '{self.name}'", self.y, "places", self.x)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Heat:
+    """Values (n_y, n_x) over a grid: low ones blue, high ones red, between `ends`; None is left blank."""
+
+    name: str
+    unit: str
+    x: Numbers
+    y: Numbers
+    values: Sequence[Numbers]
+    ends: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        _same_length(f"map '{self.name}'", self.values, "rows", self.y)
+        for row in self.values:
+            _same_length(f"a row of map '{self.name}'", row, "columns", self.x)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Plane:
+    """Curves in a plane: a phase plane, a Nyquist curve, a map of gains.
+
+    `track` is the index of the curve along which a dot moves with the cursor of `group`, at `track_times` (n,).
+    `equal` gives both axes one scale.
+    """
+
+    title: str
+    x_axis: Axis
+    y_axis: Axis
+    curves: Sequence[Curve]
+    heat: Heat | None = None
+    equal: bool = False
+    group: str = ""
+    track: int | None = None
+    track_times: Numbers = ()
+    period: float | None = None
+    kind: str = field(default="plane", init=False)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Body:
+    """A body of an animation: its pins at every frame, flat: (n_frames, n_pins * dimension) [m]."""
+
+    name: str
+    fixed: bool
+    n_pins: int
+    points: Sequence[Numbers]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Drive:
+    """An actuator of an animation: where it acts, about or along which axis, and its effort against its limits.
+
+    `at` (n_frames, dimension) [m]; `axis` the same, a unit vector (of a hinge seen along its axis: its third component
+    alone). `turns` says whether the effort is a torque, drawn as an arc, or a force, drawn as an arrow.
+    """
+
+    name: str
+    turns: bool
+    unit: str
+    at: Sequence[Numbers]
+    axis: Sequence[Numbers]
+    effort: Numbers
+    limits: tuple[float | None, float | None]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Ghost:
+    """The same bodies as they moved otherwise, as a tracker moved them, on the same frames."""
+
+    name: str
+    bodies: Sequence[Body]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Animation:
+    """A mechanism in motion over times (n_frames,) [`unit`]: in its plane (`dimension` 2) or in space (3).
+
+    `labels` are joints' names and where they stand, (n_frames, dimension) each; `paths` the ways of named sites;
+    `axes` what the two directions of a plane are called.
+    """
+
+    title: str
+    group: str
+    dimension: int
+    axes: tuple[str, str]
+    times: Numbers
+    bodies: Sequence[Body]
+    ghosts: Sequence[Ghost] = ()
+    drives: Sequence[Drive] = ()
+    labels: Sequence[tuple[str, Sequence[Numbers]]] = ()
+    paths: Sequence[tuple[str, Sequence[Numbers]]] = ()
+    planned: str = "planned"
+    period: float | None = None
+    unit: str = "s"
+    kind: str = field(default="animation", init=False)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Code:
+    """Text to copy as it stands, a problem's TOML say."""
+
+    title: str
+    text: str
+    kind: str = field(default="code", init=False)
+
+
+Block = Text | Facts | Table | Checklist | Plot | Plane | Animation | Code
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Section:
+    """Blocks under a title. One of `depth` 2 belongs to the one of depth 1 before it."""
+
+    title: str
+    blocks: Sequence[Block]
+    depth: int = 1
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Report:
+    """A whole document: what it is about, the versions that made it, and its sections in order."""
+
+    title: str
+    verdict: str
+    passed: bool | None  # None where there is no verdict
+    versions: Mapping[str, str]
+    sections: Sequence[Section]

@@ -1,0 +1,93 @@
+"""Lines over time or another common axis, a plot for each unit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.studies.report.document import Axis, Limit, Plot, Series
+from linkplan.studies.report.numbers import kept, rounded, times
+
+# A limit further away than so many times the largest value is not drawn: it would press the lines flat.
+_NEAR = 2.0
+LOOKS = ("line", "dash", "dashdot")
+_COLOURS = 6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Line:
+    """A quantity over the common axis: name, values (n,), unit, and its limits [low, high] if it has any."""
+
+    name: str
+    values: np.ndarray
+    unit: str
+    limits: tuple[float, float] = (-np.inf, np.inf)
+    look: str = ""  # "" for one by its place
+    colour: int | None = -1  # -1 for one by its place
+    width: float = 1.6
+
+
+def plots(
+    title: str,
+    what: str,
+    x_axis: Axis,
+    x: np.ndarray,
+    lines: Sequence[Line],
+    *,
+    group: str = "",
+    log: bool = False,
+    period: float | None = None,
+    ends: tuple[float, float] | None = None,
+) -> list[Plot]:
+    """Return a plot for each unit among lines over x (n,), thinned and rounded; none where there are no lines."""
+    found, units = [], list(dict.fromkeys(line.unit for line in lines))
+    for unit in units:
+        of_it = [line for line in lines if line.unit == unit]
+        columns = np.column_stack([line.values for line in of_it])
+        rows = kept(np.log10(np.where(columns > 0, columns, np.nan)) if log else columns)
+        values = np.column_stack([line.values[rows] for line in of_it])
+        shown = [rounded(row, log=log) for row in values.T]
+        series = [
+            Series(
+                name=line.name,
+                y=y,
+                look=line.look or LOOKS[k // _COLOURS % len(LOOKS)],
+                colour=k % _COLOURS if line.colour == -1 else line.colour,
+                width=line.width,
+            )
+            for k, (line, y) in enumerate(zip(of_it, shown, strict=True))
+        ]
+        found.append(
+            Plot(
+                title=title if len(units) == 1 else f"{title} [{unit}]",
+                group=group,
+                x_axis=x_axis,
+                y_axis=Axis(label=what, unit=unit, log=log, ends=ends),
+                x=times(x[rows]),
+                series=series,
+                limits=() if log else _limits(of_it, values),
+                period=period,
+            )
+        )
+    return found
+
+
+def _limits(lines: Sequence[Line], values: np.ndarray) -> list[Limit]:
+    """Return the limits that lines come near, equal ones of several lines once."""
+    named: dict[float, list[str]] = {}
+    for line, row in zip(lines, values.T, strict=True):
+        known = np.abs(row[np.isfinite(row)])
+        peak = float(known.max(initial=0.0))
+        for bound in line.limits:
+            if np.isfinite(bound) and abs(bound) <= _NEAR * peak:
+                named.setdefault(float(f"{bound:.6g}"), []).append(line.name)
+    return [Limit(name=_of(names, len(lines)), value=value) for value, names in named.items()]
+
+
+def _of(names: Sequence[str], n_lines: int) -> str:
+    if n_lines == 1 or len(names) == n_lines:
+        return "limit"
+    return f"limit of {', '.join(names[:3])}{' and others' if len(names) > 3 else ''}"
+
+
+TIME = Axis(label="time", unit="s")

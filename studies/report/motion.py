@@ -1,0 +1,58 @@
+"""A plan's motion sampled for a page: all that its plots, its phase plane and its checklist are drawn from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.poses.along import joint_rates
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.certificate.margins import actuator_speeds, closure_forces
+from linkplan.planner.plan import Plan
+
+# Steps of an interval: so many, or as many as a page's plots have room for.
+_PER_INTERVAL, _MOST, _FEWEST = 12, 700, 300
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Motion:
+    """A plan at instants (n,) [s], a jump in effort with both of its sides.
+
+    `position`, `velocity`, `acceleration` (n, n_s) of the independent joints [rad or m, and per second]; `pose`, `rates`
+    (n, n_q) of all; `effort` (n, n_u) [N.m or N], `power` (n, n_u) [W]; `closure_force` (n, n_closures) [N].
+    """
+
+    time_s: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    pose: np.ndarray
+    rates: np.ndarray
+    effort: np.ndarray
+    power: np.ndarray
+    closure_force: np.ndarray
+
+
+def motion_of(plan: Plan) -> Motion:
+    """Return a plan's motion at instants spread over every interval.
+
+    Raises:
+        AssemblyError: when the loops do not close along it.
+    """
+    problem, trajectory = plan.problem, plan.trajectory
+    n = len(trajectory.breaks_s) - 1
+    steps = int(np.clip(max(_PER_INTERVAL, _FEWEST // n), 1, max(2, _MOST // n)))
+    time = trajectory.dense_times(steps)
+    s, v, a = (at(time) for at in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
+    u = trajectory.effort_at(time)
+    q = follow(problem.mechanism, s, trajectory.start_pose)
+    return Motion(
+        time_s=time,
+        position=s,
+        velocity=v,
+        acceleration=a,
+        pose=q,
+        rates=joint_rates(problem.mechanism, q, v),
+        effort=u,
+        power=u * actuator_speeds(problem, q, v),
+        closure_force=closure_forces(problem, q, v, a, u),
+    )

@@ -1,0 +1,59 @@
+// The plainer blocks of a report: texts, facts, tables, checklists, code.
+
+function showText(block) {
+  return make(block.tone === "lines" ? "pre" : "p", { class: `text ${block.tone}` }, block.text);
+}
+
+function showFacts(block) {
+  return make("dl", { class: "facts" }, ...block.rows.flatMap(([label, value]) => [make("dt", {}, label), make("dd", {}, value)]));
+}
+
+/** Return a cell: numbers to the right, verdicts in words. */
+function cellOf(value) {
+  if (typeof value === "number") return make("td", { class: "number" }, said(value));
+  if (typeof value === "boolean") return make("td", { class: value ? "good" : "bad" }, value ? "yes" : "NO");
+  const text = value === null ? "–" : String(value);
+  return make("td", { class: text.length < 30 ? "short" : false }, text);
+}
+
+function showTable(block) {
+  const numbers = block.columns.map((_, k) => block.rows.some((row) => typeof row[k] === "number"));
+  const heads = block.columns.map(([head, unit], k) => make("th", { scope: "col", class: numbers[k] ? "number" : false }, labelled({ label: head, unit })));
+  const rows = block.rows.map((row) => make("tr", {}, ...row.map(cellOf)));
+  const table = make("table", {}, make("thead", {}, make("tr", {}, ...heads)), make("tbody", {}, ...rows));
+  const inner = make("div", { class: "wide", tabindex: 0, role: "region", "aria-label": block.title || "table" }, table);
+  return make("figure", {}, block.title ? make("figcaption", {}, block.title) : null, inner);
+}
+
+/** Return a checklist; a line with an instant moves the cursor there. */
+function showChecklist(block) {
+  const heads = ["", "what", "worst", "limit", "at"].map((head) => make("th", { scope: "col" }, head));
+  const rows = block.items.map((item) => {
+    const value = (x) => (x === null ? "–" : withUnit(said(x), item.unit));
+    const go = () => {
+      cursorOf(block.group).pause();
+      cursorOf(block.group).move(item.instant_s);
+    };
+    const at = item.instant_s === null ? "–" : make("button", { type: "button", class: "instant", title: "move the cursor there" }, `${said(item.instant_s)} s`);
+    const verdict = make("td", { class: item.passed ? "good" : "bad" }, item.passed ? "✓" : "✗ NO");
+    const cells = [verdict, make("td", {}, item.label), make("td", { class: "number" }, value(item.worst)), make("td", { class: "number" }, value(item.limit)), make("td", {}, at)];
+    return make("tr", item.instant_s === null ? {} : { class: "goes", onclick: go }, ...cells);
+  });
+  const table = make("table", { class: "checklist" }, make("thead", {}, make("tr", {}, ...heads)), make("tbody", {}, ...rows));
+  return make("figure", {}, make("figcaption", {}, block.title), make("div", { class: "wide" }, table));
+}
+
+function showCode(block) {
+  const text = make("pre", { class: "code", tabindex: 0 }, block.text);
+  const button = make("button", { type: "button", class: "copy" }, "Copy");
+  button.addEventListener("click", async () => {
+    try {
+      await navigator.clipboard.writeText(block.text);
+      button.textContent = "Copied";
+    } catch {
+      getSelection().selectAllChildren(text); // pages without a clipboard: marked, to be copied by hand
+      button.textContent = "Marked";
+    }
+  });
+  return make("figure", {}, make("figcaption", {}, block.title, " ", button), text);
+}

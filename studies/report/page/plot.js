@@ -1,0 +1,196 @@
+// Quantities over a common axis, drawn by uPlot; plots of one group share their cursor.
+
+const HEIGHT = 210;
+
+/** Return the ticks of a logarithmic axis: powers of ten, their multiples where there are few, even steps within one. */
+function logTicks(low, high, most) {
+  const found = (multiples) => {
+    const ticks = [];
+    for (let k = Math.floor(Math.log10(low)); k <= Math.ceil(Math.log10(high)); k += 1) {
+      for (const m of multiples) ticks.push(Number((m * 10 ** k).toPrecision(3)));
+    }
+    return ticks.filter((x) => x >= low * 0.999999 && x <= high * 1.000001);
+  };
+  for (const multiples of [[1, 1.5, 2, 3, 4, 5, 7], [1, 2, 5], [1, 3], [1]]) {
+    const ticks = found(multiples);
+    if (ticks.length > most) continue;
+    if (ticks.length > 1) return ticks;
+    return [0, 1, 2, 3].map((k) => Number((low + (k * (high - low)) / 3).toPrecision(3)));
+  }
+  const tens = found([1]);
+  const every = Math.ceil(tens.length / most);
+  return tens.filter((x) => Math.round(Math.log10(x)) % every === 0);
+}
+
+/** Return an axis of uPlot for one of the document. */
+function axisOf(axis, side) {
+  const own = axis.log
+    ? {
+        splits: (u, k, low, high) => logTicks(low, high, Math.max(2, u.bbox[side === "x" ? "width" : "height"] / devicePixelRatio / (side === "x" ? 55 : 26))),
+        filter: (u, splits) => splits,
+      }
+    : {};
+  return {
+    ...own,
+    label: labelled(axis),
+    labelFont: "12px system-ui, sans-serif",
+    font: "11px system-ui, sans-serif",
+    labelSize: 20,
+    labelGap: 2,
+    stroke: () => theme.colour("ink"),
+    grid: { stroke: () => theme.colour("grid"), width: 1 },
+    ticks: { stroke: () => theme.colour("grid"), width: 1, size: 4 },
+    gap: 4,
+    space: side === "x" ? 62 : 30,
+    size: side === "x" ? 26 : (u, values) => 14 + 6.6 * Math.max(3, ...(values || []).map((v) => (v ? v.length : 0))),
+    values: (u, splits) => splits.map((v) => (v === null || v === undefined ? "" : said(v, 6))),
+  };
+}
+
+/** Return a scale of uPlot: the document's ends, or those of the data and of `others` with a little room. */
+function scaleOf(axis, others = [], room = 0.06) {
+  return {
+    time: false,
+    distr: axis.log ? 3 : 1,
+    range: (u, low, high) => {
+      if (axis.ends) return axis.ends;
+      if (low === null || low === undefined || high === null || !Number.isFinite(low)) [low, high] = axis.log ? [0.1, 1] : [0, 1];
+      for (const value of others) [low, high] = [Math.min(low, value), Math.max(high, value)];
+      if (axis.log) {
+        const factor = Math.max((high / low) ** room, room ? 1.05 : 1);
+        return [low / factor, high * factor];
+      }
+      const margin = room * (high - low) || (room ? 0.1 * Math.abs(high) || 1 : 0);
+      return [low - margin, high + margin];
+    },
+  };
+}
+
+/** Return uPlot's table of a plot: x, then each series, those with an x of their own joined in. */
+function tableOf(block) {
+  const shared = block.series.filter((one) => !one.x);
+  if (shared.length === block.series.length) return [block.x, ...shared.map((one) => one.y)];
+  const tables = block.series.map((one) => [one.x || block.x, one.y]);
+  return uPlot.join(tables, tables.map((table) => table.map(() => 1)));
+}
+
+/** Return the row next to `index` at which a series has a value: of its own places alone, and not beyond its ends. */
+function nearest(values, index) {
+  if (index === null || (values[index] !== null && values[index] !== undefined)) return index;
+  const known = (at, step) => {
+    while (at >= 0 && at < values.length && (values[at] === null || values[at] === undefined)) at += step;
+    return at >= 0 && at < values.length ? at : null;
+  };
+  const [before, after] = [known(index, -1), known(index, 1)];
+  if (before === null || after === null) return index;
+  return index - before <= after - index ? before : after;
+}
+
+/** Draw the limits of a plot across it, each with its name where there is room. */
+function drawLimits(u, limits) {
+  const { ctx, bbox } = u;
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+  ctx.clip();
+  ctx.strokeStyle = ctx.fillStyle = theme.colour("limit");
+  ctx.lineWidth = 1.2 * devicePixelRatio;
+  ctx.setLineDash([3 * devicePixelRatio, 3 * devicePixelRatio]);
+  ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+  for (const limit of limits) {
+    const y = u.valToPos(limit.value, "y", true);
+    ctx.beginPath();
+    ctx.moveTo(bbox.left, y);
+    ctx.lineTo(bbox.left + bbox.width, y);
+    ctx.stroke();
+  }
+  ctx.restore();
+}
+
+/** Return uPlot's series for one of the document. */
+function seriesOf(one) {
+  const points = one.look === "points";
+  const colour = () => theme.series(one.colour);
+  return {
+    label: one.name,
+    stroke: colour,
+    width: points ? 0 : one.width,
+    dash: dashes(one.look),
+    paths: points ? () => null : undefined,
+    points: points ? { show: true, size: 6, stroke: colour, fill: colour } : { show: false },
+    value: (u, v) => said(v),
+  };
+}
+
+/** Return the figure of a plot. */
+function showPlot(block) {
+  const place = make("div", { class: "canvas", style: `min-height:${HEIGHT + 60}px` });
+  const figure = make("figure", { class: "plot" }, make("figcaption", {}, block.title), place);
+  const cursor = block.group ? cursorOf(block.group) : null;
+  const known = block.x.filter((x) => x !== null);
+  if (cursor && known.length) cursor.reach(known[0], known[known.length - 1]);
+  if (cursor) cursor.log = block.x_axis.log;
+  if (block.limits.length) {
+    const names = block.limits.map((limit) => `${limit.name} ${withUnit(said(limit.value), block.y_axis.unit)}`);
+    figure.append(make("p", { class: "limits" }, make("span", { class: "swatch limit" }), names.join(", ")));
+  }
+  whenSeen(figure, () => buildPlot(block, place, cursor));
+  return figure;
+}
+
+function buildPlot(block, place, cursor) {
+  const table = tableOf(block);
+  let own = false; // the cursor is being moved by this program, not by a hand
+  const options = {
+    width: Math.max(place.clientWidth, 200),
+    height: HEIGHT,
+    pxAlign: 0,
+    padding: [8, 14, 0, 0],
+    scales: { x: scaleOf(block.x_axis, [], 0), y: scaleOf(block.y_axis, block.limits.map((limit) => limit.value)) },
+    axes: [axisOf(block.x_axis, "x"), axisOf(block.y_axis, "y")],
+    series: [{ label: labelled(block.x_axis), value: (u, v) => said(v) }, ...block.series.map(seriesOf)],
+    cursor: {
+      y: false,
+      drag: { x: false, y: false, setScale: false },
+      dataIdx: (u, index, at) => nearest(u.data[index], at),
+      points: { size: 7 },
+      bind: { mouseleave: () => () => (cursor ? follow(cursor.time) : null), dblclick: () => () => null },
+    },
+    hooks: {
+      ready: [() => cursor && cursor.listen(follow)],
+      draw: [(u) => drawLimits(u, block.limits)],
+      setCursor: [
+        (u) => {
+          if (own || !cursor || u.cursor.left < 0) return;
+          if (!u.root.matches(":hover") || cursor.playing) return;
+          cursor.move(u.posToVal(u.cursor.left, "x"));
+        },
+      ],
+    },
+  };
+  const plot = new uPlot(options, table, place);
+  place.style.minHeight = "";
+  function follow(time) {
+    own = true;
+    const left = plot.valToPos(within(block, time), "x");
+    const inside = left > -1 && left < plot.bbox.width / devicePixelRatio + 1;
+    plot.setCursor({ left: inside ? Math.max(left, 0) : -10, top: 1 });
+    own = false;
+  }
+  if (cursor) {
+    const drag = (event) => {
+      if (event.pointerType === "mouse" && !event.buttons) return;
+      cursor.pause();
+      cursor.move(plot.posToVal(event.clientX - plot.over.getBoundingClientRect().left, "x"));
+    };
+    plot.over.style.touchAction = "pan-y";
+    plot.over.addEventListener("pointerdown", drag);
+    plot.over.addEventListener("pointermove", drag);
+  }
+  theme.listeners.push(() => plot.redraw(false));
+  new ResizeObserver(() => {
+    if (Math.abs(place.clientWidth - plot.width) < 1 || !place.clientWidth) return;
+    plot.setSize({ width: place.clientWidth, height: HEIGHT });
+    if (cursor) follow(cursor.time);
+  }).observe(place);
+}

@@ -1,0 +1,87 @@
+"""The phase plane of a motion of one freedom: its path, full effort from start and into goal, and the speed limits."""
+
+import numpy as np
+
+from linkplan.models.errors import LinkplanError
+from linkplan.planner.plan import Plan
+from linkplan.planner.search.phase_grid import Plane as PhaseGrid
+from linkplan.planner.search.phase_grid import grid_of, plane_of
+from linkplan.studies.report.document import Axis, Curve, Plane
+from linkplan.studies.report.motion import Motion
+from linkplan.studies.report.numbers import kept, rounded, times
+
+_CELLS = 600
+# Limit curves are drawn up to so many times the motion's largest speed: next to singular poses they have no end.
+_SEEN = 2.5
+
+
+def phase_plane(plan: Plan, motion: Motion, group: str, period: float | None) -> Plane | None:
+    """Return the phase plane of a plan; None for several freedoms."""
+    mechanism = plan.problem.mechanism
+    if mechanism.dof != 1:
+        return None
+    joint = mechanism.independent_joints[0]
+    unit = joint.shown(1.0)
+    s, v = motion.position[:, 0], motion.velocity[:, 0]
+    rows = kept(np.column_stack([s, v]))
+    path = Curve(name="planned", x=rounded(unit * s[rows]), y=rounded(unit * v[rows]), colour=None, width=2.2)
+    most = _SEEN * float(np.abs(v).max()) or 1.0
+    limits = [] if not np.all(np.isfinite(plan.problem.limits.effort)) else _limit_curves(plan, motion, most)
+    curves = [
+        Curve(name=name, x=rounded(unit * x), y=rounded(unit * y), look=look, colour=colour)
+        for name, x, y, look, colour in limits
+    ]
+    return Plane(
+        title=f"Phase plane of {joint.name}",
+        x_axis=Axis(label=joint.name, unit=joint.unit),
+        y_axis=Axis(label=f"speed of {joint.name}", unit=f"{joint.unit}/s"),
+        curves=[*curves, path],
+        group=group,
+        track=len(curves),
+        track_times=times(motion.time_s[rows]),
+        period=period,
+    )
+
+
+def _limit_curves(plan: Plan, motion: Motion, most: float) -> list[tuple[str, np.ndarray, np.ndarray, str, int]]:
+    """Return curves: name, positions, speeds (signed), look, colour; none where the grid is not open along the motion."""
+    problem, s = plan.problem, motion.position[:, 0]
+    places = np.array([s[0], s.max(), s.min(), s[-1]])
+    try:
+        gridded = grid_of(problem, places, motion.pose[0], _CELLS)
+    except LinkplanError:
+        return []
+    if gridded is None:
+        return []
+    grid = plane_of(problem, *gridded, problem.limits.effort)
+    found = []
+    if problem.motion.kind == "reach" and abs(s[-1] - s[0]) > 1e-9:
+        way = int(np.sign(s[-1] - s[0]))
+        speeds = motion.velocity[[0, -1], 0]
+        for name, start, v, step, effort, back, colour in (
+            ("full effort from the start", s[0], speeds[0], way, way, False, 2),
+            ("full braking into the goal", s[-1], speeds[1], -way, -way, True, 4),
+        ):
+            index = grid.at(start)
+            leg = grid.leg(index, 0.5 * v**2, step, effort, backwards=back)
+            at = grid.s[index + step * np.arange(len(leg))]
+            found.append((name, at, _cut(way * np.sqrt(2 * leg), most), "dash", colour))
+    return [*found, *_speed_limits(grid, s, most)]
+
+
+def _speed_limits(grid: PhaseGrid, s: np.ndarray, most: float) -> list:
+    """Return the curves of the speeds from which full effort keeps the joints' speed limits, where there are any."""
+    near = (grid.s >= s.min()) & (grid.s <= s.max())
+    found = []
+    for way in (1, -1):
+        top = way * np.sqrt(2 * np.array(grid.top[way]))
+        top = np.where(np.abs(top) <= most, top, np.nan)
+        if np.isfinite(top[near]).any():
+            found.append(("speed limit" if way > 0 else "", grid.s[near], top[near], "dots", 1))
+    return found
+
+
+def _cut(speed: np.ndarray, most: float) -> np.ndarray:
+    """Return speeds up to where they first go beyond what is seen."""
+    beyond = np.flatnonzero(np.abs(speed) > most)
+    return np.where(np.arange(len(speed)) < (beyond[0] if len(beyond) else len(speed)), speed, np.nan)

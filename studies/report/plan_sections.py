@@ -1,0 +1,245 @@
+"""A plan's part of a report: verdict, motion, limits, certificate, the solves that led to it, its problem."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.files.folders import plain_record
+from linkplan.planner.files.toml_text import toml_text
+from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.problem.objective import TERMS
+from linkplan.studies.report.animation import animation, frames_of
+from linkplan.studies.report.certificate_list import certificate_list
+from linkplan.studies.report.columns import columns
+from linkplan.studies.report.document import Block, Code, Facts, Plot, Section, Table, Text
+from linkplan.studies.report.lines import TIME, Line, plots
+from linkplan.studies.report.motion import Motion, motion_of
+from linkplan.studies.report.phase import phase_plane
+
+# Dependent joints are drawn in plots of their own up to so many coordinates in all.
+_SEVERAL = 12
+
+
+def group_of(plan: Plan) -> str:
+    """Return the name of the cursor of a plan's times."""
+    return f"time:{plan.problem.name}"
+
+
+def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True) -> list[Section]:
+    """Return a plan's sections.
+
+    Args:
+        plan: to show, with or without a motion.
+        depth: of the first section's title; the others are below it where it is 1.
+        animated: whether the motion is animated here; not where a comparison animates it.
+    """
+    if plan.trajectory is None or plan.certificate is None:
+        return [
+            Section(
+                title=f"Plan: {plan.problem.name}",
+                blocks=[*_verdict(plan, depth), *_solves(plan), *_problem(plan)],
+                depth=depth,
+            )
+        ]
+    try:
+        motion = motion_of(plan)
+    except AssemblyError as error:
+        lost = Text(text=f"The motion cannot be drawn: {error}", tone="bad")
+        return [
+            Section(title=f"Plan: {plan.problem.name}", blocks=[*_verdict(plan, depth), lost, *_problem(plan)], depth=depth)
+        ]
+    group, period = group_of(plan), plan.trajectory.duration_s if plan.trajectory.periodic else None
+    seen: list[Block] = [_animation(plan, group, period)] if animated else []
+    phase = phase_plane(plan, motion, group, period)
+    below = depth + 1
+    return [
+        Section(title=f"Plan: {plan.problem.name}", blocks=[*_verdict(plan, depth), *seen], depth=depth),
+        Section(title="Motion and effort", blocks=_time_plots(plan, motion, group, period), depth=below),
+        *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=below)]),
+        Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=below),
+        Section(title="Solves and mesh", blocks=[*_solves(plan), _mesh(plan, group, period)], depth=below),
+        Section(title="Problem", blocks=_problem(plan), depth=below),
+    ]
+
+
+def _verdict(plan: Plan, depth: int) -> list[Block]:
+    problem, trajectory, certificate = plan.problem, plan.trajectory, plan.certificate
+    message = plan.message[:1].upper() + plan.message[1:]
+    rows = [("mechanism", _mechanism_said(plan)), ("motion", problem.motion.kind), ("objective", problem.objective.name)]
+    if trajectory is not None:
+        rows.append(("duration", f"{trajectory.duration_s:.8g} s"))
+    if plan.objective is not None:
+        terms = list(problem.objective.weights)
+        unit = f" {TERMS[terms[0]][1]}" if len(terms) == 1 else ""
+        rows.append(("value of the objective", f"{plan.objective:.9g}{unit}"))
+    if certificate is not None:
+        rows += [
+            (f"largest effort of {actuator.name}", f"{peak:.5g} {actuator.unit}, limit {low:g} to {high:g} {actuator.unit}")
+            for actuator, peak, (low, high) in zip(
+                problem.mechanism.actuators[:_SEVERAL], certificate.peak_effort, problem.limits.effort, strict=False
+            )
+        ]
+    notes = [Text(text=text, tone="note") for text in (*problem.notes, *not_honoured(plan))]
+    said = (
+        [] if depth == 1 else [Text(text=message, tone="good" if plan.status == "optimal" else "bad")]
+    )  # the header has it
+    return [*said, Facts(rows=rows), *notes]
+
+
+def _mechanism_said(plan: Plan) -> str:
+    mechanism = plan.problem.mechanism
+    freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
+    payload = "" if mechanism.payload is None else ", with a payload"
+    return f"{mechanism.name}, {freedoms}, {mechanism.n_q} joints{payload}"
+
+
+def _animation(plan: Plan, group: str, period: float | None) -> Block:
+    problem, trajectory = plan.problem, plan.trajectory
+    mechanism = problem.mechanism
+    dense = trajectory.dense_times(10)
+    shown = np.linspace(trajectory.breaks_s[0], trajectory.breaks_s[-1], frames_of(mechanism))
+    shown[-1] = dense[-1]  # a periodic motion's end, not its beginning again
+    every, back = np.unique(np.concatenate([dense, shown]), return_inverse=True)
+    poses = follow(mechanism, trajectory.position_at(every), trajectory.start_pose)[back[len(dense) :]]
+    return animation(
+        mechanism,
+        f"{mechanism.name} along {problem.name}",
+        group,
+        shown,
+        poses,
+        effort=trajectory.effort_at(shown),
+        effort_limit=problem.limits.effort,
+        sites=problem.sites,
+        period=period,
+    )
+
+
+def _time_plots(plan: Plan, motion: Motion, group: str, period: float | None) -> list[Plot]:
+    mechanism, limits, time = plan.problem.mechanism, plan.problem.limits, motion.time_s
+    independent, dependent = list(mechanism.independent), list(mechanism.dependent)
+    reference = plan.problem.reference
+
+    def joints(which: Sequence[int], values: np.ndarray, bounds: np.ndarray, per: str) -> list[Line]:
+        return [
+            Line(
+                name=(joint := mechanism.joints[k]).name,
+                values=joint.shown(1.0) * values[:, k],
+                unit=f"{joint.unit}{per}",
+                limits=(joint.shown(float(bounds[k, 0])), joint.shown(float(bounds[k, 1]))),
+            )
+            for k in which
+        ]
+
+    def over_time(title: str, what: str, lines: Sequence[Line]) -> list[Plot]:
+        return plots(title, what, TIME, time, lines, group=group, period=period)
+
+    positions = joints(independent, motion.pose, limits.position, "")
+    if reference is not None:
+        wanted = reference.derivative(time)
+        positions += [
+            Line(
+                name=f"{joint.name}, reference",
+                values=joint.shown(1.0) * wanted[:, k],
+                unit=joint.unit,
+                look="dash",
+                colour=None,
+            )
+            for k, joint in enumerate(mechanism.independent_joints)
+        ]
+    efforts = [
+        Line(name=actuator.name, values=motion.effort[:, j], unit=actuator.unit, limits=tuple(limits.effort[j]))
+        for j, actuator in enumerate(mechanism.actuators)
+    ]
+    powers = [
+        Line(name=actuator.name, values=motion.power[:, j], unit="W", limits=tuple(limits.power[j]))
+        for j, actuator in enumerate(mechanism.actuators)
+    ]
+    forces = [
+        Line(
+            name=name,
+            values=motion.closure_force[:, c],
+            unit="N",
+            limits=(-np.inf, float(limits.closure_force[c])) if len(limits.closure_force) else (-np.inf, np.inf),
+        )
+        for c, name in enumerate(mechanism.closure_names)
+    ]
+    return [
+        *over_time("Position of the independent joints", "position", positions),
+        *over_time("Position of the dependent joints", "position", joints(dependent, motion.pose, limits.position, "")),
+        *over_time("Speed of the independent joints", "speed", joints(independent, motion.rates, limits.speed, "/s")),
+        *over_time("Speed of the dependent joints", "speed", joints(dependent, motion.rates, limits.speed, "/s")),
+        *over_time("Effort of the actuators", "effort", efforts),
+        *over_time("Mechanical power of the actuators", "power", powers),
+        *over_time("Force of the closures", "closure force", forces),
+    ]
+
+
+def _passed(plan: Plan) -> Block:
+    certificate = plan.certificate
+    if certificate.passed:
+        return Text(text="The certificate passes.", tone="good")
+    return Text(text=f"The certificate does NOT pass: {'; '.join(certificate.failures)}.", tone="bad")
+
+
+def _solves(plan: Plan) -> list[Block]:
+    if not plan.history:
+        return [
+            Text(text="No solves are known: the motion was worked out without any, or not saved with them.", tone="note")
+        ]
+    heads = columns("what was tried", "scheme", "intervals", "segments", "solved", "solver's answer", "objective [SI]")
+    heads += columns("integration error [deg]", "time to build [s]", "time to solve [s]")
+    rows = [
+        [
+            step.what,
+            step.scheme,
+            step.intervals,
+            step.segments,
+            step.converged,
+            step.solver_status,
+            _number(step.objective, 9),
+            _number(step.integration_error_deg, 3),
+            _number(step.build_s, 3),
+            _number(step.solve_s, 3),
+        ]
+        for step in plan.history
+    ]
+    return [Table(title="Attempts in their order, each with its mesh", columns=heads, rows=rows)]
+
+
+def _number(value: float | None, digits: int) -> float | None:
+    return float(f"{value:.{digits}g}") if value is not None and np.isfinite(value) else None
+
+
+def _mesh(plan: Plan, group: str, period: float | None) -> Plot:
+    """Return the final mesh as the widths of its intervals over time."""
+    breaks = plan.trajectory.breaks_s
+    width = np.diff(breaks)
+    hair = 1e-6 * width
+    x = np.column_stack([breaks[:-1] + hair, breaks[1:] - hair]).ravel()
+    (found,) = plots(
+        f"Final mesh: {plan.scheme}, {plan.intervals} intervals",
+        "width of the interval",
+        TIME,
+        x,
+        [Line(name="width", values=np.repeat(width, 2), unit="s")],
+        group=group,
+        period=period,
+    )
+    return found
+
+
+def _problem(plan: Plan) -> list[Block]:
+    try:
+        text = toml_text(_without_none(plain_record(plan.problem.source)))
+    except ProblemError as error:
+        return [Text(text=f"The problem has no form as a file: {error}", tone="note")]
+    return [Code(title="The problem as a file", text=text)]
+
+
+def _without_none(value: object) -> object:
+    """Return tables without what has no value: infinite limits, say."""
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item is not None}
+    return value

@@ -1,0 +1,128 @@
+"""The report of a folder that linkplan wrote: its own document, a plan made anew, or what its record says."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from pathlib import Path
+
+from linkplan.models.errors import PlanFileError
+from linkplan.models.reading import read_file
+from linkplan.planner.files.folders import RECORDS
+from linkplan.planner.files.plan_folder import MOST_JSON_BYTES, read_plan, unchecked
+from linkplan.planner.plan import Plan
+from linkplan.planner.refinement.history import Step
+from linkplan.studies.report.document import Block, Facts, Report, Section, Table, Text
+from linkplan.studies.report.reports import plan_report, report_of
+from linkplan.studies.report.saving import DOCUMENT, read_document
+
+# Rows of a record's table that are shown, and letters of a fact.
+_ROWS, _LETTERS = 500, 300
+
+
+def folder_report(folder: Path) -> Report | Mapping:
+    """Return the report of a saved folder: of a plan, a check, a comparison, a feedback loop, gains, a batch, the demo.
+
+    Raises:
+        PlanFileError: when it is none, or damaged.
+    """
+    if not folder.is_dir():
+        raise PlanFileError(f"'{folder}' is no folder; a report is made of a folder that linkplan wrote")
+    if (folder / DOCUMENT).is_file():
+        return read_document(folder / DOCUMENT)
+    if (folder / "plan.json").is_file():
+        return plan_report(saved_plan(folder))
+    record = next((name for name in RECORDS if (folder / name).is_file()), None)
+    if record is None:
+        raise PlanFileError(f"'{folder}' holds no result of linkplan's: none of {', '.join(RECORDS)} is in it")
+    return _record_report(folder / record)
+
+
+def saved_plan(folder: Path) -> Plan:
+    """Return a saved plan, certified anew whether it passes or not, with the solves that led to it.
+
+    Raises:
+        PlanFileError: when the folder is damaged, or its model has changed.
+    """
+    plan, note = read_plan(folder, anyway=True), unchecked(folder)
+    said = _read(folder / "plan.json")
+    problem = plan.problem if note is None else replace(plan.problem, notes=(*plan.problem.notes, note))
+    return replace(plan, problem=problem, history=_history(said.get("history")))
+
+
+def _history(rows: object) -> tuple[Step, ...]:
+    """Return the steps that a record lists, none where it is not a list of such."""
+    names = {field.name for field in fields(Step)}
+    if not isinstance(rows, list) or not all(isinstance(row, dict) and set(row) <= names for row in rows):
+        return ()
+    try:
+        return tuple(Step(**{**row, "objective": _float(row["objective"])}) for row in rows)
+    except (TypeError, KeyError, ValueError):
+        return ()
+
+
+def _float(value: object) -> float:
+    return float("nan") if value is None else float(value)
+
+
+def _read(path: Path) -> dict:
+    try:
+        said = json.loads(read_file(path, f"'{path}'", MOST_JSON_BYTES, PlanFileError).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise PlanFileError(f"'{path}' cannot be read: {str(error)[:80]}") from error
+    if not isinstance(said, dict):
+        raise PlanFileError(f"'{path}' is no record")
+    return said
+
+
+def _record_report(path: Path) -> Report:
+    """Return what a record's figures say, of a folder without a document: written by an earlier version, or a batch's."""
+    said = _read(path)
+    lacks = Text(
+        text=f"This folder has no {DOCUMENT}: shown are the figures of {path.name}; animation and curves need the command"
+        " to be run again.",
+        tone="note",
+    )
+    name = str(said.get("mechanism") or said.get("model") or path.parent.name)
+    blocks = [lacks, *_blocks(said)]
+    verdict = said.get("message") if isinstance(said.get("message"), str) else f"figures of {path.name}"
+    sections = [Section(title=f"{path.stem} of {name}", blocks=blocks)]
+    return report_of(f"{path.stem[:1].upper()}{path.stem[1:]} of {name}", verdict, None, sections)
+
+
+def _blocks(said: Mapping) -> list[Block]:
+    """Return a record as facts and tables: numbers and words are facts, what has several of a kind is a table."""
+    facts, tables = [], []
+    for key, value in said.items():
+        if isinstance(value, dict) and value and all(isinstance(row, dict) for row in value.values()):
+            value = [{"name": name, **row} for name, row in value.items()]
+        if isinstance(value, list) and value and all(isinstance(row, dict) for row in value):
+            tables.append(_table(str(key), value))
+        elif isinstance(value, dict):
+            facts += [(f"{key}, {name}", _said(item)) for name, item in value.items() if _is_plain(item)]
+        elif _is_plain(value):
+            facts.append((str(key), _said(value)))
+    return [Facts(rows=facts), *tables]
+
+
+def _table(title: str, rows: list[dict]) -> Table:
+    heads = list(dict.fromkeys(name for row in rows for name, value in row.items() if _is_plain(value)))
+    cells = [[row.get(head) if _is_cell(row.get(head)) else _said(row.get(head)) for head in heads] for row in rows[:_ROWS]]
+    return Table(title=title, columns=[(str(head), "") for head in heads], rows=cells)
+
+
+def _is_cell(value: object) -> bool:
+    return value is None or isinstance(value, bool | int | float | str)
+
+
+def _is_plain(value: object) -> bool:
+    return _is_cell(value) or (isinstance(value, list) and all(_is_cell(item) for item in value))
+
+
+def _said(value: object) -> str:
+    if isinstance(value, list):
+        text = ", ".join(_said(item) for item in value)
+    elif isinstance(value, float):
+        text = f"{value:.6g}"
+    else:
+        text = "none" if value is None else str(value)
+    return text if len(text) <= _LETTERS else f"{text[:_LETTERS]} ..."

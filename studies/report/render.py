@@ -1,0 +1,93 @@
+"""The HTML file of a report: template, style and program of `page/`, uPlot and the document, all in one file.
+
+Nothing is fetched: the page's content security policy admits its own scripts, by their hashes, and no address.
+"""
+
+import base64
+import hashlib
+import html
+import json
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from importlib import resources
+from pathlib import Path
+
+from linkplan.models.errors import PlanFileError
+from linkplan.studies.report.document import Report
+
+# In the order in which they build on one another.
+_PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "animation", "player", "blocks", "main")
+# By these words an earlier report is known, which a new one may replace.
+_OURS = '<meta name="generator" content="linkplan">'
+_HEAD = 1000
+
+
+def as_record(value: object) -> object:
+    """Return a document as JSON's own types: a table for every block, its kind among its keys."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: as_record(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): as_record(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [as_record(item) for item in value]
+    return value
+
+
+def report_html(report: Report | Mapping) -> str:
+    """Return the HTML of a report, or of its record as it was saved.
+
+    What the document says stands in it as JSON whose "<" are escaped, so that no name ends a script, and is shown as text.
+    """
+    record = as_record(report)
+    said = json.dumps(record, allow_nan=False, separators=(",", ":"), ensure_ascii=False)
+    program = '"use strict";\n' + "\n".join(_resource(f"{name}.js") for name in _PROGRAM)
+    uplot = _resource("uplot.min.js")
+    scripts = {"uplot": uplot, "program": program}
+    allowed = " ".join(f"'sha256-{_hash(f'{chr(10)}{text}{chr(10)}')}'" for text in scripts.values())
+    parts = {
+        "allowed": allowed,
+        "title": html.escape(str(record["title"])),
+        "style": f"{_resource('uplot.min.css')}\n{_resource('style.css')}",
+        "document": said.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029"),
+        **scripts,
+    }
+    page = _resource("template.html")
+    pieces = page.split("{{")
+    return pieces[0] + "".join(parts[name] + rest for name, rest in (piece.split("}}", 1) for piece in pieces[1:]))
+
+
+def _resource(name: str) -> str:
+    return resources.files("linkplan.studies.report").joinpath("page").joinpath(name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
+
+
+def write_report(report: Report | Mapping, path: Path) -> None:
+    """Write a report's HTML file; an earlier report in its place is replaced, and nothing else.
+
+    Raises:
+        PlanFileError: when something else stands there.
+        OSError: when the disk refuses.
+    """
+    refuse_other_files(path)
+    path.write_text(report_html(report), encoding="utf-8", errors="replace")
+
+
+def refuse_other_files(path: Path) -> None:
+    """Refuse a place that holds something that is no report.
+
+    Raises:
+        PlanFileError: naming it.
+    """
+    if path.is_dir():
+        raise PlanFileError(f"a report is one HTML file, and '{path}' is a folder; name a file in it")
+    if not path.exists():
+        return
+    try:
+        begin = path.read_text(encoding="utf-8")[:_HEAD] if path.is_file() else ""
+    except (OSError, ValueError):
+        begin = ""
+    if _OURS not in begin:
+        raise PlanFileError(f"'{path}' is no report of linkplan's, and is not replaced; name another file")

@@ -1,0 +1,71 @@
+"""Whole reports: of a plan, a comparison, a feedback loop, gains, a check."""
+
+from collections.abc import Sequence
+
+from linkplan.planner.files.plan_folder import versions
+from linkplan.planner.plan import Plan
+from linkplan.studies.bode.along_motion import AlongMotion
+from linkplan.studies.bode.bode import BodeStudy
+from linkplan.studies.bode.large_study import LargeStudy
+from linkplan.studies.bode.map_study import MapStudy
+from linkplan.studies.check.refused_model import RefusedModel
+from linkplan.studies.check.whole_check import WholeCheck
+from linkplan.studies.compare.compare import Comparison
+from linkplan.studies.report.bode_sections import bode_sections
+from linkplan.studies.report.check_sections import check_sections, refused_section
+from linkplan.studies.report.document import Report, Section
+from linkplan.studies.report.loop_sections import along_section, large_section, map_section, tune_sections
+from linkplan.studies.report.plan_sections import plan_sections
+from linkplan.studies.report.tracking_sections import whole_comparison
+from linkplan.studies.tune.tune import Tuning
+
+Extra = MapStudy | LargeStudy | AlongMotion
+
+
+def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[Section]) -> Report:
+    """Return a report by this linkplan."""
+    verdict = verdict[:1].upper() + verdict[1:]
+    return Report(title=title, verdict=verdict, passed=passed, versions=versions(), sections=list(sections))
+
+
+def plan_report(plan: Plan) -> Report:
+    """Return the report of a plan."""
+    return report_of(f"Plan {plan.problem.name}", plan.message, plan.status == "optimal", plan_sections(plan))
+
+
+def comparison_report(comparison: Comparison, document: Section | None = None) -> Report:
+    """Return the report of trackers' runs on a plan; `document` is the section of the source document's experiment."""
+    stable = [name for name, run in comparison.nominal.items() if run.stable]
+    lost = [name for name in comparison.nominal if name not in stable]
+    verdict = f"{comparison.title}: {', '.join(stable) or 'no tracker'} stable"
+    verdict += f", {', '.join(lost)} NOT" if lost else ""
+    sections = [*whole_comparison(comparison), *([] if document is None else [document])]
+    return report_of(f"Trackers on {comparison.plan.problem.name}", verdict, bool(stable), sections)
+
+
+def bode_report(study: BodeStudy, extras: Sequence[Extra] = (), note: str | None = None) -> Report:
+    """Return the report of a feedback loop, and of the stability map, large signals and motion looked at beside it."""
+    sections = [*bode_sections(study, f"{study.mechanism.name}, {study.law}"), *(extra_section(extra) for extra in extras)]
+    verdict = study.message if note is None else f"{study.message}; {note}"
+    return report_of(f"Feedback loop of {study.mechanism.name}", verdict, study.stable, sections)
+
+
+def extra_section(extra: Extra) -> Section:
+    """Return the section of what is asked beside the margins."""
+    if isinstance(extra, MapStudy):
+        return map_section(extra)
+    return large_section(extra) if isinstance(extra, LargeStudy) else along_section(extra)
+
+
+def tune_report(found: Tuning, note: str | None = None) -> Report:
+    """Return the report of gains for requirements."""
+    verdict = found.message if note is None else f"{found.message}; {note}"
+    return report_of(f"Gains for {found.mechanism.name}", verdict, found.found, tune_sections(found))
+
+
+def check_report(found: WholeCheck | RefusedModel) -> Report:
+    """Return the report of a check."""
+    n = len(found.problems)
+    verdict = f"{n} problem{'s' if n != 1 else ''} found" if n else "no problems found"
+    sections = [refused_section(found)] if isinstance(found, RefusedModel) else check_sections(found)
+    return report_of(f"Check of {found.name}", verdict, not n, sections)

@@ -1,0 +1,234 @@
+"""A comparison's part of a report: the motion with its ghosts, trackers side by side, their errors and efforts over time."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from linkplan.controllers.rollout import Rollout
+from linkplan.models.mechanism import Mechanism
+from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record, tracking_reference
+from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS
+from linkplan.studies.report.animation import animation, frames_of
+from linkplan.studies.report.columns import columns
+from linkplan.studies.report.document import Block, Plot, Section, Table, Text
+from linkplan.studies.report.lines import TIME, Line, plots
+from linkplan.studies.report.plan_sections import group_of, plan_sections
+
+# Joints, and actuators, whose lines are drawn: of more, those with the largest errors and efforts.
+_DRAWN = 6
+# An error below this is drawn as this: the simulator's rounding [deg or m].
+_LEAST_ERROR = 1e-7
+# Widths of the first tracker's lines and of the last one's [px].
+_WIDEST, _THINNEST = 3.4, 1.2
+
+
+def comparison_sections(comparison: Comparison, *, depth: int = 1) -> list[Section]:
+    """Return the sections of trackers' runs on a plan, the plan's own after them."""
+    plan, below = comparison.plan, depth + 1
+    cases = [(comparison.title, comparison.nominal)]
+    if comparison.mismatch is not None:
+        cases.append((comparison.mismatch.name, comparison.mismatched))
+    notes = [Text(text=note, tone="note") for note in comparison_notes(comparison)]
+    tables = [_table(comparison, title, runs) for title, runs in cases]
+    first = Section(
+        title=f"Tracking: {plan.problem.name}", blocks=[_animation(comparison, cases), *tables, *notes], depth=depth
+    )
+    over_time = [
+        Section(title=f"Over time: {title}", blocks=_over_time(comparison, runs), depth=below) for title, runs in cases
+    ]
+    return [first, *over_time]
+
+
+def whole_comparison(comparison: Comparison) -> list[Section]:
+    """Return the sections of a comparison and those of its plan."""
+    return [*comparison_sections(comparison), *plan_sections(comparison.plan, animated=False)]
+
+
+def _table(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> Table:
+    plan, conditions = comparison.plan, next(iter(runs.values())).conditions
+    units = list(dict.fromkeys(joint.unit for joint in plan.problem.mechanism.independent_joints))
+    actuators = plan.problem.mechanism.actuators
+    heads = [
+        ("tracker", ""),
+        *((f"{which} error", unit) for unit in units for which in ("rms", "largest", "final")),
+        *((f"peak of {actuator.name}", actuator.unit) for actuator in actuators),
+        ("saturated", "%"),
+        ("closure gap", "um"),
+        ("contacts", ""),
+        ("stable", ""),
+    ]
+    rows = []
+    for name, run in runs.items():
+        said = rollout_record(plan, run)
+        errors = [said.get(f"{which}_error_{unit}") for unit in units for which in ("rms", "max", "final")]
+        gap = 1e6 * said["loop_gap_max_m"]
+        numbers = [*errors, *said["peak_effort"].values(), 100 * said["saturated_fraction"], gap]
+        rows.append([name, *(_known(x) for x in numbers), said["contacts"], said["stable"]])
+    how = (
+        f"MuJoCo {conditions['mujoco']}, {conditions.get('integrator', '')}, step {conditions['timestep_s']:g} s,"
+        f" control period {conditions['control_period_s']:g} s, delay {conditions['delay_periods']} period(s)"
+    )
+    return Table(title=f"{title[:1].upper()}{title[1:]}: {how}", columns=heads, rows=rows)
+
+
+def _known(value: float | None) -> float | None:
+    return float(f"{value:.5g}") if value is not None and np.isfinite(value) else None
+
+
+def _animation(comparison: Comparison, cases) -> Block:
+    """Return the planned motion over the time that was tracked, every run a ghost."""
+    plan = comparison.plan
+    mechanism, reference = plan.problem.mechanism, tracking_reference(plan)
+    n_runs = sum(len(runs) for _, runs in cases)
+    frames = np.unique(np.linspace(0, reference.n - 1, frames_of(mechanism, 1 + n_runs)).astype(int))
+    ghosts = {}
+    for k, (_, runs) in enumerate(cases):
+        for name, run in runs.items():
+            ghosts[name if k == 0 else f"{name}, with the mismatch"] = _poses(run, frames)
+    return animation(
+        mechanism,
+        f"{mechanism.name} along {plan.problem.name}, planned and as tracked",
+        group_of(plan),
+        reference.time_s[frames],
+        reference.pose[frames],
+        effort=reference.effort[frames],
+        effort_limit=np.array(plan.problem.limits.effort),
+        ghosts=ghosts,
+        sites=plan.problem.sites,
+    )
+
+
+def _poses(run: Rollout, frames: np.ndarray) -> np.ndarray:
+    """Return a run's poses at control instants; one that blew up stays where it was last seen."""
+    seen = np.flatnonzero(np.isfinite(run.pose).all(axis=1))
+    last = int(seen[-1]) if len(seen) else 0
+    return np.nan_to_num(run.pose[np.minimum(frames, last)])
+
+
+def _over_time(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Block]:
+    mechanism, group = comparison.plan.problem.mechanism, group_of(comparison.plan)
+    longest = max(runs.values(), key=lambda run: len(run.time_s))
+    time, found = longest.time_s, []
+
+    def add(title: str, what: str, unit: str, column, *, log: bool = False, extra: list[Line] | None = None, **options):
+        lines = [
+            Line(
+                name=name,
+                values=_padded(column(run), len(time)),
+                unit=unit,
+                colour=_colour(runs, name),
+                look="line",
+                width=_width(runs, name),
+                **options,
+            )
+            for name, run in runs.items()
+        ]
+        found.extend(plots(title, what, TIME, time, [*lines, *(extra or [])], group=group, log=log))
+
+    joints = mechanism.independent_joints
+    chosen = _largest(np.max([np.abs(run.error).max(axis=0) for run in runs.values()], axis=0))
+    for k in chosen:
+        joint, factor = joints[k], joints[k].shown(1.0)
+        desired = Line(name="desired", values=factor * longest.reference[:, k], unit=joint.unit, look="dash", colour=None)
+        add(
+            f"{joint.name}, desired and tracked",
+            "position",
+            joint.unit,
+            lambda run, k=k, f=factor: f * run.position[:, k],
+            extra=[desired],
+        )
+        add(
+            f"Size of the error of {joint.name}",
+            "error",
+            joint.unit,
+            lambda run, k=k, f=factor: np.maximum(np.abs(f * run.error[:, k]), _LEAST_ERROR),
+            log=True,
+        )
+    pushed = _largest(np.max([np.abs(run.applied).max(axis=0) for run in runs.values()], axis=0))
+    for j in pushed:
+        actuator = mechanism.actuators[j]
+        limits = tuple(float(x) for x in longest.effort_limit[j])
+        add(f"Effort of {actuator.name}", "effort", actuator.unit, lambda run, j=j: run.applied[:, j], limits=limits)
+    if mechanism.closures:
+        add("Gap of the kinematic loops", "gap", "um", lambda run: 1e6 * run.gap_m)
+    return [*_left_out(mechanism, len(chosen), len(pushed)), *found]
+
+
+def _left_out(mechanism: Mechanism, n_joints: int, n_actuators: int) -> list[Text]:
+    if n_joints == mechanism.dof and n_actuators == mechanism.n_u:
+        return []
+    said = (
+        f"Drawn are the {n_joints} of {mechanism.dof} joints with the largest errors and the {n_actuators} of"
+        f" {mechanism.n_u} actuators with the largest efforts; the folder of the comparison has all of them."
+    )
+    return [Text(text=said, tone="note")]
+
+
+def _largest(sizes: np.ndarray) -> list[int]:
+    """Return the indices of the largest, in their own order."""
+    return sorted(np.argsort(np.nan_to_num(sizes, nan=np.inf))[::-1][:_DRAWN].tolist())
+
+
+def _padded(values: np.ndarray, n: int) -> np.ndarray:
+    """Return values (m,) as (n,), not a number where a run had ended."""
+    return np.concatenate([values, np.full(n - len(values), np.nan)])
+
+
+def _colour(runs: Mapping[str, Rollout], name: str) -> int:
+    """Return a tracker's colour, the same as in the figures."""
+    own = {tracker: SERIES.index(colour) for tracker, colour in TRACKER_COLOURS.items()}
+    others = [other for other in runs if other not in own]
+    left = [k for k in range(len(SERIES)) if k not in own.values()]
+    return own[name] if name in own else left[others.index(name) % len(left)]
+
+
+def _width(runs: Mapping[str, Rollout], name: str) -> float:
+    """Return a line's width: the later ones are thinner, and leave to be seen what they lie upon."""
+    place = list(runs).index(name) / max(1, len(runs) - 1)
+    return round(_WIDEST + place * (_THINNEST - _WIDEST), 2)
+
+
+def document_section(runs: Mapping[tuple[str, float], Rollout], rows: list[dict], kp: float, *, depth: int = 1) -> Section:
+    """Return the section of the source document's experiment.
+
+    Args:
+        runs: by (model, KD).
+        rows: their figures, of `document_record`.
+        kp: the gain that all have.
+        depth: of the section's title.
+    """
+    heads = columns("model", "KP [N.m/rad]", "KD [N.m.s/rad]", "rms error [deg]", "closure gap, mean [um]")
+    heads += columns("closure gap, largest [um]", "contacts", "at the limit [%]", "stable")
+    table = Table(
+        title="The source document's experiment, as printed and on the mended model",
+        columns=heads,
+        rows=[
+            [
+                row["model"],
+                row["kp"],
+                row["kd"],
+                _known(row["rms_error_deg"]),
+                _known(1e6 * row["steady_gap_mean_m"]),
+                _known(1e6 * row["steady_gap_max_m"]),
+                row["contacts"],
+                _known(100 * row["at_limit_fraction"]),
+                row["stable"],
+            ]
+            for row in rows
+        ],
+    )
+    return Section(
+        title="The source document, as printed and mended", blocks=[table, *_document_plots(runs, kp)], depth=depth
+    )
+
+
+def _document_plots(runs: Mapping[tuple[str, float], Rollout], kp: float) -> list[Plot]:
+    found = []
+    for (model, kd), run in runs.items():
+        lines = [
+            Line(name="actual", values=np.degrees(run.position[:, 0]), unit="deg", look="line", colour=1),
+            Line(name="desired", values=np.degrees(run.reference[:, 0]), unit="deg", look="dash", colour=0),
+        ]
+        title = f"{model}: KP = {kp:g} N.m/rad, KD = {kd:g} N.m.s/rad"
+        found += plots(title, "joint O", TIME, run.time_s, lines, group="time:document")
+    return found

@@ -1,0 +1,202 @@
+"""A report in a browser: one cursor for all that moves, from disk, with the network off, whatever names it holds."""
+
+import pytest
+
+from linkplan.studies.compare.compare import compare
+from linkplan.studies.report.document import Checklist
+from linkplan.studies.report.render import write_report
+from linkplan.studies.report.reports import comparison_report, plan_report
+from tests.support.bodies import QUARTER_TURN, body_plan
+from tests.support.browser import Opened, chromium
+from tests.support.mechanisms import replaced
+from tests.support.plans import optimal
+from tests.support.reports import blocks
+
+pytestmark = pytest.mark.slow
+HOSTILE = "</script><img src=x onerror='window.hurt=1'>"
+ESCAPED = HOSTILE.replace("<", "&lt;").replace(">", "&gt;")
+MODEL = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint name="J" type="hinge" axis="0 1 0"/>
+<inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
+<actuator><motor name="m" joint="J" ctrlrange="-5 5"/></actuator></mujoco>"""
+# An instant is shown to so many seconds: rounding, and a sample's width of the plots.
+INSTANT = 2e-3
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """Return the page of a comparison on the knee's reach."""
+    place = tmp_path_factory.mktemp("page") / "report.html"
+    write_report(comparison_report(compare(optimal("knee-reach"), None)), place)
+    return place
+
+
+def times(opened) -> list[float]:
+    """Return the instants that the legends of all plots over time show."""
+    heads = [
+        head for head in opened.page.locator(".u-legend .u-series:first-child").all() if "time [s]" in head.inner_text()
+    ]
+    return [float(head.locator(".u-value").inner_text()) for head in heads]
+
+
+def cursor(opened) -> float:
+    return opened.ask("Cursor.active.time")
+
+
+def picture(opened) -> str:
+    return opened.ask("document.querySelector('canvas.stage').toDataURL()")
+
+
+def test_it_opens_from_disk_without_the_network_and_without_a_word(browser, path):
+    opened = Opened(browser, path)
+    opened.build()
+    assert opened.page.locator(".uplot").count() > 10
+    assert opened.asked == [path.as_uri()]
+    assert opened.errors == []
+
+
+def test_pointing_at_one_plot_moves_all_and_the_mechanism(browser, path):
+    opened = Opened(browser, path)
+    opened.build()
+    before, drawn = times(opened), picture(opened)
+    assert len(before) > 8
+    assert set(before) == {0.0}
+    plot = opened.page.locator(".uplot .u-over").first
+    plot.scroll_into_view_if_needed()
+    box = plot.bounding_box()
+    opened.page.mouse.move(box["x"] + 0.25 * box["width"], box["y"] + 0.5 * box["height"])
+    opened.settle()
+    assert cursor(opened) == pytest.approx(0.04, abs=INSTANT)
+    assert times(opened) == pytest.approx([0.04] * len(before), abs=INSTANT)
+    assert picture(opened) != drawn
+    opened.page.mouse.move(2, 2)
+    opened.settle()
+    assert times(opened) == pytest.approx([0.04] * len(before), abs=INSTANT)  # it stays there
+
+
+def test_the_bar_moves_the_plots(browser, path):
+    opened = Opened(browser, path)
+    opened.build()
+    opened.page.locator("input[type=range]").first.fill("500")
+    opened.settle()
+    assert times(opened) == pytest.approx([0.08] * len(times(opened)), abs=INSTANT)
+
+
+def test_it_plays_and_pauses_by_button_and_by_key(browser, path):
+    opened = Opened(browser, path)
+    opened.build()
+    drawn = picture(opened)
+    opened.page.locator("button.play").first.click()
+    looked = "(look) => Cursor.active.time > 0.005 ? done() : requestAnimationFrame(() => look(look))"
+    opened.ask(f"new Promise((done) => {{ const look = {looked}; look(look); }})")
+    assert picture(opened) != drawn
+    opened.page.locator("h1").click()
+    opened.page.keyboard.press(" ")
+    opened.settle()
+    at = cursor(opened)
+    opened.settle()
+    assert cursor(opened) == at
+    opened.page.keyboard.press("ArrowRight")
+    opened.settle()
+    assert at < cursor(opened) < at + 0.01
+
+
+def test_a_line_of_the_checklist_moves_the_cursor_to_its_instant(browser, path):
+    (checklist,) = blocks(plan_report(optimal("knee-reach")), Checklist)
+    item = next(item for item in checklist.items if item.instant_s and 0.03 < item.instant_s < 0.15)
+    opened = Opened(browser, path)
+    opened.build()
+    opened.page.get_by_role("row").filter(has_text=item.label).first.click()
+    opened.settle()
+    assert cursor(opened) == pytest.approx(item.instant_s)
+    assert times(opened) == pytest.approx([item.instant_s] * len(times(opened)), abs=INSTANT)
+
+
+def test_the_ghost_is_drawn_and_can_be_left_out(browser, path):
+    opened = Opened(browser, path)
+    opened.build()
+    opened.ask("Cursor.active.move(0.08)")
+    opened.settle()
+    drawn = picture(opened)
+    opened.page.locator("select[aria-label=ghost]").select_option("")
+    assert picture(opened) != drawn
+
+
+def test_names_are_written_on_demand(browser, path):
+    opened = Opened(browser, path)
+    opened.build()
+    drawn = picture(opened)
+    opened.page.locator(".controls input[type=checkbox]").first.check()
+    assert picture(opened) != drawn
+
+
+@pytest.mark.parametrize("width", [400, 700, 1400])
+def test_nothing_is_wider_than_the_window(browser, path, width):
+    opened = Opened(browser, path, width=width)
+    opened.build()
+    assert opened.ask("document.documentElement.scrollWidth - innerWidth") <= 0
+    wide = opened.ask("[...document.querySelectorAll('.uplot, canvas.stage')].map((x) => x.getBoundingClientRect().right)")
+    assert max(wide) <= width
+
+
+def test_the_switch_and_the_system_choose_light_or_dark(browser, path):
+    opened = Opened(browser, path, scheme="dark")
+    colour = "getComputedStyle(document.body).backgroundColor"
+    dark = opened.ask(colour)
+    opened.page.locator("button.theme").click()
+    assert opened.ask(colour) == "rgb(255, 255, 255)" != dark
+
+
+def test_what_is_printed_is_whole_and_without_controls(browser, path):
+    opened = Opened(browser, path)
+    assert opened.page.locator(".uplot").count() < 8  # those far below are not built yet
+    opened.ask("dispatchEvent(new Event('beforeprint'))")
+    opened.page.emulate_media(media="print")
+    opened.settle()
+    assert opened.page.locator(".uplot").count() > 10
+    assert not opened.page.locator("nav").is_visible()
+    assert not opened.page.locator(".controls").first.is_visible()
+    assert opened.errors == []
+
+
+def test_hostile_names_are_names(browser, tmp_path):
+    model = replaced(replaced(MODEL, 'name="J"', f'name="{ESCAPED}"'), 'joint="J"', f'joint="{ESCAPED}"')
+    model = replaced(replaced(model, 'name="m"', f'name="m{ESCAPED}"'), 'name="arm"', f'name="{ESCAPED}"')
+    key = '"' + HOSTILE + '"'
+    plan = body_plan(model, QUARTER_TURN.replace("J =", f"{key} =") + "duration_s = 1.5\n")
+    assert plan.status == "optimal", plan.message
+    write_report(plan_report(plan), tmp_path / "hostile.html")
+    opened = Opened(browser, tmp_path / "hostile.html")
+    opened.build()
+    opened.page.locator(".controls input[type=checkbox]").first.check()
+    assert opened.ask("window.hurt") is None
+    assert opened.page.locator("img").count() == 0
+    assert opened.page.get_by_text(HOSTILE).count() > 3
+    assert opened.errors == []
+
+
+def test_a_page_in_space_turns_by_dragging(browser, tmp_path):
+    model = """<mujoco><worldbody><body name="upper"><joint name="a" axis="0 0 1"/>
+    <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/><body name="lower" pos="0.3 0 0"><joint name="b" axis="0 1 0"/>
+    <geom type="capsule" fromto="0 0 0 0.2 0 0.1"
+    size="0.02"/></body></body></worldbody><option gravity="0 0 0"/><actuator><motor name="ma" joint="a" ctrlrange="-9 9"/>
+    <motor name="mb" joint="b" ctrlrange="-9 9"/></actuator></mujoco>"""
+    motion = 'kind = "reach"\nstart_deg = { a = 0.0, b = 0.0 }\ngoal_deg = { a = 90.0, b = 60.0 }\nduration_s = 1.0\n'
+    plan = body_plan(model, motion)
+    assert plan.status == "optimal", plan.message
+    write_report(plan_report(plan), tmp_path / "space.html")
+    opened = Opened(browser, tmp_path / "space.html")
+    opened.build()
+    drawn = picture(opened)
+    box = opened.page.locator("canvas.stage").bounding_box()
+    opened.page.mouse.move(box["x"] + 100, box["y"] + 100)
+    opened.page.mouse.down()
+    opened.page.mouse.move(box["x"] + 180, box["y"] + 120, steps=4)
+    opened.page.mouse.up()
+    assert picture(opened) != drawn
+    assert opened.errors == []
