@@ -1,10 +1,12 @@
 """A user's own tracker beside the built-in ones: what it may be, and a check of what it gives at every instant."""
 
+import functools
 import importlib
 import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -40,22 +42,21 @@ def tracker_named(text: str) -> Asked:
         installed = entry_points(group=ENTRY_POINTS)
         if text not in installed.names:
             return choose("tracker", text, (*TRACKERS, *sorted(installed.names)), ProblemError)
-        load: Callable = installed[text].load
-    else:
-        module, _, name = text.partition(":")
+        return _loaded(text, installed[text].load)
+    return _loaded(text, lambda: _object_of(*text.split(":", 1)))
 
-        def load():
-            if os.getcwd() not in sys.path:
-                sys.path.insert(0, os.getcwd())
-            found = importlib.import_module(module)
-            for part in name.split("."):
-                found = getattr(found, part)
-            return found
 
+def _loaded(text: str, load: Callable[[], Any]) -> Asked:
     try:
         return load()
     except Exception as error:  # whatever a module of somebody else's does when it is loaded
         raise ProblemError(f"tracker '{text}' cannot be loaded: {type(error).__name__}: {one_line(error)}") from error
+
+
+def _object_of(module: str, name: str) -> Any:
+    if os.getcwd() not in sys.path:
+        sys.path.insert(0, os.getcwd())
+    return functools.reduce(getattr, name.split("."), importlib.import_module(module))
 
 
 def trackers_named(text: str) -> list[Asked]:
