@@ -1,4 +1,4 @@
-"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | demo`.
+"""The command line: `linkplan list | check | plan | batch | track | compare | bode | tune | view | schema | demo`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
 problems found), said in a sentence; 2 bad input or a disk that refuses, one line; 130 or 143 ended by a signal; 141 nobody
@@ -30,6 +30,7 @@ _MODULES = {
     "view": "tracking_commands",
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
+    "schema": "schema_command",
     "demo": "demo_command",
 }
 
@@ -133,6 +134,12 @@ def build_parser() -> Parser:
     view.add_argument("--tracker", default="pd+ff", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
     view.add_argument("--slow", type=float, default=4.0, metavar="X", help="times slower than real (default: %(default)s)")
     view.add_argument("--seconds", type=float, metavar="S", help="close the window after this time (default: when you do)")
+
+    schema = command(
+        "schema", "print the JSON Schema of problem files, by which editors complete them", output=False, settings=False
+    )
+    schema.add_argument("file", nargs="?", default="problem", metavar="FILE", help="problem or batch (default: %(default)s)")
+    schema.add_argument("-o", "--output", metavar="FILE", help="write it into this file")
 
     text = "run the whole path on the Optimus knee into one folder (default: linkplan-demo)"
     command("demo", text, settings=False).set_defaults(output="linkplan-demo")
