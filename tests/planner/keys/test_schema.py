@@ -6,6 +6,7 @@ import re
 import tomllib
 from functools import cache
 from pathlib import Path
+from typing import get_args
 
 import jsonschema
 import msgspec
@@ -16,8 +17,10 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN, apply_override, built_in_text
 from linkplan.planner.keys.json_schema import FILES, json_schema
 from linkplan.planner.keys.key_table import key_table
+from linkplan.planner.keys.kinds import Term
 from linkplan.planner.keys.reading import KEYS, kind_of
 from linkplan.planner.keys.sections import MotionSection, ProblemFile
+from linkplan.planner.problem.objective import TERMS
 from linkplan.studies.cli.main import main
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "problem-files.md"
@@ -265,6 +268,24 @@ def test_no_word_of_a_message_is_missing():
     """Every kind has words of its own: those of a default that is left out are no kind's."""
     assert all(row.type not in ("a table", "a list") for row in key_table() if row.section)
     assert msgspec.convert({"kind": "reach"}, MotionSection).duration_s is None
+
+
+def test_the_objective_s_terms_are_those_that_have_words():
+    assert set(get_args(Term)) == set(TERMS)
+
+
+@pytest.mark.parametrize(
+    ("override", "meant"),
+    [
+        ("limits.torque=3", "effort"),
+        ("motion.time=3", "duration_s"),
+        ("objective.cost=3", "minimize"),
+        ("robot.model=3", "mechanism"),
+    ],
+)
+def test_a_synonym_is_answered_with_the_key_that_it_means(override, meant):
+    with pytest.raises(LinkplanError, match=f"did you mean '{meant}'"):
+        problem_from_tables("asked", tables(override))
 
 
 def test_reading_changes_no_table():
