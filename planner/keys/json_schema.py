@@ -19,6 +19,10 @@ def json_schema(file: str = "problem") -> dict[str, Any]:
     """
     (whole, *_), parts = msgspec.json.schema_components((FILES[file], *SITE_LIMITS), ref_template="#/$defs/{name}")
     name = whole["$ref"].rpartition("/")[2]
+    for part in parts.values():
+        part["title"] = part["title"].removesuffix("Section").removesuffix("File").lower()
+        for key, said in part["properties"].items():
+            said["title"] = f"{key} [{said['x-unit']}]" if "x-unit" in said else key
     found = {"$schema": DIALECT, "$defs": {}, **parts.pop(name), "title": f"linkplan {file} file"}
     found["$defs"] = _reached(found, parts)
     return _without_nothing(found)

@@ -69,6 +69,7 @@ Intervals = Annotated[int, Meta(ge=2, le=MAX_INTERVALS)]
 Starts = Annotated[int, Meta(ge=1, le=MAX_STARTS)]
 
 Free = Literal["free"]
+Softness = Literal["stiff"]
 Kind = Literal["reach", "periodic", "track"]
 Contacts = Literal["refuse", "note"]
 Refine = Literal["both", "intervals", "degree"]

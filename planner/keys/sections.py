@@ -70,9 +70,7 @@ class MechanismSection(Section, frozen=True):
         key("the gap up to which a motion that the model's rounding alone forbids is free", "m", "by the mechanism's size"),
     ] = ABSENT
     solref: Annotated[
-        str,
-        Meta(extra_json_schema={"enum": ["stiff"]}),
-        key('"stiff": closures as stiff in simulation as the timestep admits', default="the model's own"),
+        kinds.Softness, key("closures as stiff in simulation as the timestep admits", default="the model's own")
     ] = ABSENT
 
 

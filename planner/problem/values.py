@@ -40,7 +40,7 @@ def whole(value: object, key: str, low: int, high: int) -> int:
 
 
 def plain(value: Any) -> Any:
-    """Return a copy of a value in the types of a TOML file where it has one of them, else as it is: readers refuse that."""
+    """Return a copy of a value in the types of a TOML file, what has none of them as it is, for the reader to refuse."""
     if isinstance(value, np.generic | np.ndarray):
         return plain(value.tolist())
     if isinstance(value, Mapping):

@@ -152,6 +152,11 @@ def build_parser() -> Parser:
     export.add_argument("--every-s", type=float, metavar="T", help=text)
     _anyway(export)
 
+    text = "print the JSON Schema of problem files, by which editors complete them"
+    schema = command("schema", text, output=False, settings=False)
+    schema.add_argument("file", nargs="?", default="problem", metavar="FILE", help="problem or batch (default: %(default)s)")
+    schema.add_argument("-o", "--output", metavar="FILE", help="write it into this file")
+
     completion = command("completion", "print a shell's completion script", output=False, settings=False)
     text = f"{', '.join(SHELLS)}; e.g. linkplan completion bash > ~/.local/share/bash-completion/completions/linkplan"
     completion.add_argument("shell", metavar="SHELL", help=text)

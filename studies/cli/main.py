@@ -33,6 +33,7 @@ _MODULES = {
     "render": "render_command",
     "bode": "feedback_loop_commands",
     "tune": "feedback_loop_commands",
+    "schema": "schema_command",
     "demo": "demo_command",
     "new": "new_command",
     "export": "export_command",

@@ -9,10 +9,13 @@ from linkplan.plain import plain
 from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.problem_file import mechanism_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.keys.kinds import Angles, Numbers
 from linkplan.planner.keys.reading import read
 from linkplan.planner.keys.sections import WaypointSection
 from linkplan.problems import Problem
 
+# What poses are stated by: a table of joint = value in degrees, one in metres.
+_KINDS = {"at_deg": Angles, "at_m": Numbers}
 Subject = Mechanism | Problem | str | Path
 
 
@@ -59,7 +62,8 @@ def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[di
         )
     poses = []
     for k in range(max(map(len, lists.values()))):
-        section = read(WaypointSection, {key: tables[k] for key, tables in lists.items() if tables}, f"poses[{k}]")
-        values = joint_values(section, "at", f"poses[{k}]", mechanism)
+        where = f"poses[{k}]"
+        at_deg, at_m = (read(kind, lists[key][k] if lists[key] else {}, where) for key, kind in _KINDS.items())
+        values = joint_values(WaypointSection(at_deg=at_deg, at_m=at_m), "at", where, mechanism)
         poses.append({mechanism.joints[i].name: mechanism.joints[i].read(value) for i, value in values.items()})
     return poses

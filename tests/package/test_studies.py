@@ -145,6 +145,16 @@ def test_a_check_has_findings_text_record_and_figure(subject, tmp_path):
     json.dumps(found.to_dict(), allow_nan=False)
 
 
+def test_a_problem_that_cannot_be_planned_is_checked_all_the_same(tmp_path):
+    text = linkplan.Problem.from_file("knee-reach").to_toml()
+    (tmp_path / "bad.toml").write_text(text.replace("duration_s = 0.16", "duration_s = -1"), encoding="utf-8")
+    with pytest.raises(ProblemError, match="duration_s"):
+        linkplan.Problem.from_file(tmp_path / "bad.toml")
+    found = linkplan.check(tmp_path / "bad.toml")
+    assert found.problems == linkplan.check("optimus-knee").problems
+    assert any("cannot be planned: motion.duration_s is a positive number, got -1" in note for note in found.notes)
+
+
 def test_a_check_names_what_is_wrong():
     assert any("is open by" in sentence for sentence in linkplan.check("optimus-knee-source").problems)
 

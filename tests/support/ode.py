@@ -40,3 +40,18 @@ OSCILLATOR = np.array([[0.0, 1.0], [-1.0, 0.0]])
 def oscillator(x, u, p, t):  # noqa: ARG001
     """Return the rates of the oscillator."""
     return [x[1], -x[0] + u[0]]
+
+
+def bryson_denham(limit: float, tolerance: float) -> OdeProblem:
+    """Return Bryson and Denham's problem, whose optimum is 4 / (9 l) for a limit l below 1/6."""
+    return OdeProblem(
+        name="Bryson-Denham",
+        rate=double_integrator,
+        start=[0, 1],
+        goal=[0, -1],
+        effort_limit=FREE_EFFORT,
+        state_limit=[[-INF, limit], FREE_STATE],
+        duration_s=1.0,
+        running_cost=lambda x, u, p, t: u[0] ** 2 / 2,  # noqa: ARG005
+        objective_tolerance=tolerance,
+    )

@@ -9,7 +9,7 @@ import pytest
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.problem.settings import SolverSettings
-from tests.support.ode import FREE_EFFORT, FREE_STATE, INF, double_integrator, duration, solved, squared_effort
+from tests.support.ode import FREE_EFFORT, FREE_STATE, INF, bryson_denham, duration, solved, squared_effort
 
 # Robbins' problem by a quadratic program with efforts linear over 2,000 intervals, integrated exactly, the limit kept at
 # their ends and middles; it moves by 6e-6 of itself from 1,000 intervals.
@@ -31,25 +31,10 @@ def robbins(tolerance: float) -> OdeProblem:
     )
 
 
-def bryson_denham(limit: float) -> OdeProblem:
-    """Return Bryson and Denham's problem, whose optimum is 4 / (9 l) for a limit l below 1/6."""
-    return OdeProblem(
-        name="Bryson-Denham",
-        rate=double_integrator,
-        start=[0, 1],
-        goal=[0, -1],
-        effort_limit=FREE_EFFORT,
-        state_limit=[[-INF, limit], FREE_STATE],
-        duration_s=1.0,
-        running_cost=lambda x, u, p, t: u[0] ** 2 / 2,  # noqa: ARG005
-        objective_tolerance=1e-6,
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [1 / 9, 0.04, 0.1, 0.13])
 def test_the_tolerance_asked_of_the_objective_is_kept_beside_an_arc_along_a_limit(limit):
-    assert solved(bryson_denham(limit)).objective == pytest.approx(4 / (9 * limit), rel=1e-6)
+    assert solved(bryson_denham(limit, 1e-6)).objective == pytest.approx(4 / (9 * limit), rel=1e-6)
 
 
 @pytest.mark.slow
@@ -62,27 +47,6 @@ def test_an_objective_that_has_not_settled_is_said_with_what_it_changed_by():
     assert plan.status == "failed"
     assert "objective_tolerance = 1e-12 was not reached" in plan.message
     assert "changed by" in plan.message
-
-
-@pytest.mark.slow
-def test_boundary_layers_a_ten_thousandth_of_the_motion_long_are_found():
-    """The hypersensitive problem over 10,000 s: its layers cost int of -x^3 + x sqrt(x^4 + 1) to 1, of x^3 + ... to 1.5."""
-
-    def layer(x: float) -> float:
-        return 0.25 * (x**2 * np.sqrt(x**4 + 1) + np.arcsinh(x**2))
-
-    plan = solved(
-        OdeProblem(
-            name="hypersensitive",
-            rate=lambda x, u, p, t: [-(x[0] ** 3) + u[0]],  # noqa: ARG005
-            start=[1],
-            goal=[1.5],
-            effort_limit=FREE_EFFORT,
-            duration_s=1e4,
-            running_cost=lambda x, u, p, t: (x[0] ** 2 + u[0] ** 2) / 2,  # noqa: ARG005
-        )
-    )
-    assert plan.objective == pytest.approx(layer(1) - 1 / 4 + layer(1.5) + 1.5**4 / 4, rel=1e-7)
 
 
 def swing_up(limit: float = 0.5) -> OdeProblem:

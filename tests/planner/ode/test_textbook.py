@@ -12,7 +12,17 @@ from scipy.optimize import fsolve
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import OdePlan
 from linkplan.planner.problem.settings import SolverSettings
-from tests.support.ode import FREE_EFFORT, FREE_STATE, INF, NAN, double_integrator, duration, solved, squared_effort
+from tests.support.ode import (
+    FREE_EFFORT,
+    FREE_STATE,
+    INF,
+    NAN,
+    bryson_denham,
+    double_integrator,
+    duration,
+    solved,
+    squared_effort,
+)
 from tests.support.tolerances_planner import (
     ODE_BOUND_BY_A_STATE,
     ODE_CLOSED_FORM,
@@ -248,22 +258,6 @@ def test_the_cart_pole_s_optima_satisfy_pontryagin_s_conditions(starts):
 # Bryson and Denham: a state limit that is not reached, touched, or held.
 
 
-def bryson_denham(limit: float) -> OdePlan:
-    return solved(
-        OdeProblem(
-            name="Bryson-Denham",
-            rate=double_integrator,
-            start=[0, 1],
-            goal=[0, -1],
-            effort_limit=FREE_EFFORT,
-            state_limit=[[-INF, limit], FREE_STATE],
-            duration_s=1.0,
-            running_cost=lambda x, u, p, t: u[0] ** 2 / 2,  # noqa: ARG005
-            objective_tolerance=1e-7,
-        )
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("limit", "exact"),
@@ -271,7 +265,7 @@ def bryson_denham(limit: float) -> OdePlan:
     ids=["not reached", "touched", "held, 1/9", "held, 1/8"],
 )
 def test_bryson_and_denham_s_problem_costs_its_closed_form(limit, exact):
-    plan = bryson_denham(limit)
+    plan = solved(bryson_denham(limit, 1e-7))
     assert plan.objective == pytest.approx(exact, rel=ODE_BOUND_BY_A_STATE)
     motion = plan.trajectory
     assert motion.state_at(motion.dense_times(100))[:, 0].max() <= limit * (1 + ODE_LIMIT)

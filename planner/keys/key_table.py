@@ -1,0 +1,82 @@
+"""All keys of a problem file as one table: what reference pages and commented problem files are written from."""
+
+import types
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Union, get_args, get_origin
+
+import msgspec
+
+from linkplan.planner.keys.kinds import LARGEST
+from linkplan.planner.keys.refusals import range_words, without_metadata, words
+from linkplan.planner.keys.sections import ProblemFile, Section
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Key:
+    """A key of a section, in words.
+
+    `section` is "" of the tables themselves, "motion", or what is inside of one: "motion.waypoints[]", "motors.NAME".
+    `default` is the value that stands for a key that is left out, None where there is no single one; `default_words` say it
+    either way. A key that is `required` has neither.
+    """
+
+    section: str
+    name: str
+    type: str
+    unit: str
+    required: bool
+    default: Any
+    default_words: str
+    doc: str
+
+
+def key_table(kind: type[Section] = ProblemFile, section: str = "") -> tuple[Key, ...]:
+    """Return the keys of a file, or of one section, in the order of their definition, what is inside of them after."""
+    return tuple(_rows(kind, section))
+
+
+def _rows(kind: type[Section], section: str) -> Iterator[Key]:
+    inside = []
+    for field in msgspec.structs.fields(kind):
+        bare, about = without_metadata(field.type)
+        value = None if field.required or field.default is msgspec.NODEFAULT else field.default
+        single = isinstance(value, int | float | str) and value != ""
+        shown = f"{value:g}" if isinstance(value, float) else str(value)
+        yield Key(
+            section=section,
+            name=field.name,
+            type=", ".join(filter(None, (words(field.type), _range(field.type)))),
+            unit=about["unit"],
+            required=field.required,
+            default=value if single else None,
+            default_words="" if field.required else about["default"] or shown,
+            doc=about["meaning"],
+        )
+        inside += [(one, f"{section}.{field.name}{how}".lstrip(".")) for one, how in _inside(bare, about)]
+    for one, where in inside:
+        yield from _rows(one, where)
+
+
+def _inside(bare: Any, about: dict, how: str = "") -> Iterator[tuple[type[Section], str]]:
+    """Yield the sections inside of what a key takes, and how they are reached from it."""
+    container = get_origin(bare) or bare
+    if isinstance(container, type) and issubclass(container, Section):
+        yield container, how
+    elif "shapes" in about:
+        yield from ((shape, f"{how} ({shape.__name__.lower()})") for shape in about["shapes"])
+    elif container in (Union, types.UnionType, list, dict):
+        step = {list: "[]", dict: ".NAME"}.get(container, "")
+        found: dict[Any, str] = {}
+        for one in get_args(bare):
+            for shape, inner in _inside(*without_metadata(one), how + step):
+                found.setdefault(shape, inner)
+        yield from found.items()
+
+
+def _range(kind: Any) -> str:
+    """Return the ends of a kind of number in words; nothing where they only keep slips of the keyboard out."""
+    bare, about = without_metadata(kind)
+    if get_origin(bare) in (Union, types.UnionType):
+        return next(filter(None, map(_range, get_args(bare))), "")
+    return range_words(about) if bare is float and about.get("le", about.get("lt", LARGEST)) < LARGEST else ""

@@ -1,0 +1,34 @@
+"""The command `schema`."""
+
+import argparse
+import json
+import os
+from pathlib import Path
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.names import choose
+from linkplan.studies.cli.exit_codes import DONE
+from linkplan.studies.cli.printing import show
+
+
+def run_schema(arguments: argparse.Namespace) -> int:
+    """Print the JSON Schema of problem files or of batch files, or write it into a file."""
+    from linkplan.planner.keys.json_schema import FILES, json_schema
+
+    said = json_schema(choose("kind of file", arguments.file, FILES, ProblemError))
+    text = json.dumps(said, indent=2)
+    if arguments.output is None:
+        show(arguments, said, text)
+        return DONE
+    place = Path(arguments.output)
+    if not arguments.output or place.is_dir():
+        raise ProblemError(f"-o takes a file, got '{arguments.output}'")
+    part = place.with_name(f".{place.name}.{os.getpid()}")
+    try:
+        part.write_text(f"{text}\n", encoding="utf-8")
+        part.replace(place)
+    finally:
+        part.unlink(missing_ok=True)
+    if arguments.json:
+        show(arguments, said, text)
+    return DONE
