@@ -190,6 +190,13 @@ def refine(
         if turn >= _ROUNDS and not (aims.tolerance_given and leaves):
             break
         if n_finer > finest or (passed is not None and not aims.tolerance_given and n_finer > _COMFORTABLE):
+            if loose and at.passed and polished < _POLISHED and is_bang_bang(case, solution.transcribed):
+                # Its switches lie inside intervals, which no finer mesh will part: they are read from a motion that passes.
+                polished += 1
+                better = settle_switch_times(kept, at.found, history, say, position_rows=position_rows)
+                if better.solution is not solution:
+                    at = _judged(case, better, history)
+                    continue
             break
         finer = _finer(
             kept, at.found, marked, what, history, say, warm=warm, again=passed is not None, position_rows=position_rows
