@@ -9,6 +9,9 @@ from linkplan.studies.cli.common import new_file, refuse_no_model
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
+# Where comments begin beside a command.
+_COLUMN = 42
+
 
 def run_new(arguments: argparse.Namespace) -> int:
     """Write a problem file for a mechanism; 1 where no motion was found for it."""
@@ -25,7 +28,12 @@ def run_new(arguments: argparse.Namespace) -> int:
     if arguments.model not in MODELS:
         tables = tables | {"mechanism": tables["mechanism"] | {"model": model_beside(arguments.model, target)}}
     file = "problem.toml" if target is None else target.name
-    text = problem_text(found.mechanism, tables, found.description, file)
+    begin = [
+        f"linkplan plan {file} -o planned".ljust(_COLUMN) + "plans it, certifies it between the nodes and saves it",
+        "linkplan compare planned -o compared".ljust(_COLUMN) + "tracks it in MuJoCo by PD, PD + feedforward and LQR",
+        "",
+    ]
+    text = problem_text(found.mechanism, tables, found.description, begin)
     if target is not None:
         write_new(target, text.encode("utf-8"))
     verdict = "planned" if found.planned else f"NOT planned: {found.why}"

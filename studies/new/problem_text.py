@@ -1,7 +1,7 @@
 """A problem file as text: what is set, and every other key in a comment with its default, what it means beside it."""
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -19,25 +19,22 @@ _WIDTH, _COLUMN = 100, 44
 # Decimals of a metre of a site's place, and how far [m] one has to move to be one that a motion can be asked for.
 _SITE_DIGITS, _MOVES_M = 4, 1e-3
 _HEAD = """\
-# linkplan plan {file} -o planned           plans it, certifies it between the nodes and saves it
-# linkplan compare planned -o compared      tracks it in MuJoCo by PD, PD + feedforward and LQR
-#
 # Keys that end in _deg are in degrees, those of slides (_m) in metres, all else is SI. To set a key
 # take the # from its line: behind it stands the default, or an example where another is named.
 """
 
 
-def problem_text(mechanism: Mechanism, tables: Mapping[str, Mapping], description: str, file: str) -> str:
+def problem_text(mechanism: Mechanism, tables: Mapping[str, Mapping], description: str, begin: Sequence[str] = ()) -> str:
     """Return the text of a problem file.
 
     Args:
         mechanism: whose names the examples have.
         tables: what is set.
         description: of the problem, in a sentence.
-        file: its name.
+        begin: lines of comment to begin with.
     """
     facts = _facts(mechanism)
-    lines = [_HEAD.format(file=file), f"description = {inline(description)}"]
+    lines = [*(f"# {line}" for line in begin), _HEAD, f"description = {inline(description)}"]
     for section, what in SECTIONS.items():
         lines += ["", f"[{section}]".ljust(_COLUMN) + f"# {what}"]
         for key in KEYS:

@@ -59,7 +59,7 @@ def begun(model: str) -> FirstMotion:
 @cache
 def text_of(model: str) -> str:
     found = begun(model)
-    return problem_text(found.mechanism, found.tables, found.description, "problem.toml")
+    return problem_text(found.mechanism, found.tables, found.description)
 
 
 @pytest.mark.slow
