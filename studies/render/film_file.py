@@ -15,6 +15,7 @@ from linkplan.planner.files.whole_file import MADE_BY
 _QUALITY = "18"
 # Colours of a GIF, found in some of its frames: flat surfaces need no more, and dithering would double its size.
 _COLOURS = 64
+_WHITE = 244  # what is as light as this in all channels is white
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
@@ -63,7 +64,7 @@ def write_gif(path: Path, images: Iterable[np.ndarray], n: int, fps: float, pale
     samples = Image.fromarray(np.vstack(list(palette_from)))
     palette = samples.quantize(_COLOURS, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
     colours = np.array(palette.getpalette()).reshape(-1, 3)
-    colours[colours.sum(axis=1).argmax()] = 255  # what is drawn on stays white
+    colours[(colours >= _WHITE).all(axis=1)] = 255  # what is drawn on stays white
     palette.putpalette(colours.ravel().tolist())
 
     def coloured() -> Iterator[Image.Image]:

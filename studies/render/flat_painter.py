@@ -4,15 +4,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PatchCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from linkplan.studies.render.framing import FOOT, SIDE, axes_of
 from linkplan.studies.render.scenes import Scene
 from linkplan.studies.render.shapes import Shape
 
 _DPI = 100.0
-_THINNEST_PX, _HAIR_PX = 1.0, 0.01
+_THINNEST_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -43,14 +44,17 @@ class FlatPainter:
 
     def _add(self, axes, shapes: tuple[Shape, ...], layer: int) -> None:
         far_first = sorted(shapes, key=lambda shape: -float((shape.start + shape.end) @ self.sight))
-        # A ball is a line with round ends that is hardly longer than nothing; one of no length would not be drawn.
-        hair = _HAIR_PX / self.scale
-        ends = [((shape.start, 0.0), (shape.end, hair)) for shape in far_first]
-        lines = [[(p @ self.right + aside, p @ self.up) for p, aside in pair] for pair in ends]
-        points_per_px = 72.0 / _DPI
-        widths = [max(_THINNEST_PX, 2 * shape.radius * self.scale) * points_per_px for shape in far_first]
-        colours = [shape.rgba for shape in far_first]
-        axes.add_collection(LineCollection(lines, linewidths=widths, colors=colours, capstyle="round", zorder=2 + layer))
+        balls = [shape for shape in far_first if np.array_equal(shape.start, shape.end)]
+        rods = [shape for shape in far_first if not np.array_equal(shape.start, shape.end)]
+        rounds = [Circle(self._flat(ball.start), ball.radius) for ball in balls]
+        axes.add_collection(PatchCollection(rounds, facecolors=[ball.rgba for ball in balls], zorder=2 + layer))
+        lines = [[self._flat(rod.start), self._flat(rod.end)] for rod in rods]
+        widths = [max(_THINNEST_PX, 2 * rod.radius * self.scale) * 72.0 / _DPI for rod in rods]
+        colours = [rod.rgba for rod in rods]
+        axes.add_collection(LineCollection(lines, linewidths=widths, colors=colours, capstyle="round", zorder=2.5 + layer))
+
+    def _flat(self, point: np.ndarray) -> tuple[float, float]:
+        return float(point @ self.right), float(point @ self.up)
 
 
 def flat_painter(
