@@ -38,16 +38,19 @@ _FREQUENCY = Axis(label="frequency", unit="Hz", log=True)
 _COLOURS = 6
 
 
-def bode_sections(study: BodeStudy, name: str, *, depth: int = 1) -> list[Section]:
+def bode_sections(study: BodeStudy, name: str, *, depth: int = 1, verdict: bool = True) -> list[Section]:
     """Return the sections of a bode study.
 
     Args:
         study: predicted, and measured or not.
         name: of this loop in the report, for titles and its cursor.
         depth: of the first section.
+        verdict: whether it is said here; not where the page's header says it.
     """
     group, below = f"frequency:{name}", depth + 1
-    sections = [Section(title=f"Feedback loop: {name}", blocks=[*_verdict(study, depth), _margins(study)], depth=depth)]
+    sections = [
+        Section(title=f"Feedback loop: {name}", blocks=[*_verdict(study, said=verdict), _margins(study)], depth=depth)
+    ]
     for channel, joint in enumerate(study.mechanism.independent_joints):
         of = "" if study.mechanism.dof == 1 else f" of {joint.name}"
         entries = [entry for entry in study.points if entry.channel == channel]
@@ -61,9 +64,9 @@ def bode_sections(study: BodeStudy, name: str, *, depth: int = 1) -> list[Sectio
     return sections
 
 
-def _verdict(study: BodeStudy, depth: int) -> list[Block]:
+def _verdict(study: BodeStudy, *, said: bool) -> list[Block]:
     message = study.message[:1].upper() + study.message[1:]
-    blocks: list[Block] = [] if depth == 1 else [Text(text=message, tone="good" if study.stable else "bad")]
+    blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")] if said else []
     rows = [("mechanism", study.mechanism.name), ("tracker", study.law), ("feedback loop", study.loop_name)]
     deviation = study.worst_deviation
     if deviation is not None:

@@ -27,19 +27,20 @@ def group_of(plan: Plan) -> str:
     return f"time:{plan.problem.name}"
 
 
-def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True) -> list[Section]:
+def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True, verdict: bool = True) -> list[Section]:
     """Return a plan's sections.
 
     Args:
         plan: to show, with or without a motion.
         depth: of the first section's title; the others are below it where it is 1.
         animated: whether the motion is animated here; not where a comparison animates it.
+        verdict: whether it is said here; not where the page's header says it.
     """
     if plan.trajectory is None or plan.certificate is None:
         return [
             Section(
                 title=f"Plan: {plan.problem.name}",
-                blocks=[*_verdict(plan, depth), *_solves(plan), *_problem(plan)],
+                blocks=[*_verdict(plan, said=verdict), *_solves(plan), *_problem(plan)],
                 depth=depth,
             )
         ]
@@ -48,14 +49,18 @@ def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True) -> list[
     except AssemblyError as error:
         lost = Text(text=f"The motion cannot be drawn: {error}", tone="bad")
         return [
-            Section(title=f"Plan: {plan.problem.name}", blocks=[*_verdict(plan, depth), lost, *_problem(plan)], depth=depth)
+            Section(
+                title=f"Plan: {plan.problem.name}",
+                blocks=[*_verdict(plan, said=verdict), lost, *_problem(plan)],
+                depth=depth,
+            )
         ]
     group, period = group_of(plan), plan.trajectory.duration_s if plan.trajectory.periodic else None
     seen: list[Block] = [_animation(plan, group, period)] if animated else []
     phase = phase_plane(plan, motion, group, period)
     below = depth + 1
     return [
-        Section(title=f"Plan: {plan.problem.name}", blocks=[*_verdict(plan, depth), *seen], depth=depth),
+        Section(title=f"Plan: {plan.problem.name}", blocks=[*_verdict(plan, said=verdict), *seen], depth=depth),
         Section(title="Motion and effort", blocks=_time_plots(plan, motion, group, period), depth=below),
         *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=below)]),
         Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=below),
@@ -64,7 +69,7 @@ def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True) -> list[
     ]
 
 
-def _verdict(plan: Plan, depth: int) -> list[Block]:
+def _verdict(plan: Plan, *, said: bool) -> list[Block]:
     problem, trajectory, certificate = plan.problem, plan.trajectory, plan.certificate
     message = plan.message[:1].upper() + plan.message[1:]
     rows = [("mechanism", _mechanism_said(plan)), ("motion", problem.motion.kind), ("objective", problem.objective.name)]
@@ -82,10 +87,8 @@ def _verdict(plan: Plan, depth: int) -> list[Block]:
             )
         ]
     notes = [Text(text=text, tone="note") for text in (*problem.notes, *not_honoured(plan))]
-    said = (
-        [] if depth == 1 else [Text(text=message, tone="good" if plan.status == "optimal" else "bad")]
-    )  # the header has it
-    return [*said, Facts(rows=rows), *notes]
+    message_too = [Text(text=message, tone="good" if plan.status == "optimal" else "bad")] if said else []
+    return [*message_too, Facts(rows=rows), *notes]
 
 
 def _mechanism_said(plan: Plan) -> str:

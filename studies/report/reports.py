@@ -30,7 +30,7 @@ def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[
 
 def plan_report(plan: Plan) -> Report:
     """Return the report of a plan."""
-    return report_of(f"Plan {plan.problem.name}", plan.message, plan.status == "optimal", plan_sections(plan))
+    return report_of(f"Plan {plan.problem.name}", plan.message, plan.status == "optimal", plan_sections(plan, verdict=False))
 
 
 def comparison_report(comparison: Comparison, document: Section | None = None) -> Report:
@@ -45,7 +45,8 @@ def comparison_report(comparison: Comparison, document: Section | None = None) -
 
 def bode_report(study: BodeStudy, extras: Sequence[Extra] = (), note: str | None = None) -> Report:
     """Return the report of a feedback loop, and of the stability map, large signals and motion looked at beside it."""
-    sections = [*bode_sections(study, f"{study.mechanism.name}, {study.law}"), *(extra_section(extra) for extra in extras)]
+    name = f"{study.mechanism.name}, {study.law}"
+    sections = [*bode_sections(study, name, verdict=False), *(extra_section(extra) for extra in extras)]
     verdict = study.message if note is None else f"{study.message}; {note}"
     return report_of(f"Feedback loop of {study.mechanism.name}", verdict, study.stable, sections)
 

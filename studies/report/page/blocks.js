@@ -40,7 +40,7 @@ function showChecklist(block) {
     return make("tr", item.instant_s === null ? {} : { class: "goes", onclick: go }, ...cells);
   });
   const table = make("table", { class: "checklist" }, make("thead", {}, make("tr", {}, ...heads)), make("tbody", {}, ...rows));
-  return make("figure", {}, make("figcaption", {}, block.title), make("div", { class: "wide" }, table));
+  return make("figure", {}, make("figcaption", {}, block.title), make("div", { class: "wide whole" }, table));
 }
 
 function showCode(block) {
