@@ -18,7 +18,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.planner.planning import plan_motion
     from linkplan.studies.experiment import study
     from linkplan.studies.experiment.experiment import Settings, plan_digest
-    from linkplan.studies.experiment.experiment_text import experiment_text
+    from linkplan.studies.experiment.experiment_text import experiment_text, tube_said
 
     settings = Settings(
         trackers=tuple(name.strip() for name in arguments.trackers.split(",")),
@@ -52,11 +52,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     outcome = study.run_experiment(
         asked, digest, plan, settings, target, say, workers=arguments.workers, threads=arguments.threads
     )
-    tube = " or ".join(
-        text
-        for kind, text in (("hinge", f"{settings.tube_deg:g} deg"), ("slide", f"{settings.tube_m:g} m"))
-        if any(joint.kind == kind for joint in outcome.experiment.plan.problem.mechanism.independent_joints)
-    )
+    tube = tube_said(outcome.experiment)
     name = outcome.experiment.plan.problem.name
     text = experiment_text(name, outcome.summary, settings.design, settings.seed, tube)
     show(arguments, outcome.record, text)

@@ -2,6 +2,7 @@
 
 import math
 
+from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.summary import Summary
 from linkplan.studies.output.tables import table
@@ -50,6 +51,14 @@ def experiment_text(name: str, summary: Summary, design: str, seed: int, tube: s
     for one in summary.trackers:
         lines += [f"{one.name}, {count} failed: {text}" for text, count in one.failures.items()]
     return "\n".join(lines)
+
+
+def tube_said(experiment: Experiment) -> str:
+    """Return the tube of success in words: for hinges, slides or both."""
+    kinds = {joint.kind for joint in experiment.plan.problem.mechanism.independent_joints}
+    settings = experiment.settings
+    said = {"hinge": f"{settings.tube_deg:g} deg", "slide": f"{settings.tube_m:g} m"}
+    return " and ".join(said[kind] for kind in said if kind in kinds)
 
 
 def estimated(one: Estimate) -> str:
