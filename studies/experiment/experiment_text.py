@@ -76,4 +76,4 @@ def estimated(one: Estimate) -> str:
 def _share(one: Estimate) -> str:
     if not math.isfinite(one.value):
         return "-"
-    return f"{100 * one.value:.0f} ({100 * one.low:.0f}-{100 * one.high:.0f})"
+    return f"{100 * one.value:.0f} ({math.floor(100 * one.low)}-{math.ceil(100 * one.high)})"
