@@ -8,7 +8,8 @@ from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
-from linkplan.studies.cli.common import output_folder, plan_asked, set_all
+from linkplan.planner.plan import Plan
+from linkplan.studies.cli.common import no_plan, output_folder, plan_asked, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -18,7 +19,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.planner.planning import plan_motion
     from linkplan.studies.experiment import study
     from linkplan.studies.experiment.experiment import Settings, plan_digest
-    from linkplan.studies.experiment.experiment_text import experiment_text
+    from linkplan.studies.experiment.experiment_text import experiment_text, tube_said
 
     settings = Settings(
         trackers=tuple(name.strip() for name in arguments.trackers.split(",")),
@@ -41,26 +42,38 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         digest, asked = None, {"name": name, **problem.source}
 
         def plan():
-            return plan_motion(problem, say).require()
+            found = plan_motion(problem, say)
+            if found.trajectory is None:
+                raise _NoPlanError(found)
+            return found
     else:
         saved = plan_asked(arguments, say)
         digest, asked = plan_digest(saved), {"name": saved.problem.name, **saved.problem.source}
 
+        if saved.trajectory is None:
+            return no_plan(arguments, saved)
+
         def plan():
             return saved
 
-    outcome = study.run_experiment(
-        asked, digest, plan, settings, target, say, workers=arguments.workers, threads=arguments.threads
-    )
-    tube = " or ".join(
-        text
-        for kind, text in (("hinge", f"{settings.tube_deg:g} deg"), ("slide", f"{settings.tube_m:g} m"))
-        if any(joint.kind == kind for joint in outcome.experiment.plan.problem.mechanism.independent_joints)
-    )
+    pool = {"workers": arguments.workers, "threads": arguments.threads}
+    try:
+        outcome = study.run_experiment(asked, digest, plan, settings, target, say, **pool)
+    except _NoPlanError as none:
+        return no_plan(arguments, none.plan)
+    tube = tube_said(outcome.experiment)
     name = outcome.experiment.plan.problem.name
     text = experiment_text(name, outcome.summary, settings.design, settings.seed, tube)
     show(arguments, outcome.record, text)
-    return DONE
+    return DONE if outcome.experiment.plan.status == "optimal" else NO
+
+
+class _NoPlanError(Exception):
+    """There is no motion to track; the plan says why."""
+
+    def __init__(self, plan: Plan) -> None:
+        super().__init__(plan.message)
+        self.plan = plan
 
 
 def run_replay(arguments: argparse.Namespace) -> int:

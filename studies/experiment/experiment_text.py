@@ -2,6 +2,7 @@
 
 import math
 
+from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.summary import Summary
 from linkplan.studies.output.tables import table
@@ -52,6 +53,14 @@ def experiment_text(name: str, summary: Summary, design: str, seed: int, tube: s
     return "\n".join(lines)
 
 
+def tube_said(experiment: Experiment) -> str:
+    """Return the tube of success in words: for hinges, slides or both."""
+    kinds = {joint.kind for joint in experiment.plan.problem.mechanism.independent_joints}
+    settings = experiment.settings
+    said = {"hinge": f"{settings.tube_deg:g} deg", "slide": f"{settings.tube_m:g} m"}
+    return " and ".join(said[kind] for kind in said if kind in kinds)
+
+
 def estimated(one: Estimate) -> str:
     """Return a mean with half of its interval, to the figures that the interval leaves."""
     if not math.isfinite(one.value):
@@ -67,4 +76,4 @@ def estimated(one: Estimate) -> str:
 def _share(one: Estimate) -> str:
     if not math.isfinite(one.value):
         return "-"
-    return f"{100 * one.value:.0f} ({100 * one.low:.0f}-{100 * one.high:.0f})"
+    return f"{100 * one.value:.0f} ({math.floor(100 * one.low)}-{math.ceil(100 * one.high)})"

@@ -40,7 +40,7 @@ def working(folder: Path, asked: Mapping) -> Iterator[None]:
     Raises:
         PlanFileError: when it holds another experiment's parts, or another process works on it.
     """
-    lock = None
+    lock, held = None, False
     try:
         folder.mkdir(parents=True, exist_ok=True)
         lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)
@@ -49,6 +49,7 @@ def working(folder: Path, asked: Mapping) -> Iterator[None]:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
                 raise PlanFileError(f"another process is at work on '{folder}'") from error
+        held = True
         _compare(folder, asked)
         (folder / PARTS).mkdir(exist_ok=True)
         for left in (folder / PARTS).glob(".*"):  # a part that was being written when its process was killed
@@ -58,6 +59,8 @@ def working(folder: Path, asked: Mapping) -> Iterator[None]:
         raise PlanFileError(f"cannot write '{folder}': {error.strerror or error}; what is done is kept") from error
     finally:
         if lock is not None:
+            if held and not (folder / PLAN).exists() and not any(folder.glob(f"{PARTS}/part-*")):
+                remove(folder)  # nothing came of it
             os.close(lock)
 
 

@@ -19,6 +19,7 @@ import importlib
 TYPE_CHECKING = False  # as typing's, which takes as long to load as all the rest here: a signal in that time is not heard
 if TYPE_CHECKING:  # what editors and type checkers read; `_HOMES` below says the same when the program runs
     from linkplan.controllers.trackers.tracker import Tracker
+    from linkplan.experiments import experiment
     from linkplan.loops import bode, tune
     from linkplan.mechanisms import check, load_mechanism
     from linkplan.models.errors import LinkplanError
@@ -39,6 +40,7 @@ __all__ = [
     "bode",
     "check",
     "compare",
+    "experiment",
     "load_mechanism",
     "plan",
     "read_plan",
@@ -59,6 +61,7 @@ _HOMES = {
     "bode": "linkplan.loops",
     "check": "linkplan.mechanisms",
     "compare": "linkplan.tracking",
+    "experiment": "linkplan.experiments",
     "load_mechanism": "linkplan.mechanisms",
     "plan": "linkplan.plans",
     "read_plan": "linkplan.plans",

@@ -8,7 +8,6 @@ import pytest
 from linkplan.controllers.ensemble import DIVERGED, Ensemble, run_ensemble
 from linkplan.controllers.imperfections.imperfections import Imperfections, Push, Start
 from linkplan.controllers.rollout import ControlLoop, run
-from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from tests.support.machines import LOOP, everything, feedback, follower, reach
 from tests.support.tolerances_loops import SAME_RUN
@@ -141,11 +140,3 @@ def test_a_tracker_s_memory_is_held_by_the_loop_single_or_many():
     single = run(mechanism, reference, _Counting(), LOOP)
     assert np.array_equal(many.commanded[:, 0, 0], np.arange(reference.n))
     assert np.array_equal(single.commanded[:, 0], np.arange(reference.n))
-
-
-def test_servos_are_refused_by_name():
-    mechanism = load_mechanism("parallel-gripper")
-    if not any(actuator.is_servo for actuator in mechanism.actuators):
-        pytest.skip("no servo here")
-    with pytest.raises(ModelError, match="servo"):
-        run_ensemble(mechanism, reach()[1], follower(), LOOP, [Imperfections()])

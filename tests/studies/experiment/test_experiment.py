@@ -242,6 +242,7 @@ def test_settings_that_cannot_be_are_refused(asked, said):
         Settings(**asked)
 
 
+@pytest.mark.slow
 def test_the_command_prints_within_eighty_columns_and_replays(tmp_path, ask, ask_json):
     words = ["experiment", "knee-reach", "--set", SHORT, "--samples", "5", "-o", str(tmp_path / "x")]
     code, out, _ = ask(*words)

@@ -1,0 +1,133 @@
+"""`experiment`: trackers on many machines that are not as modelled, the same machines for each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from linkplan.controllers.rollout import Rollout
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.plain import plain
+from linkplan.planner.files.imperfections_file import imperfections_of
+from linkplan.planner.problem.values import whole
+from linkplan.plans import Plan
+from linkplan.reporting import Progress, listener
+from linkplan.studies.experiment.experiment import Settings, plan_digest
+from linkplan.studies.experiment.experiment_text import experiment_text, tube_said
+from linkplan.studies.experiment.replay import replay
+from linkplan.studies.experiment.study import Outcome, run_experiment
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def experiment(
+    plan: Plan,
+    trackers: Sequence[str] = TRACKERS,
+    *,
+    samples: int = 200,
+    imperfections: Mapping | None = None,
+    seed: int = 0,
+    design: str = "latin-hypercube",
+    levels: int = 3,
+    tube_deg: float = 1.0,
+    tube_m: float = 0.01,
+    folder: str | Path | None = None,
+    workers: int = 1,
+    threads: int = 0,
+    progress: Progress | None = None,
+) -> ExperimentResult:
+    """Return trackers' figures on many imperfect machines in MuJoCo, with 95 % confidence intervals.
+
+    Args:
+        plan: with a motion.
+        trackers: built-in names.
+        samples: machines; a grid has as many as its levels make.
+        imperfections: the table [imperfections] of a problem file, in place of the problem's; the default one where neither
+            has any (docs/experiments.md).
+        seed: of all random numbers.
+        design: "latin-hypercube" or "grid".
+        levels: of each random imperfection in a grid.
+        tube_deg: success is to stay so near to the path all the way, on every hinge.
+        tube_m: the same on every slide.
+        folder: where the results go, whole; what is done stands beside it until then, and the same call goes on from there.
+        workers: processes; more than one needs the caller's `if __name__ == "__main__":`.
+        threads: of the simulator in each; 0 for an equal share of the cores.
+        progress: called with a line of text now and then.
+
+    Raises:
+        LinkplanError: when the plan has no motion, something asked makes no sense, or the folder holds something else.
+    """
+    if not isinstance(plan, Plan):
+        raise ProblemError(f"what is tracked is a Plan, got {plan!r}")
+    if plan.answer.trajectory is None:
+        raise LinkplanError(f"nothing to track, the plan has no motion: {plan.message}")
+    if isinstance(trackers, str) or not isinstance(trackers, Sequence):
+        raise ProblemError(f"trackers are a list of names, got {trackers!r}")
+    whole(workers, "workers", 1, 10_000)
+    whole(threads, "threads", 0, 10_000)
+    answer, problem = plan.answer, plan.answer.problem
+    if imperfections is not None:
+        table = plain(imperfections)
+        imperfections_of(table, problem.mechanism)
+        answer = replace(answer, problem=replace(problem, source={**problem.source, "imperfections": table}))
+    settings = Settings(
+        trackers=tuple(trackers),
+        samples=samples,
+        seed=seed,
+        design=design,
+        levels=levels,
+        tube_deg=tube_deg,
+        tube_m=tube_m,
+    )
+    source = {"name": problem.name, **answer.problem.source}
+    target = None if folder is None else Path(folder)
+    say = listener(progress)
+    outcome = run_experiment(
+        source, plan_digest(answer), lambda: answer, settings, target, say, workers=workers, threads=threads
+    )
+    return ExperimentResult(outcome=outcome)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class ExperimentResult:
+    """An experiment's results. `str(result)` is the table; `to_dict()` has every figure with its unit and direction."""
+
+    outcome: Outcome
+
+    @property
+    def results(self) -> dict[str, np.ndarray]:
+        """Every run as a row: columns by name, sample by sample and tracker by tracker."""
+        return dict(self.outcome.results)
+
+    def replay(self, tracker: str, sample: int) -> Rollout:
+        """Return one sample's run again, with its log in SI units."""
+        return replay(self.outcome.experiment, tracker, sample)[0]
+
+    def to_dict(self) -> dict:
+        """Return what was asked and what was found, in JSON's own types."""
+        return json.loads(json.dumps(self.outcome.record))
+
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """Return the figure of how each tracker's figures are distributed; it is saved at `path` where one is given."""
+        from linkplan.studies.experiment.draw_experiment import experiment_figure
+
+        one, summary = self.outcome.experiment, self.outcome.summary
+        title = f"{one.plan.problem.name}: {summary.samples} machines"
+        place = None if path is None else Path(path)
+        return experiment_figure(self.outcome.results, one.settings.trackers, summary.metrics, title, place)
+
+    def __str__(self) -> str:
+        one = self.outcome.experiment
+        tube = tube_said(one)
+        return experiment_text(one.plan.problem.name, self.outcome.summary, one.settings.design, one.settings.seed, tube)
+
+    def __repr__(self) -> str:
+        one = self.outcome.experiment
+        return f"ExperimentResult({one.plan.problem.name!r}: {one.n} machines, {', '.join(one.settings.trackers)})"

@@ -1,0 +1,59 @@
+"""The gap of closures in a batch is the mechanism's own, whatever ties the points."""
+
+import numpy as np
+import pytest
+from mujoco.batch import Batch
+
+from linkplan.controllers.ensemble import run_ensemble
+from linkplan.controllers.imperfections.gaping import gaps
+from linkplan.controllers.imperfections.imperfections import Imperfections
+from linkplan.models.errors import ModelError
+from linkplan.models.mechanism import load_mechanism
+from tests.support.machines import LOOP, follower, reach
+
+FOURBAR = """
+<mujoco model="tied">
+  <default><geom type="capsule" size="0.01" contype="0" conaffinity="0"/><joint axis="0 1 0"/></default>
+  <worldbody>
+    <body name="crank"><joint name="O"/><geom fromto="0 0 0 0 0 0.1"/>
+      <body name="coupler" pos="0 0 0.1"><joint name="A"/><geom fromto="0 0 0 0.3 0 0"/></body></body>
+    <body name="rocker" pos="0.3 0 0"><joint name="C"/><geom fromto="0 0 0 0 0 0.1"/></body>
+  </worldbody>
+  <equality>{tie}</equality>
+  <actuator>{drive}</actuator>
+</mujoco>"""
+MOTOR = '<motor name="m" joint="O" ctrlrange="-5 5"/>'
+TIES = {
+    "bodies": '<connect body1="coupler" body2="rocker" anchor="0.3 0 0"/>',
+    "the other way": '<connect body1="rocker" body2="coupler" anchor="0 0 0.1"/>',
+}
+
+
+@pytest.mark.parametrize("name", TIES)
+def test_points_of_bodies(name):
+    mechanism = load_mechanism(FOURBAR.format(tie=TIES[name], drive=MOTOR))
+    pose = mechanism.home + np.array([0.01, -0.004, 0.02])
+    batch = Batch(mechanism.model, nsim=2)
+    batch.bind("qpos")[:] = pose
+    now = gaps(batch, [mechanism.model] * 2)
+    batch.forward()
+    assert mechanism.gap_m(pose) > 1e-4
+    assert np.sqrt(now(slice(None))) == pytest.approx(mechanism.gap_m(pose))
+    assert np.sqrt(now(np.array([1]))) == pytest.approx(mechanism.gap_m(pose))
+
+
+def test_points_of_sites():
+    mechanism, _ = reach()
+    pose = mechanism.home + np.array([0.01, -0.004, 0.02])
+    batch = Batch(mechanism.model, nsim=1)
+    batch.bind("qpos")[:] = pose
+    now = gaps(batch, [mechanism.model])
+    batch.forward()
+    assert np.sqrt(now(slice(None))) == pytest.approx(mechanism.gap_m(pose))
+
+
+def test_servos_are_refused_by_name():
+    servo = '<position name="s" joint="O" kp="10" kv="1"/>'
+    mechanism = load_mechanism(FOURBAR.format(tie=TIES["bodies"], drive=servo))
+    with pytest.raises(ModelError, match="actuator s is a servo"):
+        run_ensemble(mechanism, reach()[1], follower(), LOOP, [Imperfections()])
