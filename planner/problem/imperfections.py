@@ -128,7 +128,7 @@ def spread_of(value: object, key: str, label: str) -> Spread:
         raise ProblemError(f"{where} is {_FORMS}, got {value!r}")
     first = _legal(pair[0], key, where)
     if kind == "normal":
-        return Spread(kind=kind, first=first, second=number(pair[1], f"{where}: the standard deviation", least=0.0))
+        return Spread(kind=kind, first=first, second=number(pair[1], f"{where}: the standard deviation", at_least_zero=True))
     second = _legal(pair[1], key, where)
     if second < first:
         raise ProblemError(f"{where} goes from its low end to its high end, got {value!r}")

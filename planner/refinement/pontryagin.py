@@ -20,7 +20,8 @@ def arcs_against_their_limits(solution: Solution) -> np.ndarray:
         return np.empty(0)
     program, mesh = transcribed.program, transcribed.program.mesh
     wrong = np.zeros(mesh.n_intervals, dtype=bool)
-    if transcribed.bang_efforts is not None:
+    # An effort whose rate is limited is a state: what holds it acts on the whole arc, and has no sign at each instant.
+    if transcribed.bang_efforts is not None and "effort_rate" not in program.interval.own_kinds:
         _, gradient = program.functions["grad_f"](solution.x, transcribed.parameters)
         _, jacobian = program.functions["jac_g"](solution.x, transcribed.parameters)
         reduced = np.array(gradient).ravel() + np.array(jacobian.T @ multipliers).ravel()

@@ -12,7 +12,7 @@ BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
 BROWN = "#8C564B"
 TRACKER_COLOURS = {"pd": ORANGE, "pd+ff": GREEN, "lqr": BLUE, "lqi": SKY, "gs-pd+ff": PURPLE, "ct": BROWN, "mpc": RED}
-SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+SERIES = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY, BROWN)
 # Solid, dashed, dash-dotted; dotted lines are continuous-time ones: lines of one panel that lie on one another stay visible.
 STYLES = ("-", "--", "-.")
 

@@ -152,8 +152,8 @@ def large_section(study: LargeStudy, *, depth: int = 2) -> Section:
     series = []
     for k, multiple in enumerate(signals.multiples):
         name = f"command {multiple:g} of the limit"
-        series.append(Series(name=f"{name}, harmonic balance", y=rounded(predicted[:, k]), colour=k % 6, width=1.1))
-        series.append(Series(name=f"{name}, MuJoCo", y=rounded(measured[:, k]), colour=k % 6, look="points"))
+        series.append(Series(name=f"{name}, harmonic balance", y=rounded(predicted[:, k]), colour=k % 7, width=1.1))
+        series.append(Series(name=f"{name}, MuJoCo", y=rounded(measured[:, k]), colour=k % 7, look="points"))
     gain = Plot(
         title=f"Reference to position at {curve.point.name}",
         group="frequency:large",

@@ -178,7 +178,8 @@ def _colour(runs: Mapping[str, Rollout], name: str) -> int:
     """Return a tracker's colour, the same as in the figures."""
     own = {tracker: SERIES.index(colour) for tracker, colour in TRACKER_COLOURS.items()}
     others = [other for other in runs if other not in own]
-    left = [k for k in range(len(SERIES)) if k not in own.values()]
+    taken = {own[other] for other in runs if other in own}
+    left = [k for k in range(len(SERIES)) if k not in taken] or list(range(len(SERIES)))
     return own[name] if name in own else left[others.index(name) % len(left)]
 
 

@@ -38,7 +38,7 @@ def test_speed_doubles_and_halves():
 
 
 def test_trackers_come_round():
-    assert [after(*["."] * k).tracker for k in range(4)] == ["pd", "pd+ff", "lqr", "pd"]
+    assert [after(*["."] * k).tracker for k in range(4)] == ["pd", "pd+ff", "lqr", "lqi"]
 
 
 def test_only_trackers_and_gains_ask_for_another_run():

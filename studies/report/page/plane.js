@@ -101,7 +101,7 @@ function legendOf(curves) {
     "ul",
     { class: "legend" },
     ...named.map((curve) => {
-      const colour = curve.colour === null ? "ink" : `c${curve.colour % 6}`;
+      const colour = curve.colour === null ? "ink" : `c${curve.colour % 7}`;
       const sign = { points: "●", cross: "×", star: "★", area: "▒", dash: "╌", dots: "┈" }[curve.look] || "━";
       return make("li", {}, make("span", { class: `sign ${colour}` }, sign), curve.name);
     }),

@@ -78,10 +78,10 @@ function effortSaid(drive, effort) {
 /** Return what the drawing's lines and signs mean. */
 function keyOf(block) {
   const moving = block.bodies.filter((body) => !body.fixed);
-  const swatches = moving.slice(0, 12).map((body, k) => make("li", {}, make("span", { class: `sign c${k % 6}` }, "━"), body.name));
+  const swatches = moving.slice(0, 12).map((body, k) => make("li", {}, make("span", { class: `sign c${k % 7}` }, "━"), body.name));
   if (moving.length > 12) swatches.push(make("li", {}, `and ${moving.length - 12} more bodies`));
   if (block.ghosts.length) swatches.push(make("li", {}, make("span", { class: "sign ghost" }, "╌"), `ghost: as tracked; solid: ${block.planned}`));
-  block.paths.forEach(([name], k) => swatches.push(make("li", {}, make("span", { class: `sign c${(k + 3) % 6}` }, "─"), `path of ${name}`)));
+  block.paths.forEach(([name], k) => swatches.push(make("li", {}, make("span", { class: `sign c${(k + 3) % 7}` }, "─"), `path of ${name}`)));
   const seen = block.dimension === 3 ? "drag to turn" : `seen with ${block.axes[0]} to the right and ${block.axes[1]} up`;
   const drives = block.drives.length ? "; arcs and arrows: efforts against their limits, red at the limit" : "";
   return make("div", {}, make("ul", { class: "legend" }, ...swatches), make("p", { class: "hint" }, seen + drives));

@@ -6,9 +6,9 @@ const theme = {
   colour(name) {
     return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   },
-  /** Return a series's colour; those beyond the sixth begin again. */
+  /** Return a series's colour; those beyond the seventh begin again. */
   series(index) {
-    return theme.colour(index === null || index === undefined ? "ink" : `c${index % 6}`);
+    return theme.colour(index === null || index === undefined ? "ink" : `c${index % 7}`);
   },
   dark() {
     const chosen = document.documentElement.dataset.theme;
