@@ -56,7 +56,7 @@ def test_every_block_is_of_a_kind_that_is_run(page):
 
 @pytest.mark.parametrize("page", PAGES, ids=name)
 def test_no_block_is_hidden_in_an_indent(page):
-    text = re.sub(r"^(`{3,}|:{3,}).*?^\1\s*$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"^ *(`{3,}|:{3,}).*?^ *\1\s*$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     indented = re.findall(r"^\n {4}\S.*", text, flags=re.MULTILINE)
     assert not indented
 

@@ -25,7 +25,7 @@ from linkplan.studies.cli.main import main
 
 # What may stand in a page, and is run or read. Directives ("{toctree}") are the site's own.
 KINDS = ("sh", "text", "python", "toml", "xml")
-_FENCE = re.compile(r"^(`{3,}|:{3,})(\S*)\s*$")
+_FENCE = re.compile(r"^( *)(`{3,}|:{3,})(\S*)[^`]*$")
 _MARK = re.compile(r"^<!-- (file|part of|exit|shown|from): (.+?) -->$")
 _PICTURE = re.compile(r"^!\[[^\]]*\]\(([^)\s]+)\)")
 _NUMBER = re.compile(r"(?<![\w.])[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
@@ -59,11 +59,11 @@ def blocks(page: Path) -> list[Block]:
         elif fence := _FENCE.match(line):
             inside = []
             for _, below in lines:
-                if below.strip() == fence[1]:
+                if below.strip() == fence[2]:
                     break
-                inside.append(below)
-            if not fence[2].startswith("{"):
-                found.append(Block(kind=fence[2], text="\n".join(inside) + "\n", line=number, marks=marks))
+                inside.append(below.removeprefix(fence[1]))
+            if not fence[3].startswith("{"):
+                found.append(Block(kind=fence[3], text="\n".join(inside) + "\n", line=number, marks=marks))
             marks = {}
         elif (picture := _PICTURE.match(line)) and "from" in marks:
             found.append(Block(kind="picture", text=picture[1], line=number, marks=marks))
