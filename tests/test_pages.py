@@ -1,6 +1,7 @@
 """Every page of the documents, followed to the letter: each in its own empty folder, its blocks in order.
 
-`python -m tests.test_pages` draws the pictures of the pages again, from what their commands write.
+`python -m tests.test_pages [--text] [PAGE.md ...]` draws the pages' pictures again from what their commands write, and with
+--text also writes again what the pages show as printed, in today's words and figures: read the difference.
 """
 
 import os
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.pages import KINDS, Reader, blocks, commands, compare_output, take_pictures
+from tests.support.pages import KINDS, Reader, as_printed, blocks, commands, compare_output, take_pictures
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -105,11 +106,32 @@ def test_output_that_a_page_shows_is_compared(shown, said, same):
             compare_output(shown, said)
 
 
+def test_output_is_written_again_with_its_gaps_where_they_were():
+    shown = "peak 86.3 N.m\n...\nname  rms [deg]\n----\npd  4.8\n...\ntook ... s\n"
+    said = "peak 96.5 Nm\nb\nc\nname   rms\n      [deg]\n----\npd    5.3\nlqr   0.1\ntook 3.1 s\n"
+    now = "peak 96.5 Nm\n...\nname   rms\n      [deg]\n----\npd    5.3\n...\ntook ... s\n"
+    assert as_printed(shown, said) == now
+    compare_output(now, said)
+
+
+def follow(page: Path, rewrite: bool) -> None:
+    """Draw a page's pictures again, and write again what it shows as printed."""
+    before = os.getcwd()
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        reader = Reader(page=page, pending=PENDING, printed=[] if rewrite else None)
+        reader.follow()
+        print(name(page), *take_pictures(page), file=sys.stderr)
+        os.chdir(before)
+    text = page.read_text(encoding="utf-8")
+    for shown, said in reader.printed or ():
+        text = text.replace(f"```text\n{shown}```", f"```text\n{as_printed(shown, said)}```")
+    page.write_text(text, encoding="utf-8")
+
+
 if __name__ == "__main__":
+    wanted = [word for word in sys.argv[1:] if word != "--text"]
     for page in PAGES:
-        if any(block.kind == "picture" for block in blocks(page)):
-            with tempfile.TemporaryDirectory() as folder:
-                os.chdir(folder)
-                Reader(page=page, pending=PENDING).follow()
-                print(name(page), *take_pictures(page), file=sys.stderr)
-                os.chdir(ROOT)
+        kinds = {block.kind for block in blocks(page) if block.runs}
+        if kinds & ({"picture", "text"} if "--text" in sys.argv else {"picture"}) and (not wanted or page.name in wanted):
+            follow(page, rewrite="--text" in sys.argv)

@@ -11,9 +11,9 @@
 # %% [markdown]
 # # A design study
 #
-# Which motor does the knee need? The shank is to swing from -49 to 56 deg. How quick the swing is, what it carries and what torque the
-# motor gives decide one another; a planner answers the question without a prototype, and the exact optimum leaves no doubt whether a
-# motor is too weak or a controller too timid.
+# Which motor does the knee need? The shank is to swing from -49 to 56 deg. How quick the swing is, what it carries and what
+# torque the motor gives decide one another; a planner answers the question without a prototype, and the exact optimum
+# leaves no doubt whether a motor is too weak or a controller too timid.
 
 # %%
 import numpy as np
@@ -47,8 +47,8 @@ axes.grid(alpha=0.3)
 plt.show()
 
 # %% [markdown]
-# Inertia alone would make the time fall with the square root of the torque. Here it nearly does, so weight and the linkage's ratio
-# matter little; twice as quick takes four times the torque.
+# Inertia alone would make the time fall with the square root of the torque. Here it nearly does, so weight and the
+# linkage's ratio matter little; twice as quick takes four times the torque.
 
 # %%
 scaled = np.array(least) * np.sqrt(torques)
@@ -88,8 +88,8 @@ for mass in (2.0, 3.0, 4.0):
 # %% [markdown]
 # ## Does the loop hold it?
 #
-# A motor that is just strong enough for the plan has nothing left for the controller. The swing in its least time, and with a little
-# more, each followed with a payload 20 % heavier and a control period of delay:
+# A motor that is just strong enough for the plan has nothing left for the controller. The swing in its least time, and with
+# a little more, each followed with a payload 20 % heavier and a control period of delay:
 
 # %%
 for factor in (1.0, 1.15, 1.3):

@@ -11,9 +11,9 @@
 # %% [markdown]
 # # Plan and track
 #
-# A crank-rocker of one's own, in Python alone: its model as text, a problem, a plan with its certificate, a tracker that is ten lines
-# long, and the loop's margins. This page is a Python file, `docs/notebooks/plan_and_track.py`: run it as it stands, or open it as a
-# notebook with Jupyter and jupytext.
+# A crank-rocker of one's own, in Python alone: its model as text, a problem, a plan with its certificate, a tracker that is
+# ten lines long, and the loop's margins. This page is a Python file, `docs/notebooks/plan_and_track.py`: run it as it
+# stands, or open it as a notebook with Jupyter and jupytext.
 
 # %%
 import numpy as np

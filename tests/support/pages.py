@@ -10,6 +10,7 @@ A comment in the line before a block says what the block alone does not:
 """
 
 import contextlib
+import difflib
 import io
 import re
 import shlex
@@ -85,6 +86,7 @@ class Reader:
 
     page: Path
     pending: tuple[str, ...] = ()
+    printed: list[tuple[str, str]] | None = None  # where it is a list: what is shown and what was printed, not compared
     names: dict = field(default_factory=lambda: {"__name__": "__page__"})
     said: str = ""
     skipped: bool = False
@@ -105,8 +107,10 @@ class Reader:
             self._command(block)
         elif block.kind == "text":
             assert self.skipped or self.said, "nothing was printed before"
-            if not self.skipped:
+            if not self.skipped and self.printed is None:
                 compare_output(block.text, self.said)
+            elif not self.skipped:
+                self.printed.append((block.text, self.said))
         elif block.kind == "picture":
             source = block.marks["from"]
             assert self._is_pending(source) or Path(source).is_file(), f"no command of this page wrote {source}"
@@ -196,6 +200,33 @@ def _plain(line: str) -> str:
 
 def _same(shown: float, said: float) -> bool:
     return abs(shown - said) <= max(_SAME * abs(shown), _ROUNDING)
+
+
+def as_printed(shown: str, said: str) -> str:
+    """Return what a page shows in the words and figures that are printed now, with `...` where it was.
+
+    Each run of lines between two `...` becomes the printed lines from that most like its first to that most like its last.
+    """
+    printed, at, found = said.splitlines(), 0, []
+
+    def nearest(line: str) -> int:
+        bare = _NUMBER.sub("#", _plain(line))
+        likeness = [difflib.SequenceMatcher(None, bare, _NUMBER.sub("#", _plain(one))).ratio() for one in printed[at:]]
+        assert max(likeness, default=0.0) > 0.5, f"nothing like {line!r} was printed any more"
+        return at + likeness.index(max(likeness))
+
+    for run in re.split(r"^ *\.\.\. *\n", shown, flags=re.MULTILINE):
+        lines = [line for line in run.splitlines() if line.strip()]
+        if lines:
+            first = nearest(lines[0])
+            at = first
+            at = nearest(lines[-1]) + 1
+            short = [line for line in lines if "..." in line]
+            now = (next((one for one in short if _same_line(one, line)), line) for line in printed[first:at])
+            found.append("".join(f"{line.rstrip()}\n" for line in now))
+        else:
+            found.append(run)
+    return "...\n".join(found)
 
 
 def take_pictures(page: Path) -> list[Path]:
