@@ -9,7 +9,7 @@ export OMP_NUM_THREADS ?= 1
 # What pyright reads: the package as it is installed, links to the folders that it is made of.
 LINKS := build/typed/linkplan
 
-.PHONY: demo test quick check links bench clean
+.PHONY: demo test quick check links bench docs clean
 
 demo: $(STAMP)
 	$(BIN)/linkplan demo -o linkplan-demo
@@ -28,6 +28,12 @@ check: $(STAMP) links
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.bench
+
+# Every page of docs/, its notebooks executed; a warning, a link that leads nowhere among them, is an error.
+docs: $(STAMP)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going docs build/site
+	@echo "the site is in build/site/, begin with build/site/index.html"
 
 clean:
 	rm -rf $(VENV) build *.egg-info linkplan-demo bench-results

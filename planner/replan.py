@@ -46,6 +46,7 @@ class Planner:
         self._say = say
         self._alone = threading.RLock()
         self._key: tuple | None = None
+        self._held_at: np.ndarray | None = None  # the effort limits at which the last program holds its bang arcs
         self._last: Transcribed | None = None
         self._solver: Solver | None = None
         self._program: Program | None = None
@@ -75,6 +76,8 @@ class Planner:
         with self._alone:
             if self._last is None or self._solver is None or structure(problem) != self._key:
                 return None
+            if self._held_at is not None and not np.array_equal(problem.limits.effort, self._held_at):
+                return None  # its bang arcs hold the old limits
             solution = run_solver(self._solver, renumbered(self._last, problem, self._last.start))
         return solution if solution.converged and not _held_back(problem, solution) else None
 
@@ -108,6 +111,7 @@ class Planner:
         if not is_program_of(solved, problem):
             return  # a motion kept clear of what was not asked for, say
         self._last, self._key = solved, structure(problem)
+        self._held_at = None if solved.bang_efforts is None else problem.limits.effort
         if solved.program is not self._program:
             self._program = solved.program
             self._solver = build_solver(solved.program, problem.solver, warm=True)

@@ -1,9 +1,11 @@
 """The documents: every relative link and picture resolves, the README is short, and every page is linked."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
@@ -40,16 +42,32 @@ def test_relative_links_and_pictures_resolve(page):
 
 
 def test_the_readme_fits_three_screens():
-    assert len((ROOT / "docs" / "mechanisms.md").read_text(encoding="utf-8").splitlines()) <= MOST_LINES
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= MOST_LINES
 
 
 def test_every_page_of_docs_is_linked_from_the_readme_or_from_the_list_of_pages():
     linked = {
         (page.parent / target).resolve()
-        for page in (ROOT / "README.md", ROOT / "docs" / "README.md")
+        for page in (ROOT / "README.md", ROOT / "docs" / "index.md")
         for target in links(page)
     }
-    assert set((ROOT / "docs").glob("*.md")) - {ROOT / "docs" / "README.md"} <= linked
+    pages = {*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "notebooks").glob("*.py")}
+    assert pages - {ROOT / "docs" / "index.md"} <= linked
+
+
+def test_every_page_stands_in_the_tables_of_contents_of_the_site():
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    listed = set(" ".join(re.findall(r"^```\{toctree\}\n(.*?)^```", index, flags=re.MULTILINE | re.DOTALL)).split())
+    pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "notebooks").glob("*.py")]
+    assert {str(page.relative_to(ROOT / "docs").with_suffix("")) for page in pages} - {"index"} <= listed
+
+
+def test_the_citation_names_this_version_and_licence():
+    cited = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert {"cff-version", "message", "title", "authors"} <= set(cited)
+    assert all({"name"} <= set(author) or {"family-names", "given-names"} <= set(author) for author in cited["authors"])
+    assert (str(cited["version"]), cited["license"]) == (project["version"], project["license"])
 
 
 def test_terms_of_the_glossary_stand_once_and_in_order():

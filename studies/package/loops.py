@@ -104,7 +104,7 @@ def tune(
         subject: a mechanism of one degree of freedom, a `Problem` of one, or the name or path of either.
         bandwidth_hz: of the closed loop, at least [Hz].
         phase_margin_deg: at least [deg].
-        sensitivity_peak: the largest |S|; by default any.
+        sensitivity_peak: the largest sensitivity; by default any.
         tracker: "pd", "pd+ff" or "lqr".
         tracking: settings in place of the problem's, of which the period and delay count, as `bode` takes them.
         at_deg: poses, as `bode` takes them; `at_m` on slides.

@@ -45,6 +45,18 @@ def test_switches_that_move_far_are_looked_for_from_the_beginning():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("name", "limit"), [("knee-sprint", 200.0), ("knee-reach", 100.0)])
+def test_bang_arcs_are_not_held_at_the_limits_of_the_last_problem(name, limit):
+    planner = Planner()
+    held = planner.plan(load_problem(name, ["limits.effort.act_O=[-60, 60]"]))
+    changed = load_problem(name, [f"limits.effort.act_O=[-{limit}, {limit}]"])
+    again = planner.plan(changed)
+    assert held.certificate.peak_effort[0] == pytest.approx(60.0)
+    assert again.certificate.peak_effort[0] > 80.0
+    assert again.objective == pytest.approx(plan_motion(changed).objective, rel=SAME_FIGURE)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "overrides",
     [

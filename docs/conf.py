@@ -1,0 +1,57 @@
+"""The site: `make docs` builds it from this folder into build/site, notebooks executed, warnings as errors."""
+
+from importlib import metadata
+
+from docutils import nodes
+from latex2mathml.converter import convert
+
+project = "linkplan"
+author = "the linkplan authors"
+project_copyright = "Apache-2.0"
+release = version = metadata.version("linkplan")
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_argparse_cli", "sphinx_copybutton"]
+exclude_patterns = ["conf.py"]
+
+myst_enable_extensions = ["dollarmath", "amsmath"]
+myst_heading_anchors = 3
+
+# Notebooks are Python files in the percent format; they run where nothing of ours lies about.
+nb_custom_formats = {".py": ["jupytext.reads", {"fmt": "py:percent"}]}
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+
+html_theme = "furo"
+html_title = f"linkplan {version}"
+html_copy_source = False
+html_show_sphinx = False
+html_math_renderer = "mathml"
+html_theme_options = {
+    "light_css_variables": {"color-brand-primary": "#0072b2", "color-brand-content": "#0072b2"},
+    "dark_css_variables": {"color-brand-primary": "#56b4e9", "color-brand-content": "#56b4e9"},
+}
+html_static_path = ["static"]
+html_css_files = ["site.css"]
+
+
+def _inline(translator, node: nodes.math) -> None:
+    translator.body.append(convert(node.astext()))
+    raise nodes.SkipNode
+
+
+def _display(translator, node: nodes.math_block) -> None:
+    translator.body.append(f'<div class="math">{convert(node.astext(), display="block")}</div>')
+    raise nodes.SkipNode
+
+
+def setup(app) -> None:
+    """Have formulas written as MathML: every browser draws it, and nothing is fetched from elsewhere."""
+    app.add_html_math_renderer("mathml", (_inline, None), (_display, None))

@@ -1,0 +1,138 @@
+# ---
+# jupyter:
+#   jupytext:
+#     text_representation:
+#       format_name: percent
+#   kernelspec:
+#     name: python3
+#     display_name: Python 3
+# ---
+
+# %% [markdown]
+# # Plan and track
+#
+# A crank-rocker of one's own, in Python alone: its model as text, a problem, a plan with its certificate, a tracker that is
+# ten lines long, and the loop's margins. This page is a Python file, `docs/notebooks/plan_and_track.py`: run it as it
+# stands, or open it as a notebook with Jupyter and jupytext.
+
+# %%
+import numpy as np
+from matplotlib import pyplot as plt
+
+import linkplan
+
+# %% [markdown]
+# ## The mechanism
+#
+# Crank 50 mm, frame 200 mm, driven at O. A and C are its other hinges; the pin B is closed by a `connect`.
+
+# %%
+MODEL = """
+<mujoco model="crank-rocker">
+  <option timestep="2e-4"/>
+  <default>
+    <joint axis="0 1 0" damping="0.002"/>
+    <geom type="capsule" size="0.008" contype="0" conaffinity="0"/>
+  </default>
+  <worldbody>
+    <body name="crank">
+      <joint name="O"/>
+      <geom fromto="0 0 0 0 0 0.05"/>
+      <body name="coupler" pos="0 0 0.05">
+        <joint name="A"/>
+        <geom fromto="0 0 0 0.16 0 0.07"/>
+      </body>
+    </body>
+    <body name="rocker" pos="0.2 0 0">
+      <joint name="C"/>
+      <geom fromto="0 0 0 -0.04 0 0.12"/>
+    </body>
+  </worldbody>
+  <equality>
+    <connect name="B" body1="coupler" body2="rocker" anchor="0.16 0 0.07"/>
+  </equality>
+  <actuator>
+    <motor name="drive" joint="O" ctrlrange="-2 2"/>
+  </actuator>
+</mujoco>
+"""
+linkage = linkplan.load_mechanism(MODEL, solref="stiff")
+found = linkplan.check(linkage)
+print(found.problems or "no problems")
+found.plot()
+plt.show()
+
+# %% [markdown]
+# ## The problem and its plan
+#
+# Half a turn of the crank in 0.3 s, at rest at both ends, the rocker never faster than 600 deg/s.
+
+# %%
+problem = linkplan.Problem.reach(
+    linkage,
+    start_deg={"O": 0.0},
+    goal_deg={"O": 180.0},
+    duration_s=0.3,
+    limits={"effort": {"drive": [-1.0, 1.0]}, "speed_deg_s": {"C": 600.0}},
+    tracking={"kp": 5.0, "kd": 0.03, "period_s": 5e-4},
+    name="half-turn",
+)
+plan = linkplan.plan(problem).require()
+print(plan)
+plan.plot()
+plt.show()
+
+# %% [markdown]
+# How quick may the half turn be with a fifth of the torque? A problem is varied by `replace`, which returns another one.
+
+# %%
+weak = {"effort": {"drive": [-0.2, 0.2]}}
+quick = linkplan.plan(problem.replace(limits=weak, duration_s="free", minimize="time")).require()
+fastest = np.abs(quick.sample().speed["C"]).max()
+print(f"{1000 * quick.duration_s:.1f} ms; the rocker turns at {fastest:.0f} deg/s at the most")
+
+# %% [markdown]
+# ## A tracker of one's own
+#
+# A tracker has a name and a law. This one adds feedback, with gains chosen by hand, to the plan's torque.
+
+
+# %%
+class ByHand:
+    """The plan's torque, and feedback of position and speed."""
+
+    name = "by hand"
+
+    def __init__(self, reference):
+        self.reference = reference
+
+    def effort(self, k, position, velocity):
+        """Return the torque at control instant k."""
+        error = self.reference.position[k] - position
+        rate = self.reference.velocity[k] - velocity
+        return self.reference.effort[k] + 4.0 * error + 0.01 * rate
+
+
+print(linkplan.compare(plan, ["pd", ByHand, "pd+ff", "lqr"]))
+
+# %% [markdown]
+# The runs are there as arrays, at the control instants and in SI units.
+
+# %%
+runs = linkplan.compare(plan, [ByHand, "pd+ff", "lqr"]).mismatched
+figure, axes = plt.subplots(figsize=(7, 3), layout="constrained")
+for (name, run), line in zip(runs.items(), ("-", "--", ":"), strict=True):
+    error = np.degrees(run.position - run.reference)[:, 0]
+    axes.plot(plan.problem.planning.tracking.period_s * np.arange(len(error)), error, line, label=name)
+axes.set(xlabel="time [s]", ylabel="error of O [deg]", title="20 % more mass, one control period of delay")
+axes.legend()
+plt.show()
+
+# %% [markdown]
+# ## The loop's margins
+
+# %%
+gains = linkplan.tune(problem, bandwidth_hz=10.0)
+print(gains.message)
+loop = linkplan.bode(problem.replace(tracking=gains.tracking), at_deg=[{"O": 90.0}], frequency_hz=[10.0, 50.0])
+print(loop.message)
