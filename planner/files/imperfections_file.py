@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import nearest
-from linkplan.planner.problem.imperfections import QUANTITIES, WORDS, Factor, is_spread, refuse_unknown, spread_of
+from linkplan.planner.keys.quantities import QUANTITIES, WORDS
+from linkplan.planner.problem.imperfections import Factor, is_spread, refuse_unknown, spread_of
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

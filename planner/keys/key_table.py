@@ -3,7 +3,7 @@
 import types
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Union, get_args, get_origin
+from typing import Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
@@ -18,17 +18,23 @@ class Key:
 
     `section` is "" of the tables themselves, "motion", or what is inside of one: "motion.waypoints[]", "motors.NAME".
     `default` is the value that stands for a key that is left out, None where there is no single one; `default_words` say it
-    either way. A key that is `required` has neither.
+    either way. A key that is `required` has neither. `choices` are the words that it takes, where there are several.
     """
 
     section: str
     name: str
     type: str
+    choices: str
     unit: str
     required: bool
     default: Any
     default_words: str
     doc: str
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether the default is one value, whatever else a file says."""
+        return self.default is not None and self.default_words == _shown(self.default)
 
 
 def key_table(kind: type[Section] = ProblemFile, section: str = "") -> tuple[Key, ...]:
@@ -42,15 +48,15 @@ def _rows(kind: type[Section], section: str) -> Iterator[Key]:
         bare, about = without_metadata(field.type)
         value = None if field.required or field.default is msgspec.NODEFAULT else field.default
         single = isinstance(value, int | float | str) and value != ""
-        shown = f"{value:g}" if isinstance(value, float) else str(value)
         yield Key(
             section=section,
             name=field.name,
             type=", ".join(filter(None, (words(field.type), _range(field.type)))),
+            choices=_choices(field.type),
             unit=about["unit"],
             required=field.required,
             default=value if single else None,
-            default_words="" if field.required else about["default"] or shown,
+            default_words="" if field.required else about["default"] or _shown(value),
             doc=about["meaning"],
         )
         inside += [(one, f"{section}.{field.name}{how}".lstrip(".")) for one, how in _inside(bare, about)]
@@ -72,6 +78,20 @@ def _inside(bare: Any, about: dict, how: str = "") -> Iterator[tuple[type[Sectio
             for shape, inner in _inside(*without_metadata(one), how + step):
                 found.setdefault(shape, inner)
         yield from found.items()
+
+
+def _shown(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _choices(kind: Any) -> str:
+    """Return the words of a kind, or of the first of several that has words; "" where there is but one or none."""
+    bare, about = without_metadata(kind)
+    if get_origin(bare) in (Union, types.UnionType):
+        return next(filter(None, map(_choices, get_args(bare))), "")
+    if get_origin(bare) is not Literal or len(get_args(bare)) < 2:
+        return ""
+    return about.get("choices") or f"one of {', '.join(get_args(bare))}"
 
 
 def _range(kind: Any) -> str:

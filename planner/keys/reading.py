@@ -14,8 +14,6 @@ _FIELDS = {name: get_args(kind)[0] for name, kind in ProblemFile.__annotations__
 KEYS: Mapping[str, tuple[str, ...]] = {
     name: getattr(kind, "__struct_fields__", ()) for name, kind in _FIELDS.items() if name != "description"
 }
-# Tables whose keys are others' to know.
-_BY_NAME = ("motors", "imperfections")
 Read = TypeVar("Read")
 
 
@@ -85,4 +83,4 @@ def refuse_unknown_keys(tables: Mapping[str, object]) -> None:
 def _has_known_keys(name: str, table: object) -> bool:
     if name == "description":
         return isinstance(table, str)
-    return name in KEYS and isinstance(table, dict) and (name in _BY_NAME or table.keys() <= set(KEYS[name]))
+    return name in KEYS and isinstance(table, dict) and (name == "motors" or table.keys() <= set(KEYS[name]))

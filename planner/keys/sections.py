@@ -4,12 +4,13 @@ Everything else is made of these: the reader, the JSON Schema, the table of keys
 key, slides in metres with `_m`; all else is SI.
 """
 
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, defstruct
 
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.keys import kinds
+from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity, spread_schema
 
 # The value of a key that is left out and has no single default. No file can say it: no kind of value admits it.
 ABSENT: Any = None
@@ -106,9 +107,9 @@ class MotionSection(Section, frozen=True):
     start_speed_m_s: Annotated[kinds.Numbers, key("slides' speeds at the start", "m/s", "at rest")] = {}
     goal_speed_deg_s: Annotated[kinds.Numbers, key("hinges' speeds at the end", "deg/s", "at rest")] = {}
     goal_speed_m_s: Annotated[kinds.Numbers, key("slides' speeds at the end", "m/s", "at rest")] = {}
-    duration_s: Annotated[kinds.Duration | kinds.Free, key("how long it takes", "s", "free, or the reference's period")] = (
-        ABSENT
-    )
+    duration_s: Annotated[
+        kinds.Duration | kinds.Free, key('how long it takes, or "free"', "s", "free, or the reference's period")
+    ] = ABSENT
     min_duration_s: Annotated[kinds.ShortDuration, key("the shortest free duration", "s", "any")] = ABSENT
     max_duration_s: Annotated[kinds.Duration, key("the longest free duration", "s", "any")] = ABSENT
     waypoints: Annotated[
@@ -119,7 +120,11 @@ class MotionSection(Section, frozen=True):
                 "numbered": True,
             }
         ),
-        key("states on the way, passed in order", default="none"),
+        key(
+            "states on the way, passed in order: at_deg, at_m or at (of sites), speed_deg_s, speed_m_s, each at its time_s"
+            " or at a free time",
+            default="none",
+        ),
     ] = []
     turns: Annotated[
         kinds.WholeTurns,
@@ -228,7 +233,6 @@ class MotorSection(Section, frozen=True):
 
 _TOGETHER = {"torque_constant": ["resistance_ohm"], "resistance_ohm": ["torque_constant"]}
 Motor = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
-_IMPERFECTIONS = Meta(extra={"of": "quantity = value"})
 _MOTORS = Meta(extra={"of": "actuator = its motor", "noun": "actuator of [motors]"})
 
 
@@ -322,12 +326,39 @@ class TrackingSection(Section, frozen=True):
     lqr_velocity_deg_s: Annotated[kinds.LqrError, key("the same of its speed", "deg/s")] = 100.0
     lqr_position_m: Annotated[kinds.LqrError, key("the same of a slide", "m")] = 0.01
     lqr_velocity_m_s: Annotated[kinds.LqrError, key("the same of a slide's speed", "m/s")] = 1.0
-    bandwidth_hz: Annotated[kinds.Positive, key("natural frequency of the errors under ct and gs-pd", "Hz")] = 20.0
-    damping_ratio: Annotated[kinds.Positive, key("damping ratio of the errors under ct and gs-pd")] = 1.0
+    bandwidth_hz: Annotated[kinds.Positive, key("natural frequency of the errors under ct and gs-pd+ff", "Hz")] = 20.0
+    damping_ratio: Annotated[kinds.Positive, key("damping ratio of the errors under ct and gs-pd+ff")] = 1.0
     integral_time_s: Annotated[
         kinds.Positive, key("lqi: a position error that lasts this long weighs as much again by its integral", "s")
     ] = 0.05
     horizon_s: Annotated[kinds.Positive, key("mpc: how far ahead efforts are kept within their limits", "s")] = 0.1
+
+
+def _spread(quantity: Quantity) -> Any:
+    said = f"{FORMS}, or a table of these by name" if quantity.of else FORMS
+    return Annotated[Any, Meta(extra={"said": said}, extra_json_schema=spread_schema(quantity))]
+
+
+if TYPE_CHECKING:
+
+    class ImperfectionsSection(Section, frozen=True):
+        """What is wrong with simulated machines: where each quantity's value lies."""
+else:  # its keys stand where their ranges are
+    _NAME = Annotated[str, Meta(min_length=1, extra={"said": "a name"})]
+    ImperfectionsSection = defstruct(
+        "ImperfectionsSection",
+        [
+            *(
+                (name, Annotated[_spread(one), key(one.meaning, "" if one.unit == "1" else one.unit, one.otherwise)], ABSENT)
+                for name, one in QUANTITIES.items()
+            ),
+            *((name, Annotated[_NAME, key(meaning, default="none")], ABSENT) for name, meaning in WORDS.items()),
+        ],
+        bases=(Section,),
+        frozen=True,
+        namespace={"__doc__": "What is wrong with simulated machines: where each quantity's value lies."},
+        module=__name__,
+    )
 
 
 class ProblemFile(Section, frozen=True, kw_only=True):
@@ -339,12 +370,23 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     reference: Annotated[ReferenceSection, key("the sinusoid to follow or come near to", default="none")] = ABSENT
     objective: Annotated[ObjectiveSection, key("what is least", default="by the kind of motion")] = ObjectiveSection()
     limits: Annotated[LimitsSection, key("what holds at every instant", default="the model's own")] = LimitsSection()
-    robust: Annotated[RobustSection, key("what is not known of the machine", default="all is as modelled")] = RobustSection()
-    imperfections: Annotated[
-        dict[str, Any], _IMPERFECTIONS, key("of simulated machines: what is drawn from where", default="none")
+    robust: Annotated[
+        RobustSection,
+        key("machines for which one motion keeps every effort limit", default="all is as modelled"),
+    ] = RobustSection()
+    motors: Annotated[
+        dict[str, Motor],
+        _MOTORS,
+        key(
+            "the motor behind an actuator, by the actuator's name",
+            default="unknown",
+        ),
     ] = {}
-    motors: Annotated[dict[str, Motor], _MOTORS, key("by actuator: the motor behind it", default="unknown")] = {}
     guess: Annotated[GuessSection, key("where the search starts from", default="found by the planner")] = GuessSection()
     mesh: Annotated[MeshSection, key("how the motion is written down", default="chosen")] = MeshSection()
     solver: Annotated[SolverSection, key("how it is solved", default="chosen")] = SolverSection()
     tracking: Annotated[TrackingSection, key("how the plan is tracked", default="PD")] = TrackingSection()
+    imperfections: Annotated[
+        ImperfectionsSection,
+        key("what is wrong with the machines that an experiment simulates", default="those of a careful build"),
+    ] = ImperfectionsSection()

@@ -9,8 +9,8 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
-from linkplan.planner.files.key_table import KEYS
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
+from linkplan.planner.keys.reading import KEYS
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.shells import SHELLS
@@ -34,7 +34,7 @@ _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
 }
 _WORDS_ONLY = ("NAME", "HOW", "FORMAT", "SHELL")
 # A setting goes on after its "=": no blank is put there.
-_SETTINGS = tuple(f"{key.path}=" for key in KEYS if "{" not in key.key)
+_SETTINGS = tuple(f"{section}.{key}=" for section, keys in KEYS.items() for key in keys)
 _BASH_WITHOUT_BLANK = """
 _linkplan_without_blank() {
   _shtab_linkplan "$@"

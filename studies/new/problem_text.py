@@ -10,8 +10,9 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import reach
 from linkplan.models.tree.joints import Joint
 from linkplan.models.tree.sites import site_names
-from linkplan.planner.files.key_table import KEYS, NEEDS, SECTIONS, Key
+from linkplan.planner.files.examples import EXAMPLES, NEEDS, Example
 from linkplan.planner.files.toml_text import inline, key_text
+from linkplan.planner.keys.key_table import Key, key_table
 from linkplan.planner.problem.sites import AXES
 
 # What no line of comments exceeds, and the column where they begin beside a value.
@@ -35,23 +36,39 @@ def problem_text(mechanism: Mechanism, tables: Mapping[str, Mapping], descriptio
     """
     facts = _facts(mechanism)
     lines = [*(f"# {line}" for line in begin), _HEAD, f"description = {inline(description)}"]
-    for section, what in SECTIONS.items():
-        lines += ["", f"[{section}]".ljust(_COLUMN) + f"# {what}"]
-        for key in KEYS:
-            if key.section == section and all(need in facts["has"] for need in key.needs):
-                lines += _lines(key, tables.get(section, {}), facts)
+    rows = key_table()
+    for section in (row for row in rows if not row.section and row.name != "description"):
+        lines += ["", f"[{section.name}]".ljust(_COLUMN) + f"# {section.doc}"]
+        for key in (row for row in rows if row.section == section.name):
+            lines += _lines(key, tables.get(section.name, {}), facts)
+        if section.name == "motors":
+            code = f"#{facts['actuator']} = {_filled(EXAMPLES['motors.{actuator}'].text, facts)}"
+            of_one = [row for row in rows if row.section == "motors.NAME" and f"{row.name} =" in code]
+            lines += _laid_out(code, "; ".join(f"{row.name}: {row.doc} [{row.unit}]" for row in of_one))
     return "\n".join(line.rstrip() for line in lines) + "\n"
 
 
 def _lines(key: Key, section: Mapping, facts: Mapping) -> list[str]:
-    """Return a key's line, its comment beside it where there is room, else above."""
-    name = _filled(key.key, facts)
-    if key.key in section:
-        code = f"{name} = {inline(section[key.key])}"
-        doc = key.doc
-    else:
-        code = f"#{name} = {_filled(key.example, facts)}"
-        doc = f"{key.doc}; default: {key.otherwise}" if key.otherwise else key.doc
+    """Return a key's line, its comment beside it where there is room, else above; none of what a mechanism cannot have."""
+    path = f"{key.section}.{key.name}"
+    example = EXAMPLES[path] if key.default is None else Example(text=inline(key.default))
+    if key.name in section:
+        return _laid_out(f"{key.name} = {inline(section[key.name])}", _said(key).removesuffix("; required"))
+    if not facts["has"].issuperset(example.needs):
+        return []
+    return _laid_out(f"#{key.name} = {_filled(example.text, facts)}", _said(key))
+
+
+def _said(key: Key) -> str:
+    """Return what is said of a key: its meaning, unit and choices, and its default where no line of its own shows it."""
+    unit = f" [{key.unit}]" if key.unit else ""
+    choices = f"; {key.choices}" if key.choices else ""
+    otherwise = "" if key.is_constant else "; required" if key.required else f"; default: {key.default_words}"
+    return f"{key.doc}{unit}{choices}{otherwise}"
+
+
+def _laid_out(code: str, doc: str) -> list[str]:
+    """Return a line of TOML and its comment, which stands above it where there is no room beside it."""
     if len(code) + 2 > _COLUMN:
         return [*textwrap.wrap(doc, _WIDTH, break_on_hyphens=False, initial_indent="# ", subsequent_indent="# "), code]
     first, *rest = textwrap.wrap(doc, _WIDTH - _COLUMN - 2, break_on_hyphens=False)
@@ -68,7 +85,8 @@ def _filled(text: str, facts: Mapping) -> str:
 def _facts(mechanism: Mechanism) -> dict:
     """Return what examples name of a mechanism, as TOML, and which of `NEEDS` it has under "has"."""
     facts: dict = {"independent": ", ".join(inline(joint.name) for joint in mechanism.independent_joints)}
-    facts["independent_joint"] = key_text(mechanism.independent_joints[0].name)
+    facts["joint"] = key_text(mechanism.independent_joints[0].name)
+    facts["joint_name"] = inline(mechanism.independent_joints[0].name)
     free = mechanism.independent.tolist()
     for kind in ("hinge", "slide"):
         for name, order in ((f"free_{kind}", free), (kind, [*free, *mechanism.dependent.tolist()])):
@@ -93,7 +111,8 @@ def _facts(mechanism: Mechanism) -> dict:
         facts["site"], facts["site_home"] = place
     bodies = [name for k in range(1, mechanism.model.nbody) if (name := mechanism.model.body(k).name)]
     if bodies:
-        facts["body"] = bodies[-1]
+        facts["body"], facts["body_name"] = bodies[-1], inline(bodies[-1])
+    facts |= {"fully_driven": "fully_driven"} if mechanism.n_u == mechanism.dof else {}
     facts["has"] = {need for need in NEEDS if need in facts}
     return facts
 

@@ -77,12 +77,24 @@ GOOD = [
     "mesh.tolerance_deg=1e-9",
     "tracking.kp={ O = 200 }",
     "tracking.delay_periods=2",
+    "robust.viscous_friction={ O = [0, 0.1] }",
+    "imperfections.delay_periods={ uniform = [0.5, 1.5] }",
+    "imperfections.torque_constant_factor={ normal = [1.0, 0.001] }",
+    "imperfections.coulomb_friction={ O = [0, 2], A = 0.05, C = { normal = [1, 0.1] } }",
 ]
 
 
 @pytest.mark.parametrize("override", GOOD)
 def test_what_the_reader_takes_is_taken(override):
     asked = tables(override)
+    validator().validate(asked)
+    assert problem_from_tables("asked", asked).name == "asked"
+
+
+def test_a_push_is_taken():
+    asked = tables(
+        "imperfections.push_body=crank", "imperfections.push_force_x_n=[-1, 1]", "imperfections.push_duration_s=1"
+    )
     validator().validate(asked)
     assert problem_from_tables("asked", asked).name == "asked"
 
@@ -176,6 +188,19 @@ FAULTS = [
     "tracking.delay_periods=1001",
     "tracking.lqr_position_deg=0",
     "tracking.duration_s=1e9",
+    "tracking.horizon_s=0",
+    "limits.reserve=1.0",
+    "robust.payload_factor=1.1",
+    "robust.friction={ O = [0, 1] }",
+    "imperfections.delay=1",
+    "imperfections.delay_periods=-1",
+    "imperfections.delay_periods=[0.5]",
+    "imperfections.delay_periods={ O = 1 }",
+    "imperfections.delay_periods={ normal = [1, -1] }",
+    "imperfections.coulomb_friction={ uniform = 3 }",
+    "imperfections.coulomb_friction={ uniform = [0, 1], normal = [0, 1] }",
+    "imperfections.coulomb_friction={ O = [0, 1, 2] }",
+    "imperfections.push_body=3",
 ]
 # Refused by the reader alone: a schema knows no mechanism, not what goes with what, no NaN, and takes 40.0 for whole.
 BEYOND = [
@@ -197,6 +222,11 @@ BEYOND = [
     "motion.goal_deg.O=nan",
     "mesh.intervals=40.0",
     "mechanism.closure_tolerance_m=9",
+    "robust.payload_factor=[1.2, 0.8]",
+    "robust.coulomb_friction.K=[0, 1]",
+    "imperfections.coulomb_friction.K=1",
+    "imperfections.delay_periods=[2, 1]",
+    "imperfections.push_body=crank",
 ]
 
 

@@ -18,6 +18,8 @@ TYPED = [
     ("linkplan check optimus-knee-l", "optimus-knee-linear"),
     ("linkplan check dra", "drawing.xml"),
     ("linkplan plan knee-reach --set motion.goal_d", "motion.goal_deg="),
+    ("linkplan plan knee-reach --set robust.payload", "robust.payload_factor="),
+    ("linkplan experiment knee-reach --set imperfections.coul", "imperfections.coulomb_friction="),
     ("linkplan track --tracker pd+", "pd+ff"),
     ("linkplan bode optimus-knee --measure ch", "chirp"),
     ("linkplan export knee-reach --to key", "keyframes"),

@@ -9,11 +9,11 @@ import pytest
 
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.planner.files.key_table import KEYS, SECTIONS
-from linkplan.planner.files.limits_file import MOTOR_KEYS
-from linkplan.planner.files.problem_file import KEYS as READER
+from linkplan.planner.files.examples import EXAMPLES
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import set_key
+from linkplan.planner.keys.key_table import key_table
+from linkplan.planner.keys.reading import KEYS as READER
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.studies.new.first_motion import FirstMotion, first_motion
 from linkplan.studies.new.problem_text import problem_text
@@ -41,7 +41,7 @@ HOEKEN = """<mujoco model="hoeken">
   {actuator}
 </mujoco>"""
 MOTOR = '<actuator><motor name="crank" joint="O2" ctrlrange="-1 1"/></actuator>'
-# What a key asks for beside itself, or stands against: taken away or added before it is set.
+# What a key stands against, taken away before it is set; and what it asks for beside itself.
 AGAINST = {
     "motion.start_at": ("motion.start_m", "motion.start_deg"),
     "motion.goal_at": ("motion.goal_m", "motion.goal_deg"),
@@ -49,6 +49,14 @@ AGAINST = {
     "motion.max_duration_s": ("motion.duration_s",),
     "mesh.breaks": ("mesh.intervals",),
 }
+BESIDE = {
+    "imperfections.push_effort": ("push_joint", "push_duration_s"),
+    "imperfections.push_joint": ("push_effort", "push_duration_s"),
+    **{f"imperfections.push_force_{axis}_n": ("push_body", "push_duration_s") for axis in "xyz"},
+    "imperfections.push_body": ("push_force_x_n", "push_duration_s"),
+    "robust.payload_factor": ("payload",),
+}
+OPTION = re.compile(r"#([\w-]+) = (.*?)(\s+# .*)?$")
 
 
 @cache
@@ -81,25 +89,38 @@ def test_the_text_is_read_as_the_tables_that_it_was_made_of():
     assert {name: section for name, section in tables.items() if section} == found.tables
 
 
-def test_the_key_table_and_the_reader_know_the_same_keys():
-    listed = {(key.section, key.key) for key in KEYS if key.section != "motors"}
-    assert listed == {(section, key) for section, keys in READER.items() for key in keys}
-    assert set(SECTIONS) == set(READER)
-    (motor,) = (key.example for key in KEYS if key.section == "motors")
-    of_motors = {*MOTOR_KEYS[:3], "{no_load}"}
-    assert all(name in motor for name in of_motors)
+def test_there_is_an_example_of_every_key_without_a_single_default_and_of_no_other():
+    rows = [row for row in key_table() if row.section in READER]
+    assert {(row.section, row.name) for row in rows} == {(section, key) for section, keys in READER.items() for key in keys}
+    examples = dict(EXAMPLES)
+    motor = examples.pop("motors.{actuator}").text
+    assert set(examples) == {f"{row.section}.{row.name}" for row in rows if row.default is None}
+    of_motors = [row.name for row in key_table() if row.section == "motors.NAME"]
+    assert [name for name in of_motors if f"{name} =" not in motor] == ["no_load_speed_deg_s", "no_load_speed_m_s"]
+    assert "{no_load}" in motor  # one of the two
+
+
+def test_every_key_is_written_for_some_mechanism():
+    written = set()
+    for model in ("optimus-knee", "optimus-knee-linear", "cart-pole"):
+        section = ""
+        for line in text_of(model).splitlines():
+            section = found[1] if (found := re.match(r"\[(\w+)\]", line)) else section
+            written |= {f"{section}.{found[1]}"} if (found := re.match(r"#?([\w-]+) = ", line)) else set()
+    assert written >= {f"{section}.{key}" for section, keys in READER.items() for key in keys}
 
 
 @pytest.mark.parametrize(
     ("section", "settings"), [("mesh", MeshSettings), ("solver", SolverSettings), ("tracking", Tracking)]
 )
 def test_defaults_in_comments_are_the_reader_s_own(section, settings):
-    looked = 0
-    for key in KEYS:
-        if key.section == section and not key.otherwise and hasattr(settings(), key.key):
-            assert tomllib.loads(f"x = {key.example}")["x"] == getattr(settings(), key.key), key.path
-            looked += 1
-    assert looked >= 3
+    begin = text_of("optimus-knee").index(f"[{section}]")
+    lines = text_of("optimus-knee")[begin:].split("\n\n")[0].splitlines()
+    options = {found[1]: tomllib.loads(f"x = {found[2]}")["x"] for line in lines if (found := OPTION.match(line))}
+    constant = [row.name for row in key_table() if row.section == section and row.is_constant]
+    looked = [name for name in constant if name in options and hasattr(settings(), name)]
+    assert len(looked) >= 2
+    assert all(options[name] == getattr(settings(), name) for name in looked)
 
 
 @pytest.mark.parametrize("model", ["optimus-knee-linear", "cart-pole"])
@@ -109,17 +130,22 @@ def test_every_option_in_a_comment_can_be_taken_as_it_stands(model):
     section = ""
     for line in text.splitlines():
         section = found[1] if (found := re.match(r"\[(\w+)\]", line)) else section
-        option = re.match(r"#([\w-]+) = (.*?)(\s+# .*)?$", line)
+        option = OPTION.match(line)
         # a reference is taken as a whole below; a guess asks for a plan; turns are of periodic motions alone
         if option is None or section in ("reference", "guess") or option[1] == "turns":
             continue
         tables = tomllib.loads(text)
         for other in AGAINST.get(f"{section}.{option[1]}", ()):
             tables[other.split(".")[0]].pop(other.split(".")[1], None)
+        for other in BESIDE.get(f"{section}.{option[1]}", ()):
+            example = re.search(rf"(?m)^#{other} = (.*?)(\s+# .*)?$", text)[1]
+            set_key(
+                tables, f"{'mechanism' if other == 'payload' else section}.{other}", tomllib.loads(f"x = {example}")["x"]
+            )
         set_key(tables, f"{section}.{option[1]}", tomllib.loads(f"x = {option[2]}")["x"])
         problem_from_tables("begun", tables)
         taken += 1
-    assert taken > 25
+    assert taken > 50
 
 
 def test_its_reference_can_be_taken_as_a_whole():
