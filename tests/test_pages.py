@@ -19,16 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.py"))
 # What pages tell of already and is not merged yet: a command line, block or picture with one of these in it is left out.
-PENDING = (
-    "linkplan new ",
-    "linkplan report ",
-    "--report",
-    "linkplan render ",
-    "linkplan export ",
-    "linkplan schema",
-    "linkplan completion ",
-    "first.toml",
-)
+PENDING: tuple[str, ...] = ()
 # Blocks that are shown and not run, over all pages.
 MOST_SHOWN = 12
 

@@ -36,15 +36,21 @@ QUANTITIES: Mapping[str, Quantity] = {
     "encoder_resolution_deg": Quantity(
         meaning="hinges' positions are rounded to such steps", unit="deg", low=0.0, high=360.0, of="hinge"
     ),
-    "encoder_resolution_m": Quantity(meaning="the same of slides", unit="m", low=0.0, high=_MOST, of="slide"),
+    "encoder_resolution_m": Quantity(
+        meaning="slides' positions are rounded to such steps", unit="m", low=0.0, high=_MOST, of="slide"
+    ),
     "encoder_offset_deg": Quantity(
         meaning="hinges' positions are read so much too large", unit="deg", low=-360.0, high=360.0, of="hinge"
     ),
-    "encoder_offset_m": Quantity(meaning="the same of slides", unit="m", low=-_MOST, high=_MOST, of="slide"),
+    "encoder_offset_m": Quantity(
+        meaning="slides' positions are read so much too large", unit="m", low=-_MOST, high=_MOST, of="slide"
+    ),
     "position_noise_deg": Quantity(
         meaning="standard deviation of white noise on hinges' positions", unit="deg", low=0.0, high=360.0, of="hinge"
     ),
-    "position_noise_m": Quantity(meaning="the same of slides", unit="m", low=0.0, high=_MOST, of="slide"),
+    "position_noise_m": Quantity(
+        meaning="standard deviation of white noise on slides' positions", unit="m", low=0.0, high=_MOST, of="slide"
+    ),
     "velocity_noise_deg_s": Quantity(
         meaning="standard deviation of white noise on hinges' velocities that are measured as they are",
         unit="deg/s",
@@ -52,7 +58,13 @@ QUANTITIES: Mapping[str, Quantity] = {
         high=_MOST,
         of="hinge",
     ),
-    "velocity_noise_m_s": Quantity(meaning="the same of slides", unit="m/s", low=0.0, high=_MOST, of="slide"),
+    "velocity_noise_m_s": Quantity(
+        meaning="standard deviation of white noise on slides' velocities that are measured as they are",
+        unit="m/s",
+        low=0.0,
+        high=_MOST,
+        of="slide",
+    ),
     "velocity_filter_hz": Quantity(
         meaning="velocity is the measured position's difference, low-pass filtered to the first order",
         unit="Hz",
@@ -101,11 +113,13 @@ QUANTITIES: Mapping[str, Quantity] = {
     "start_error_deg": Quantity(
         meaning="hinges start so far beside the path", unit="deg", low=-360.0, high=360.0, of="hinge"
     ),
-    "start_error_m": Quantity(meaning="the same of slides", unit="m", low=-_MOST, high=_MOST, of="slide"),
+    "start_error_m": Quantity(meaning="slides start so far beside the path", unit="m", low=-_MOST, high=_MOST, of="slide"),
     "start_velocity_error_deg_s": Quantity(
         meaning="hinges start so much too fast", unit="deg/s", low=-_MOST, high=_MOST, of="hinge"
     ),
-    "start_velocity_error_m_s": Quantity(meaning="the same of slides", unit="m/s", low=-_MOST, high=_MOST, of="slide"),
+    "start_velocity_error_m_s": Quantity(
+        meaning="slides start so much too fast", unit="m/s", low=-_MOST, high=_MOST, of="slide"
+    ),
     "loop_time_constant_s": Quantity(
         meaning="the loop constraint's time constant, of MuJoCo's solref; at least two simulator steps",
         unit="s",

@@ -61,7 +61,9 @@ class MechanismSection(Section, frozen=True):
         kinds.HomeAngles,
         key("hinges' angles at which to assemble, which choose the branch", "deg", "the model's keyframe home"),
     ] = {}
-    home_m: Annotated[kinds.HomeLengths, key("the same of slides", "m", "the model's keyframe home")] = {}
+    home_m: Annotated[
+        kinds.HomeLengths, key("slides' positions at which to assemble", "m", "the model's keyframe home")
+    ] = {}
     independent: Annotated[
         kinds.Names,
         key("the joints in which the motion is planned", default="the driven ones, or those that the motion names"),
@@ -86,6 +88,10 @@ class WaypointSection(Section, frozen=True):
     time_s: Annotated[kinds.Positive | kinds.Free, key("when it is passed", "s")] = "free"
 
 
+# Of where a motion starts and ends.
+_OPEN = "free in a periodic motion; a reach needs it"
+
+
 class MotionSection(Section, frozen=True):
     """The motion: from where to where, by way of what, in how long."""
 
@@ -93,15 +99,11 @@ class MotionSection(Section, frozen=True):
         kinds.Kind,
         key("from start to goal; back to its own first state; or the reference itself, followed exactly"),
     ]
-    start_deg: Annotated[
-        kinds.Angles, key("where it starts: hinges' angles by joint", "deg", "of a periodic motion free")
-    ] = {}
-    start_m: Annotated[kinds.Numbers, key("where it starts: slides' positions", "m", "as start_deg")] = {}
+    start_deg: Annotated[kinds.Angles, key("where it starts: hinges' angles by joint", "deg", _OPEN)] = {}
+    start_m: Annotated[kinds.Numbers, key("where it starts: slides' positions", "m", _OPEN)] = {}
     start_at: Annotated[kinds.Places, key("where sites are at the start, in place of joints", "m", "joints say it")] = {}
-    goal_deg: Annotated[
-        kinds.Angles, key("where it ends, or is after half a period: hinges' angles", "deg", "as start_deg")
-    ] = {}
-    goal_m: Annotated[kinds.Numbers, key("where it ends: slides' positions", "m", "as start_deg")] = {}
+    goal_deg: Annotated[kinds.Angles, key("where it ends, or is after half a period: hinges' angles", "deg", _OPEN)] = {}
+    goal_m: Annotated[kinds.Numbers, key("where it ends: slides' positions", "m", _OPEN)] = {}
     goal_at: Annotated[kinds.Places, key("where sites are at the end, in place of joints", "m", "joints say it")] = {}
     start_speed_deg_s: Annotated[kinds.Numbers, key("hinges' speeds at the start", "deg/s", "at rest")] = {}
     start_speed_m_s: Annotated[kinds.Numbers, key("slides' speeds at the start", "m/s", "at rest")] = {}
