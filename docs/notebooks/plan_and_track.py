@@ -60,7 +60,6 @@ linkage = linkplan.load_mechanism(MODEL, solref="stiff")
 found = linkplan.check(linkage)
 print(found.problems or "no problems")
 found.plot()
-plt.show()
 
 # %% [markdown]
 # ## The problem and its plan
@@ -80,7 +79,6 @@ problem = linkplan.Problem.reach(
 plan = linkplan.plan(problem).require()
 print(plan)
 plan.plot()
-plt.show()
 
 # %% [markdown]
 # How quick may the half turn be with a fifth of the torque? A problem is varied by `replace`, which returns another one.
