@@ -21,6 +21,8 @@ from matplotlib import pyplot as plt
 
 import linkplan
 
+plt.switch_backend(plt.get_backend())  # now, so that figures stand in the page from the first on
+
 # %% [markdown]
 # ## The mechanism
 #
