@@ -2,15 +2,19 @@
 
 from importlib import metadata
 
-from docutils import nodes
-from latex2mathml.converter import convert
-
 project = "linkplan"
 author = "the linkplan authors"
 project_copyright = "Apache-2.0"
 release = version = metadata.version("linkplan")
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_argparse_cli", "sphinx_copybutton"]
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_argparse_cli",
+    "sphinx_copybutton",
+    "sphinx-mathjax-offline",  # MathJax stands in the site: nothing is fetched from elsewhere
+]
 exclude_patterns = ["conf.py"]
 
 myst_enable_extensions = ["dollarmath", "amsmath"]
@@ -22,7 +26,9 @@ nb_execution_mode = "force"
 nb_execution_in_temp = True
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
+nb_merge_streams = True
 
+default_role = "code"  # what stands in single backticks in docstrings
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 autodoc_preserve_defaults = True
@@ -33,25 +39,9 @@ html_theme = "furo"
 html_title = f"linkplan {version}"
 html_copy_source = False
 html_show_sphinx = False
-html_math_renderer = "mathml"
 html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#0072b2", "color-brand-content": "#0072b2"},
     "dark_css_variables": {"color-brand-primary": "#56b4e9", "color-brand-content": "#56b4e9"},
 }
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-
-
-def _inline(translator, node: nodes.math) -> None:
-    translator.body.append(convert(node.astext()))
-    raise nodes.SkipNode
-
-
-def _display(translator, node: nodes.math_block) -> None:
-    translator.body.append(f'<div class="math">{convert(node.astext(), display="block")}</div>')
-    raise nodes.SkipNode
-
-
-def setup(app) -> None:
-    """Have formulas written as MathML: every browser draws it, and nothing is fetched from elsewhere."""
-    app.add_html_math_renderer("mathml", (_inline, None), (_display, None))

@@ -21,6 +21,8 @@ from matplotlib import pyplot as plt
 
 import linkplan
 
+plt.switch_backend(plt.get_backend())  # now, so that figures stand in the page from the first on
+
 # %% [markdown]
 # ## The mechanism
 #
@@ -60,7 +62,6 @@ linkage = linkplan.load_mechanism(MODEL, solref="stiff")
 found = linkplan.check(linkage)
 print(found.problems or "no problems")
 found.plot()
-plt.show()
 
 # %% [markdown]
 # ## The problem and its plan
@@ -80,7 +81,6 @@ problem = linkplan.Problem.reach(
 plan = linkplan.plan(problem).require()
 print(plan)
 plan.plot()
-plt.show()
 
 # %% [markdown]
 # How quick may the half turn be with a fifth of the torque? A problem is varied by `replace`, which returns another one.
