@@ -13,8 +13,8 @@ from linkplan.planner.certificate.certificate import (
 )
 from linkplan.planner.certificate.collisions import who
 from linkplan.planner.certificate.site_margins import ENDS_SHARE
-from linkplan.planner.plan import Plan
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
+from linkplan.planner.plan import Plan
 from linkplan.studies.report.document import Checklist, Item
 from linkplan.studies.report.motion import Motion
 
