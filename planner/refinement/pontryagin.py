@@ -11,6 +11,10 @@ from linkplan.planner.solvers.solve import Solution
 
 # A multiplier of the wrong sign that is larger than this share of the largest is no rounding.
 _WRONG = 1e-2
+# Quantities whose rate along a motion no effort changes at once: held, they are constraints of second order. Their multiplier
+# is a measure with impulses at an arc's ends (Hartl, Sethi and Vickson 1995), which a transcription gives as values that
+# alternate from interval to interval: only an arc's sum has a sign. An ODE's own quantities may be such ones.
+_SECOND_ORDER = ("site", "tube", "tendon", "singular", "path")
 
 
 def arcs_against_their_limits(solution: Solution) -> np.ndarray:
@@ -50,5 +54,8 @@ def _of_paths(transcribed, multipliers: np.ndarray) -> np.ndarray:
     mesh, interval = transcribed.program.mesh, transcribed.program.interval
     rows = multipliers[: mesh.n_intervals * interval.n_rows].reshape(mesh.n_intervals, -1)
     of_nodes = rows[:, interval.n_own :][:, : interval.n_nodes * (interval.n_equations + interval.n_path)]
-    of_paths = of_nodes.reshape(mesh.n_intervals, interval.n_nodes, -1)[:, :, interval.n_equations :]
-    return transcribed.constrained_paths[mesh.segment] * of_paths.sum(axis=1)
+    of_paths = of_nodes.reshape(mesh.n_intervals, interval.n_nodes, -1)[:, :, interval.n_equations :].sum(axis=1)
+    second = np.isin(interval.node_kinds[interval.n_equations :], _SECOND_ORDER)
+    of_arcs = np.zeros((mesh.n_segments, of_paths.shape[1]))
+    np.add.at(of_arcs, mesh.segment, of_paths)
+    return transcribed.constrained_paths[mesh.segment] * np.where(second, of_arcs[mesh.segment], of_paths)

@@ -78,7 +78,7 @@ def settle_switch_times(
             # Where all is held there is nothing to be gained between the nodes: what is left of the difference is a mesh's.
             whole = reading.fixed is not None and reading.fixed.everything and bool(reading.fixed.paths.any())
             allowed = NO_WORSE if whole else no_worse
-            if tried is not None and whole and len(arcs_against_their_limits(tried.solution)):
+            if tried is not None and len(arcs_against_their_limits(tried.solution)):
                 continue  # read wrongly
             if tried is not None and tried.solution.objective <= before + allowed * abs(before):
                 better = tried

@@ -291,7 +291,7 @@ def test_figures_of_each_sweep_are_written_beside_the_record(ask_json, tmp_path)
     code, said = ask_json("five-bar", "-o", str(tmp_path / "checked"))
     assert code == 0
     files = {path.name for path in (tmp_path / "checked").iterdir()}
-    assert files == {".linkplan.json", "check.json", "mechanism.png", "loop-1.png", "loop-2.png"}
+    assert files == {".linkplan.json", "check.json", "report.json", "mechanism.png", "loop-1.png", "loop-2.png"}
     assert json.loads((tmp_path / "checked" / "check.json").read_text()) == said
 
 
