@@ -11,6 +11,7 @@ from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.refinement.case import Aims, Case, CertificateT, Findings, Found, MotionT, attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, standing_off
 from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.switch_search import at_bounds, is_bang_bang, settle_switch_times
 from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.solvers.outcome import SUCCEEDED
@@ -71,6 +72,11 @@ class Refined(Generic[MotionT, CertificateT]):
     certificate: CertificateT
     settled: bool
     moved: float = 0.0
+
+    @property
+    def against(self) -> np.ndarray:
+        """The instants (n,) [s] at which what is held would better not be: none of a local optimum."""
+        return arcs_against_their_limits(self.solution)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
