@@ -10,6 +10,7 @@ import scipy
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import advance, led, step_sizes
+from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
     closure_rank,
     dips,
@@ -210,7 +211,7 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
     a, b = q[index], trial[index]
     if function(q) * function(trial) >= 0 or function(pose_at(a)) * function(pose_at(b)) >= 0:
         return np.array(q)
-    return pose_at(float(scipy.optimize.brentq(lambda x: function(pose_at(x)), a, b, xtol=1e-14)))
+    return pose_at(sign_change(lambda x: function(pose_at(x)), a, b, xtol=1e-14))
 
 
 def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:
