@@ -70,13 +70,19 @@ class ReducedDynamics:
 
 @functools.lru_cache(maxsize=64)
 def _linearisation(dynamics: ReducedDynamics) -> ca.Function:
-    of = dynamics.acceleration
+    """Return it by the implicit function theorem: M_r da = -(dr/dq Gamma ds + dr/dv dv) + Gamma^T B du, r the residual."""
+    of = dynamics.residual
     inputs = [ca.SX.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in())]
-    q, v, u, *further = inputs
-    acceleration, rates = of(*inputs), dynamics.velocity_map(q, *further)
-    outputs = [ca.jacobian(acceleration, q) @ rates, ca.jacobian(acceleration, v), ca.jacobian(acceleration, u)]
-    names = [of.name_in(i) for i in range(of.n_in())]
-    return ca.Function("linearisation", inputs, [ca.densify(output) for output in outputs], names, ["o0", "o1", "o2"])
+    q, v, a, u, *further = inputs
+    left = of(*inputs)
+    slopes = ca.Function("slopes", inputs, [ca.horzcat(ca.jacobian(left, q), ca.jacobian(left, v))])
+    by = slopes(q, v, dynamics.acceleration(q, v, u, *further), u, *further)
+    by_q, by_v = by[:, : q.numel()], by[:, q.numel() :]
+    right = ca.horzcat(-by_q @ dynamics.velocity_map(q, *further), -by_v, dynamics.effort_map(q, *further))
+    n_s = v.numel()
+    found = solve_positive(dynamics.reduced_inertia(q, *further), right)
+    outputs = [ca.densify(found[:, columns]) for columns in (slice(n_s), slice(n_s, 2 * n_s), slice(2 * n_s, None))]
+    return ca.Function("linearisation", [q, v, u, *further], outputs)
 
 
 def reduce_tree(
