@@ -131,6 +131,8 @@ def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
 def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     """Return poses with others put in between, equally many in each gap, where they are fewer than a path's samples."""
     parts = int(np.ceil((_SAMPLES - 1) / max(1, len(poses) - 1)))
+    if parts == 1:
+        return poses
     places = poses[:, mechanism.independent]
     shares = np.arange(1, parts)[:, None] / parts
     gaps = [one + shares * (other - one) for one, other in pairwise(places)]

@@ -3,7 +3,7 @@
 import argparse
 
 from linkplan.controllers.controls import keys_said
-from linkplan.studies.cli.parser import Parser
+from linkplan.studies.cli.parser import NoParser, Parser
 from linkplan.studies.cli.shells import SHELLS
 from linkplan.studies.export.formats import FORMATS
 from linkplan.studies.output.tables import folded
@@ -14,8 +14,12 @@ full disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 the
 reader of stdout left before the result, which no -o has saved"""
 
 
-def build_parser() -> Parser:
-    """Return the command line's parser."""
+def build_parser(only: str | None = None) -> Parser:
+    """Return the command line's parser.
+
+    Args:
+        only: the command whose words are to be parsed, where it is known already; the others are then left out.
+    """
     parser = Parser(
         prog="linkplan",
         description="Optimal-control motion planning for closed-chain mechanisms.",
@@ -28,6 +32,8 @@ def build_parser() -> Parser:
     def command(
         name: str, text: str, *, output: bool = True, settings: bool = True, report: bool = False
     ) -> argparse.ArgumentParser:
+        if only not in (None, name):
+            return NoParser()
         sentence = folded(f"{text[0].upper()}{text[1:]}.", below="")
         sub = commands.add_parser(name, help=text, description=sentence, epilog=EPILOG)
         parser.commands[name] = sub

@@ -88,9 +88,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
     """Return a command's arguments, or the exit code where there is nothing to run."""
-    parser = build_parser()
+    words = sys.argv[1:] if argv is None else argv
+    parser = build_parser(words[0] if words and words[0] in _MODULES else None)
     try:
-        parser.refuse_misspelled(sys.argv[1:] if argv is None else argv)
+        parser.refuse_misspelled(words)
         arguments, extra = parser.parse_known_args(argv)
         if extra and arguments.command is not None:
             parser.refuse_extra(arguments.command, extra, sets=bool(getattr(arguments, "set", None)))

@@ -4,8 +4,6 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.planner.files.plan_folder import record, write_plan
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.planning import plan_motion
@@ -18,13 +16,14 @@ from linkplan.studies.cli.printing import progress, show
 def run_plan(arguments: argparse.Namespace) -> int:
     """Plan a motion; 1 where there is none."""
     from linkplan.studies.output.plan_text import plan_text
-    from linkplan.studies.output.save_plan import save_plan
 
     target, say = output_folder(arguments), progress(arguments)
     name, tables, folder = read_tables(arguments.problem)
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
     if plan.passed and target is not None:
+        from linkplan.planner.files.folders import write_whole
+        from linkplan.studies.output.save_plan import save_plan
 
         def write(place: Path) -> None:
             save_plan(plan, place, target, jumps=arguments.jumps, parquet=arguments.parquet)
@@ -41,7 +40,13 @@ def run_plan(arguments: argparse.Namespace) -> int:
         say.keep(f"nothing written: {plan.status}")
     price = price_of(plan, say)
     text = plan_text(plan) if price is None else f"{plan_text(plan)}\n{price.sentence()}"
-    show(arguments, lambda: record(plan) | ({} if price is None else {"price": asdict(price)}), text)
+
+    def document() -> dict:
+        from linkplan.planner.files.plan_folder import record
+
+        return record(plan) | ({} if price is None else {"price": asdict(price)})
+
+    show(arguments, document, text)
     return DONE if plan.passed else NO
 
 
@@ -49,6 +54,8 @@ def run_batch(arguments: argparse.Namespace) -> int:
     """Plan the cases of a batch file; 1 where one of them has no plan."""
     from linkplan.planner.batch import plan_batch
     from linkplan.planner.files.batch_file import read_batch
+    from linkplan.planner.files.folders import write_json, write_whole
+    from linkplan.planner.files.plan_folder import write_plan
     from linkplan.studies.output.batch_table import batch_text, case_record, case_row
 
     target, say = output_folder(arguments), progress(arguments)
