@@ -9,7 +9,7 @@ from linkplan.planner.files.plan_folder import record, write_plan
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.robustness import price_of
+from linkplan.planner.robustness import price_of, with_price
 from linkplan.studies.cli.common import output_folder, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
@@ -24,6 +24,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
     name, tables, folder = read_tables(arguments.problem)
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
+    price = price_of(plan, say)
+    plan = with_price(plan, price)
     if plan.passed and target is not None:
 
         def write(place: Path) -> None:
@@ -39,7 +41,6 @@ def run_plan(arguments: argparse.Namespace) -> int:
         say.keep(f"saved in {target}")
     elif target is not None:
         say.keep(f"nothing written: {plan.status}")
-    price = price_of(plan, say)
     text = plan_text(plan) if price is None else f"{plan_text(plan)}\n{price.sentence()}"
     show(arguments, lambda: record(plan) | ({} if price is None else {"price": asdict(price)}), text)
     return DONE if plan.passed else NO
