@@ -72,9 +72,9 @@ def _drawn(places: list, k: int, frame: np.ndarray) -> Mark | None:
 
 
 def _marks(model: mujoco.MjModel, data: mujoco.MjData, actuator: Actuator) -> list[tuple[str, np.ndarray, np.ndarray]]:
-    """Return an actuator's marks where the mechanism stands: shape, place (3,) or (n, 3), direction (3,) of a positive effort.
+    """Return an actuator's marks where the mechanism stands: shape, place (3,) or (n, 3), direction (3,).
 
-    A tendon through sites is a line: its force pulls its ends together, whichever way the line is gone along.
+    The direction is that of a positive effort. A tendon through sites is a line: its force pulls its ends together.
     """
     kind, (on, other) = int(model.actuator_trntype[actuator.index]), (int(i) for i in model.actuator_trnid[actuator.index])
     gear = gear_of(model, actuator.index)

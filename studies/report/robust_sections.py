@@ -1,5 +1,7 @@
 """A plan's room for feedback and for machines unlike the model, as a part of a report: reserve, corners and their price."""
 
+import math
+
 import numpy as np
 
 from linkplan.planner.plan import Plan
@@ -16,8 +18,8 @@ def robust_section(plan: Plan, motion: Motion, group: str, period: float | None,
     if not corners and not reserve:
         return None
     price = saved_price(plan)
-    said = "The price is not known: the plan was not made by the command that works it out." if price is None else price.sentence()
-    blocks: list[Block] = [Facts(rows=_facts(plan)), Text(text=f"{said[:1].upper()}{said[1:]}{'' if price is None else '.'}")]
+    said = "the price is not known: the plan was saved without it" if price is None else price.sentence()
+    blocks: list[Block] = [Facts(rows=_facts(plan)), Text(text=f"{said[:1].upper()}{said[1:]}.")]
     if corners:
         blocks += [_table(plan), *_efforts(plan, motion, group, period)]
     return Section(title="Reserve and corners", blocks=blocks, depth=depth)
@@ -28,17 +30,20 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     joints = problem.mechanism.joints
     rows = []
     if problem.limits.reserve:
-        kept = f"{100 * problem.limits.reserve:.3g} % of every effort limit"
-        limits = zip(problem.mechanism.actuators, problem.limits.effort, problem.limits.actuators_effort, strict=True)
-        ends = [f"{a.name} {low:.5g} to {high:.5g} of {lower:.5g} to {upper:.5g} {a.unit}" for a, (low, high), (lower, upper) in limits]
-        rows += [("left to feedback", kept), ("what the plan may use", "; ".join(ends))]
+        rows.append(("left to feedback", f"{100 * problem.limits.reserve:.3g} % of every effort limit"))
+        for actuator, (low, high), (least, most) in zip(
+            problem.mechanism.actuators, problem.limits.effort, problem.limits.actuators_effort, strict=True
+        ):
+            said = f"{low:.5g} to {high:.5g} {actuator.unit}, of {least:.5g} to {most:.5g}"
+            rows.append((f"what the plan may use of {actuator.name}", said))
     for name, (low, high) in (("payload", robust.payload_factor), ("torque constant", robust.torque_factor)):
         if low != high or low != 1:
             rows.append((f"factor on the {name}", f"{low:g} to {high:g}"))
-    for name, ranges, unit in (("viscous friction", robust.viscous, ("N.m.s/rad", "N.s/m")), ("dry friction", robust.coulomb, ("N.m", "N"))):
+    rubbing = (("viscous friction", robust.viscous, ("N.m.s/rad", "N.s/m")), ("dry friction", robust.coulomb, ("N.m", "N")))
+    for name, ranges, (turning, sliding) in rubbing:
         for index, (low, high) in ranges.items():
-            joint = joints[index]
-            rows.append((f"{name} at {joint.name}", f"{low:g} to {high:g} {unit[0] if joint.kind == 'hinge' else unit[1]}"))
+            unit = turning if joints[index].kind == "hinge" else sliding
+            rows.append((f"{name} at {joints[index].name}", f"{low:g} to {high:g} {unit}"))
     return rows
 
 
@@ -51,8 +56,10 @@ def _table(plan: Plan) -> Table:
         of_it = [one for one in plan.certificate.margins if one.what == "robust" and one.item // n_u == item]
         for worst in sorted(of_it, key=lambda one: one.left)[:1]:
             actuator = problem.mechanism.actuators[worst.item % n_u]
-            figures = [float(f"{x:.5g}") for x in (worst.value, worst.limit, worst.left)]
-            rows.append([corner.said(joints), worst.kept, actuator.name, *figures, actuator.unit, float(f"{worst.time_s:.5g}")])
+            places = 4 - math.floor(math.log10(abs(worst.limit) or 1.0))  # of the limit's size: less is rounding
+            figures = [round(x, places) + 0.0 for x in (worst.value, worst.limit, worst.left)]
+            at = float(f"{worst.time_s:.5g}")
+            rows.append([corner.said(joints), worst.kept, actuator.name, *figures, actuator.unit, at])
     heads = [(head, "") for head in ("machine", "kept", "nearest to its limit", "effort", "limit", "left", "unit")]
     return Table(title="Corners of the ranges, each certified between the nodes", columns=[*heads, ("at", "s")], rows=rows)
 
@@ -66,9 +73,10 @@ def _efforts(plan: Plan, motion: Motion, group: str, period: float | None) -> li
     found = []
     for j, actuator in enumerate(mechanism.actuators):
         bounds = tuple(problem.limits.effort[j])
-        modelled = Line(name="as modelled", values=motion.effort[:, j], unit=actuator.unit, limits=bounds, colour=None, width=2.4)
+        needed, unit = motion.effort[:, j], actuator.unit
+        modelled = Line(name="as modelled", values=needed, unit=unit, limits=bounds, colour=None, width=2.4)
         lines = [
-            Line(name=corner.said(joints), values=np.asarray(efforts[:, item, j]), unit=actuator.unit, limits=bounds)
+            Line(name=corner.said(joints), values=np.asarray(efforts[:, item, j]), unit=unit, limits=bounds)
             for item, corner in enumerate(corners)
         ]
         title = f"What each machine needs of {actuator.name} for the motion"
