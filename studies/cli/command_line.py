@@ -87,7 +87,7 @@ def build_parser(only: str | None = None) -> Parser:
     _mismatch(compare, 1.2, 1)
     _parquet(compare, "every run's .csv")
 
-    experiment = command("experiment", "run trackers on many imperfect machines, the same ones for each")
+    experiment = command("experiment", "run trackers on many imperfect machines, the same ones for each", report=True)
     _experiment(experiment)
 
     text = "frequency response, margins and sampled stability of a feedback loop, predicted and measured in MuJoCo"
@@ -141,7 +141,9 @@ def build_parser(only: str | None = None) -> Parser:
 
     text = "make one HTML file of a saved folder: animation, plots, certificate; it opens offline"
     report = command("report", text, output=False, settings=False)
-    report.add_argument("folder", metavar="DIR", help="what plan, check, compare, bode, tune, batch or demo wrote")
+    report.add_argument(
+        "folder", metavar="DIR", help="what plan, check, compare, experiment, bode, tune, batch or demo wrote"
+    )
     report.add_argument("-o", "--output", metavar="FILE", default="report.html", help="default: %(default)s")
 
     text = "begin a problem file for a mechanism: a motion that it can make, every option in comments"

@@ -1,7 +1,10 @@
 """The command `experiment`: trackers on many imperfect machines; and a sample of one run again by `track`."""
 
+from __future__ import annotations
+
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.folders import write_json, write_whole
@@ -12,6 +15,9 @@ from linkplan.planner.plan import Plan
 from linkplan.studies.cli.common import no_plan, output_folder, plan_asked, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
+
+if TYPE_CHECKING:
+    from linkplan.studies.experiment.study import Outcome
 
 
 def run_experiment(arguments: argparse.Namespace) -> int:
@@ -61,11 +67,22 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         outcome = study.run_experiment(asked, digest, plan, settings, target, say, **pool)
     except _NoPlanError as none:
         return no_plan(arguments, none.plan)
+    if arguments.report and target is not None:
+        _write_page(outcome, target)
     tube = tube_said(outcome.experiment)
     name = outcome.experiment.plan.problem.name
     text = experiment_text(name, outcome.summary, settings.design, settings.seed, tube)
     show(arguments, outcome.record, text)
     return DONE if outcome.experiment.plan.status == "optimal" else NO
+
+
+def _write_page(outcome: Outcome, target: Path) -> None:
+    """Write the page into a folder with results: it changes none of them."""
+    from linkplan.studies.report.render import write_report
+    from linkplan.studies.report.reports import experiment_report
+    from linkplan.studies.report.saving import PAGE
+
+    write_report(experiment_report(outcome, target), target / PAGE)
 
 
 class _NoPlanError(Exception):
@@ -84,6 +101,8 @@ def run_replay(arguments: argparse.Namespace) -> int:
     from linkplan.studies.compare.time_series import save_time_series
     from linkplan.studies.experiment.replay import replay
     from linkplan.studies.experiment.study import saved_experiment
+    from linkplan.studies.report.reports import replay_report
+    from linkplan.studies.report.saving import save_report
 
     target = output_folder(arguments)
     experiment = saved_experiment(Path(arguments.plan))
@@ -97,6 +116,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
         write_json(place / "track.json", record)
         save_time_series(comparison, place)
         comparison_figure(comparison, place / "track.png")
+        save_report(replay_report(comparison, said), place, page=arguments.report)
 
     if target is not None:
         write_whole(target, save, "track.json")

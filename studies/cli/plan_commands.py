@@ -7,7 +7,7 @@ from pathlib import Path
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.robustness import price_of
+from linkplan.planner.robustness import price_of, with_price
 from linkplan.studies.cli.common import output_folder, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
@@ -21,6 +21,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
     name, tables, folder = read_tables(arguments.problem)
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
+    price = price_of(plan, say)
+    plan = with_price(plan, price)
     if plan.passed and target is not None:
         from linkplan.planner.files.folders import write_whole
         from linkplan.studies.output.save_plan import save_plan
@@ -38,7 +40,6 @@ def run_plan(arguments: argparse.Namespace) -> int:
         say.keep(f"saved in {target}")
     elif target is not None:
         say.keep(f"nothing written: {plan.status}")
-    price = price_of(plan, say)
     text = plan_text(plan) if price is None else f"{plan_text(plan)}\n{price.sentence()}"
 
     def document() -> dict:

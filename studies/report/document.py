@@ -187,28 +187,36 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Drive:
-    """An actuator of an animation: where it acts, about or along which axis, and its effort against its limits.
+class Mark:
+    """Where and how an actuator's effort is drawn: an "arc" about an axis, an "arrow" along one, or a "line" (a tendon).
 
-    `at` (n_frames, dimension) [m]; `axis` the same, a unit vector (of a hinge seen along its axis: its third component
-    alone). `turns` says whether the effort is a torque, drawn as an arc, or a force, drawn as an arrow.
+    `at` (n_frames, dimension) [m], of a line its points one after another; `axis` the same, unit vectors (of an arc in a
+    plane its third component alone), empty of a line.
     """
 
-    name: str
-    turns: bool
-    unit: str
+    shape: str
     at: Sequence[Numbers]
     axis: Sequence[Numbers]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Drive:
+    """An actuator of an animation: its effort (n_frames,) [`unit`] against its limits, and its marks, if it has any."""
+
+    name: str
+    unit: str
+    marks: Sequence[Mark]
     effort: Numbers
     limits: tuple[float | None, float | None]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Ghost:
-    """The same bodies as they moved otherwise, as a tracker moved them, on the same frames."""
+    """The same bodies as they moved otherwise, as a tracker moved them, on the same frames, and what then drove them."""
 
     name: str
     bodies: Sequence[Body]
+    drives: Sequence[Drive] = ()
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -249,11 +257,12 @@ Block = Text | Facts | Table | Checklist | Plot | Plane | Animation | Code
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Section:
-    """Blocks under a title. One of `depth` 2 belongs to the one of depth 1 before it."""
+    """Blocks under a title. One of `depth` 2 belongs to the one of depth 1 before it; one that is folded opens on demand."""
 
     title: str
     blocks: Sequence[Block]
     depth: int = 1
+    folded: bool = False
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -8,7 +8,7 @@ from linkplan.controllers.rollout import Rollout
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record, tracking_reference
 from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS
-from linkplan.studies.report.animation import animation, frames_of
+from linkplan.studies.report.animation import Run, animation, frames_of
 from linkplan.studies.report.columns import columns
 from linkplan.studies.report.document import Block, Plot, Section, Table, Text
 from linkplan.studies.report.lines import TIME, Line, plots
@@ -84,7 +84,7 @@ def _animation(comparison: Comparison, cases) -> Block:
     ghosts = {}
     for k, (_, runs) in enumerate(cases):
         for name, run in runs.items():
-            ghosts[name if k == 0 else f"{name}, with the mismatch"] = _poses(run, frames)
+            ghosts[name if k == 0 else f"{name}, with the mismatch"] = _run(run, frames)
     return animation(
         mechanism,
         f"{mechanism.name} along {plan.problem.name}, planned and as tracked",
@@ -98,11 +98,12 @@ def _animation(comparison: Comparison, cases) -> Block:
     )
 
 
-def _poses(run: Rollout, frames: np.ndarray) -> np.ndarray:
-    """Return a run's poses at control instants; one that blew up stays where it was last seen."""
+def _run(run: Rollout, frames: np.ndarray) -> Run:
+    """Return a run at control instants; one that blew up stays where it was last seen, without any effort."""
     seen = np.flatnonzero(np.isfinite(run.pose).all(axis=1))
     last = int(seen[-1]) if len(seen) else 0
-    return np.nan_to_num(run.pose[np.minimum(frames, last)])
+    at = np.minimum(frames, last)
+    return Run(poses=np.nan_to_num(run.pose[at]), effort=np.where((frames <= last)[:, None], run.applied[at], 0.0))
 
 
 def _over_time(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Block]:
