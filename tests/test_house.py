@@ -29,12 +29,12 @@ ROOMS = {
         "ode", "search", "diagnosis", "planning", "robustness", "files", "replan", "batch",
     ),
     "controllers": (
-        "reference", "trackers", "integrator", "sampling", "rollout", "imperfections", "ensemble", "batch", "controls",
-        "playback",
+        "reference", "trackers", "integrator", "sampling", "rollout", "imperfections", "rigid_loop", "ensemble", "batch",
+        "controls", "playback",
     ),
     "studies": (
-        "output", "check", "compare", "experiment", "frequency", "bode", "tune", "render", "new", "export", "report",
-        "demo", "cli",
+        "output", "check", "compare", "experiment", "decompose", "frequency", "bode", "tune", "render", "new", "export",
+        "report", "demo", "cli",
     ),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.

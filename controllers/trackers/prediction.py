@@ -51,14 +51,7 @@ def predictor(mechanism: Mechanism, blocks: int, block_s: float) -> Predictor:
     near, s = ca.MX.sym("near", n_q), ca.MX.sym("s", n_s)
     state, u = ca.MX.sym("state", n_q + n_s), ca.MX.sym("u", mechanism.n_u)
 
-    def slope(x: ca.MX) -> ca.MX:
-        return ca.vertcat(*mechanism.dynamics.flow(x[:n_q], x[n_q:], u))
-
-    k1 = slope(state)
-    k2 = slope(state + 0.5 * block_s * k1)
-    k3 = slope(state + 0.5 * block_s * k2)
-    k4 = slope(state + block_s * k3)
-    step = ca.Function("block", [state, u], [state + block_s / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+    step = ca.Function("block", [state, u], [runge_kutta(mechanism, state, u, block_s)])
     return Predictor(
         mechanism=mechanism,
         blocks=blocks,
@@ -66,3 +59,17 @@ def predictor(mechanism: Mechanism, blocks: int, block_s: float) -> Predictor:
         begin=ca.Function("begin", [near, s], list(closed_near(mechanism, near, s))),
         motion=step.mapaccum(blocks),
     )
+
+
+def runge_kutta(mechanism: Mechanism, state: ca.MX, effort: ca.MX, duration: ca.MX | float) -> ca.MX:
+    """Return (q, v) after a duration [s] under a held effort (n_u,): one Runge-Kutta step of fourth order."""
+    n_q = mechanism.n_q
+
+    def slope(x: ca.MX) -> ca.MX:
+        return ca.vertcat(*mechanism.dynamics.flow(x[:n_q], x[n_q:], effort))
+
+    k1 = slope(state)
+    k2 = slope(state + 0.5 * duration * k1)
+    k3 = slope(state + 0.5 * duration * k2)
+    k4 = slope(state + duration * k3)
+    return state + duration / 6 * (k1 + 2 * k2 + 2 * k3 + k4)

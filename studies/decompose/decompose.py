@@ -1,0 +1,146 @@
+"""The study behind `linkplan decompose`: where each tracker's error on a plan comes from."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.controllers.trackers.names import LINEAR
+from linkplan.models.errors import ProblemError
+from linkplan.planner.files.folders import plain_record
+from linkplan.planner.plan import Plan
+from linkplan.planner.planning import silent
+from linkplan.planner.problem.values import whole
+from linkplan.studies.compare.user_tracker import Asked
+from linkplan.studies.decompose.ladder import RUNGS, climb
+from linkplan.studies.decompose.shares import Shares, shares_of
+from linkplan.studies.experiment.experiment import Experiment, Settings, experiment_of, imperfections_asked
+
+# Machines that are simulated where something of theirs is random; more than the most are an experiment's.
+SAMPLES, MOST_SAMPLES = 16, 1000
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class TrackerShares:
+    """One tracker's error in each unit ("deg", "m"), over the machines on which no rung was lost; why others were."""
+
+    name: str
+    shares: Mapping[str, Shares]
+    machines: int
+    failures: Mapping[str, int]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Decomposition:
+    """Where the errors of trackers on one plan come from."""
+
+    experiment: Experiment
+    trackers: tuple[TrackerShares, ...]
+
+    @property
+    def plan(self) -> Plan:
+        """The plan that is tracked."""
+        return self.experiment.plan
+
+    @property
+    def found(self) -> bool:
+        """Whether every tracker's error could be split on some machine."""
+        return all(one.machines for one in self.trackers)
+
+
+def decompose(
+    plan: Plan,
+    asked: Sequence[Asked] = LINEAR,
+    samples: int = SAMPLES,
+    seed: int = 0,
+    say: Callable[[str], None] = silent,
+) -> Decomposition:
+    """Return where the errors of trackers on a plan come from.
+
+    Args:
+        plan: with a motion, and the imperfections of its problem (the default ones where it has none).
+        asked: the trackers.
+        samples: machines that are drawn; a single one where nothing is random.
+        seed: of all random numbers.
+        say: is told of the progress.
+
+    Raises:
+        ProblemError: for imperfections or trackers that cannot be used, two trackers of one name, or none.
+        LinkplanError: for a mechanism that batches cannot simulate.
+    """
+    whole(samples, "samples", 1, MOST_SAMPLES)
+    if not asked:
+        raise ProblemError("trackers whose errors are decomposed are one or more, got none")
+    experiment = experiment_of(plan, Settings(samples=samples, seed=seed))
+    if not any(factor.spread.random or "noise" in factor.key for factor in experiment.section.factors):
+        experiment = replace(experiment, values=experiment.values[:1])
+    found: list[TrackerShares] = []
+    for one in asked:
+        ladder = climb(experiment, one)
+        if any(ladder.tracker == other.name for other in found):
+            raise ProblemError(f"trackers whose errors are decomposed have names of their own, got '{ladder.tracker}' twice")
+        kept = np.array([failed is None for failed in ladder.failure])
+        say(f"{ladder.tracker}: {int(kept.sum())} of {len(kept)} machines")
+        found.append(
+            TrackerShares(
+                name=ladder.tracker,
+                shares=_by_unit(experiment, ladder.errors[:, :, kept]) if np.any(kept) else {},
+                machines=int(kept.sum()),
+                failures=Counter(failed for failed in ladder.failure if failed is not None),
+            )
+        )
+    return Decomposition(experiment=experiment, trackers=tuple(found))
+
+
+def joints_by_unit(experiment: Experiment) -> dict[str, np.ndarray]:
+    """Return the indices of the independent joints that a tracker has a hand in, by their unit."""
+    mechanism = experiment.plan.problem.mechanism
+    steered = ~np.isin(mechanism.independent, mechanism.passive_dofs)
+    units = np.array([joint.unit for joint in mechanism.independent_joints])
+    return {str(unit): np.flatnonzero(steered & (units == unit)) for unit in dict.fromkeys(units[steered])}
+
+
+def _by_unit(experiment: Experiment, errors: np.ndarray) -> dict[str, Shares]:
+    """Return the parts of errors (n_rungs, t, n, n_s) [rad or m], for the joints of each unit."""
+    factor = np.array([joint.shown(1.0) for joint in experiment.plan.problem.mechanism.independent_joints])
+    return {unit: shares_of((factor * errors)[..., which]) for unit, which in joints_by_unit(experiment).items()}
+
+
+def decomposition_record(found: Decomposition) -> dict:
+    """Return what `linkplan decompose --json` says: every part by its name, in the unit of its error."""
+    experiment = found.experiment
+    mechanism, joints = experiment.plan.problem.mechanism, joints_by_unit(experiment)
+    names = [joint.name for joint in mechanism.independent_joints]
+
+    def said(unit: str, shares: Shares) -> dict:
+        each = {names[j]: dict(zip(RUNGS, shares.of_joints[:, i], strict=True)) for i, j in enumerate(joints[unit].tolist())}
+        return {
+            "rms_error": shares.rms,
+            "parts": dict(zip(RUNGS, shares.parts, strict=True)),
+            "parts_of_joints": each,
+            "rms_of_increment": dict(zip(RUNGS, shares.alone, strict=True)),
+            "rms_error_on_rung": dict(zip(RUNGS, shares.after, strict=True)),
+        }
+
+    return plain_record(
+        {
+            "decomposition": experiment.plan.problem.name,
+            "machines": experiment.n,
+            "seed": experiment.settings.seed,
+            "imperfections": imperfections_asked(experiment.plan),
+            "control_period_s": experiment.reference.period_s,
+            "delay_periods": experiment.loop.delay_periods,
+            "timestep_s": min(experiment.reference.period_s, float(mechanism.model.opt.timestep)),
+            "duration_s": experiment.reference.period_s * experiment.reference.n,
+            "parts": dict(RUNGS),
+            "trackers": {
+                one.name: {
+                    "machines": one.machines,
+                    "failures": dict(one.failures),
+                    **{unit: said(unit, shares) for unit, shares in one.shares.items()},
+                }
+                for one in found.trackers
+            },
+        }
+    )
