@@ -33,7 +33,7 @@ ROOMS = {
         "playback",
     ),
     "studies": (
-        "output", "check", "compare", "experiment", "frequency", "bode", "tune", "render", "new", "export", "report",
+        "output", "check", "compare", "sensitivity", "experiment", "frequency", "bode", "tune", "render", "new", "export", "report",
         "demo", "cli",
     ),
 }  # fmt: skip

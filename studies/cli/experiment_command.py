@@ -20,6 +20,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.studies.experiment import study
     from linkplan.studies.experiment.experiment import Settings, plan_digest
     from linkplan.studies.experiment.experiment_text import experiment_text, tube_said
+    from linkplan.studies.experiment.sensitivity_text import sensitivity_text
 
     settings = Settings(
         trackers=tuple(name.strip() for name in arguments.trackers.split(",")),
@@ -63,8 +64,12 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         return no_plan(arguments, none.plan)
     tube = tube_said(outcome.experiment)
     name = outcome.experiment.plan.problem.name
-    text = experiment_text(name, outcome.summary, settings.design, settings.seed, tube)
-    show(arguments, outcome.record, text)
+    texts = []
+    if outcome.distributed:
+        texts.append(experiment_text(name, outcome.summary, settings.design, settings.seed, tube))
+    if outcome.sensitivity is not None:
+        texts.append(sensitivity_text(name, outcome.sensitivity, settings.seed))
+    show(arguments, outcome.record, "\n\n".join(texts))
     return DONE if outcome.experiment.plan.status == "optimal" else NO
 
 
