@@ -33,8 +33,8 @@ ROOMS = {
         "playback",
     ),
     "studies": (
-        "output", "check", "compare", "sensitivity", "experiment", "frequency", "bode", "tune", "render", "new", "export", "report",
-        "demo", "cli",
+        "output", "check", "compare", "sensitivity", "experiment", "frequency", "bode", "tune", "render", "new", "export",
+        "report", "demo", "cli",
     ),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.

@@ -19,8 +19,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.planner.planning import plan_motion
     from linkplan.studies.experiment import study
     from linkplan.studies.experiment.experiment import Settings, plan_digest
-    from linkplan.studies.experiment.experiment_text import experiment_text, tube_said
-    from linkplan.studies.experiment.sensitivity_text import sensitivity_text
+    from linkplan.studies.experiment.outcome_text import outcome_text
 
     settings = Settings(
         trackers=tuple(name.strip() for name in arguments.trackers.split(",")),
@@ -62,14 +61,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         outcome = study.run_experiment(asked, digest, plan, settings, target, say, **pool)
     except _NoPlanError as none:
         return no_plan(arguments, none.plan)
-    tube = tube_said(outcome.experiment)
-    name = outcome.experiment.plan.problem.name
-    texts = []
-    if outcome.distributed:
-        texts.append(experiment_text(name, outcome.summary, settings.design, settings.seed, tube))
-    if outcome.sensitivity is not None:
-        texts.append(sensitivity_text(name, outcome.sensitivity, settings.seed))
-    show(arguments, outcome.record, "\n\n".join(texts))
+    show(arguments, outcome.record, outcome_text(outcome))
     return DONE if outcome.experiment.plan.status == "optimal" else NO
 
 

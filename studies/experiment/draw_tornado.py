@@ -25,7 +25,7 @@ def save_tornados(sensitivity: Sensitivity, name: str, folder: Path) -> None:
 def tornado_title(sensitivity: Sensitivity, name: str, metric: str) -> str:
     """Return the title of a figure: whose, of what, from how many machines."""
     machines = sensitivity.groups * sensitivity.size
-    return f"{name}: what the {sensitivity.metrics[metric].text} owes to each imperfection ({machines} machines)"
+    return f"{name}: what the {sensitivity.metrics[metric].text} owes to each imperfection ({sensitivity.design}, {machines} machines)"
 
 
 def tornado_figure(sensitivity: Sensitivity, metric: str, title: str, path: Path | None) -> Figure:
@@ -44,6 +44,8 @@ def tornado_figure(sensitivity: Sensitivity, metric: str, title: str, path: Path
         first = axes.flat[0]
         first.set_yticks(range(len(order)), [_named(sensitivity.factors[i]) for i in order])
         first.set_ylim(len(order) - 0.4, -0.6)
+        if sensitivity.design == SOBOL:
+            first.set_xlim(left=0.0)
         first.figure.suptitle(title, fontsize=11)
         bottom_legend(first)
         figure = first.figure
@@ -68,19 +70,20 @@ def _draw_ends(axis, sensitivity: Sensitivity, tracker: str, metric: str, order:
         for k in np.flatnonzero(~np.isfinite(reached)):
             axis.annotate(f"lost {label}", (one.middle, place[k] + side * _THICK / 2), va="center", fontsize=7, color=BLACK)
     axis.axvline(one.middle, color=BLACK, linewidth=0.9, label="all in the middle")
-    _label(axis, sensitivity, metric)
+    axis.set_xlabel(_what(sensitivity, metric))
 
 
 def _draw_effects(axis, sensitivity: Sensitivity, tracker: str, metric: str, order: list[int]) -> None:
     one, place = sensitivity.influences[tracker][metric], np.arange(len(order))
     size, mean, half = (x[order] for x in (one.importance, one.parts["mean"], one.high - one.importance))
-    # The mean of the effects that raise the figure, and of those that lower it: together the mean size.
+    # The mean of the effects that raise the figure, and of those that lower it: together the mean size, in the margin.
     axis.barh(place, (size + mean) / 2, 2 * _THICK, color=ORANGE, label="raises it, from the low to the high end")
     axis.barh(place, -(size - mean) / 2, 2 * _THICK, color=BLUE, label="lowers it")
-    middle = mean / 2 + size / 2
-    axis.errorbar(
-        middle, place, xerr=half, fmt="none", ecolor=BLACK, elinewidth=0.9, capsize=2, label="95 % interval of both together"
-    )
+    digits = max(0, 1 - math.floor(math.log10(np.nanmax(size)))) if np.any(size > 0) else 0
+    for k in np.flatnonzero(np.isfinite(size)):
+        said = f"{size[k]:.{digits}f} ± {half[k]:.{digits}f}"
+        axis.annotate(said, (1.01, place[k]), xycoords=axis.get_yaxis_transform(), va="center", fontsize=7.5)
+    axis.plot([], [], " ", label="beside: mean size of the change, with its 95 % interval")
     axis.axvline(0.0, color=BLACK, linewidth=0.9)
     axis.set_xlabel(f"mean change of the {_what(sensitivity, metric)}")
 
@@ -90,7 +93,7 @@ def _draw_shares(axis, sensitivity: Sensitivity, tracker: str, metric: str, orde
     total, half = 100 * one.importance[order], 100 * (one.high - one.importance)[order]
     first, first_half = (100 * one.parts[name][order] for name in ("first_order", "first_order_half"))
     bars = [
-        (total, half, "together with others (total index)", SKY, -1),
+        (total, half, "by itself or with others (total index)", SKY, -1),
         (np.maximum(first, 0), first_half, "by itself (first-order index)", BLUE, 1),
     ]
     for width, error, label, colour, side in bars:
@@ -100,12 +103,7 @@ def _draw_shares(axis, sensitivity: Sensitivity, tracker: str, metric: str, orde
                 width, place + side * _THICK / 2, xerr=error, fmt="none", ecolor=GREY, elinewidth=0.9, capsize=1.5,
                 label="95 % interval" if side > 0 else None,
             )  # fmt: skip
-    axis.set_xlim(left=0.0)
     axis.set_xlabel("share of the variance [%]")
-
-
-def _label(axis, sensitivity: Sensitivity, metric: str) -> None:
-    axis.set_xlabel(_what(sensitivity, metric))
 
 
 def _what(sensitivity: Sensitivity, metric: str) -> str:

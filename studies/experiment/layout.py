@@ -67,6 +67,4 @@ def ends_of(factor: Factor) -> tuple[float, float]:
 
 def noisy(factors: Sequence[Factor]) -> bool:
     """Return whether there is noise in the sensors, of which one draw differs from another."""
-    return any(
-        factor.key.startswith(_NOISES) and (factor.spread.random or factor.spread.first > 0) for factor in factors
-    )
+    return any(factor.key.startswith(_NOISES) and (factor.spread.random or factor.spread.first > 0) for factor in factors)

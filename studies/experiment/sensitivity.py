@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.imperfections import Factor
 from linkplan.studies.experiment.layout import ends_of, varied
-from linkplan.studies.experiment.metrics import Metric
+from linkplan.studies.experiment.metrics import Metric, metrics_of
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.sensitivity.influence import Influence, influence_of
 from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME, SOBOL, Scheme
@@ -18,7 +19,7 @@ _SUCCESS = Metric(text="share of machines within the tube all the way", unit="1"
 MEASURES = {
     ONE_AT_A_TIME: "change between the ends of the range, all else in the middle",
     MORRIS: "mean size of the change across the range (Morris' mu*)",
-    SOBOL: "share of the variance that goes where it is held still (total Sobol index)",
+    SOBOL: "share of the variance that it has a part in, by itself or with others (total Sobol index)",
 }
 
 
@@ -70,13 +71,13 @@ def sensitivity_of(
     factors: Sequence[Factor],
     results: Mapping[str, np.ndarray],
     trackers: Sequence[str],
-    metrics: Mapping[str, Metric],
+    mechanism: Mechanism,
     seed: int,
 ) -> Sensitivity:
     """Return the sensitivity of a results table's columns, all of a scheme's machines in their order for each tracker."""
-    known = {**metrics, SUCCESS: _SUCCESS}
+    known = {**metrics_of(mechanism), SUCCESS: _SUCCESS}
     which = [factors[i] for i in varied(factors)]
-    said = [Varied(label=one.label, unit=one.quantity.unit, ends=ends_of(one)) for one in which]
+    said = [Varied(label=one.label, unit=_unit(one, mechanism), ends=ends_of(one)) for one in which]
     rows = {tracker: np.flatnonzero(results["tracker"] == tracker) for tracker in trackers}
     influences = {
         tracker: {name: influence_of(scheme, results[name][rows[tracker]].astype(float), seed) for name in known}
@@ -90,6 +91,15 @@ def sensitivity_of(
         groups=scheme.n_groups,
         size=scheme.size,
     )
+
+
+def _unit(factor: Factor, mechanism: Mechanism) -> str:
+    """Return the unit of a factor's values: of those for hinges and for slides the one that it has."""
+    rotary, _, linear = factor.quantity.unit.partition(" or ")
+    kinds = {joint.name: joint.kind == "slide" for joint in mechanism.joints} if factor.quantity.of == "joint" else {}
+    if factor.quantity.of == "actuator":
+        kinds = {actuator.name: actuator.unit == "N" for actuator in mechanism.actuators}
+    return linear if linear and kinds.get(factor.name) else rotary if factor.name in kinds else factor.quantity.unit
 
 
 def sensitivity_record(sensitivity: Sensitivity) -> dict:

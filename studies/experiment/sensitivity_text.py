@@ -27,8 +27,8 @@ def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
     numbers = {i: k + 1 for k, i in enumerate(order)}
     for metric in sensitivity.mains:
         unit = sensitivity.unit(metric)
-        what = "shares of the variance of the" if sensitivity.design == SOBOL else "of the"
-        own = f"[{sensitivity.metrics[metric].unit}]"
+        of = f"of the {sensitivity.metrics[metric].text}"
+        what = f"shares of the variance {of}" if sensitivity.design == SOBOL else f"{of} [{unit}]"
         rows = [
             [
                 f"{numbers[i]:2d} {sensitivity.factors[i].label}",
@@ -39,7 +39,7 @@ def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
         if sensitivity.design == SOBOL:
             rows.append(["sum of first-order indices", *(_additive(sensitivity, tracker, metric) for tracker in trackers)])
         lines += [
-            f"{what} {sensitivity.metrics[metric].text} {own if unit == '1' else f'[{unit}]'}, with 95 % intervals",
+            f"{what}, with 95 % intervals",
             "",
             table(["imperfection", *trackers], rows),
             "",
@@ -49,7 +49,11 @@ def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
         lines += [f"{hidden} more matter less for every tracker; the record has them", ""]
     names = [metric for metric in sensitivity.metrics if any(_known(sensitivity, t, metric) for t in trackers)]
     rows = [[metric, *(_foremost(sensitivity, t, metric, numbers) for t in trackers)] for metric in names]
-    lines += ["the most important ones of each figure, by number", "", table(["figure", *trackers], rows)]
+    lines += [
+        "what matters most for each figure, by number; - for nothing that is certain",
+        "",
+        table(["figure", *trackers], rows),
+    ]
     return "\n".join([*lines, *_left_out(sensitivity)])
 
 

@@ -146,12 +146,13 @@ def _save(outcome: Outcome, folder: Path, place: Path, blocks: int) -> None:
 
 
 def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: dict) -> Outcome:
-    metrics = metrics_of(experiment.plan.problem.mechanism)
+    mechanism = experiment.plan.problem.mechanism
+    metrics = metrics_of(mechanism)
     settings, scheme = experiment.settings, experiment.scheme
     summary, sensitivity, found = summarise(_independent(experiment, results), settings.trackers, metrics), None, {}
     if scheme is not None:
         factors = experiment.section.factors
-        sensitivity = sensitivity_of(scheme, factors, results, settings.trackers, metrics, settings.seed)
+        sensitivity = sensitivity_of(scheme, factors, results, settings.trackers, mechanism, settings.seed)
         found = {"machines": experiment.n, "sensitivity": sensitivity_record(sensitivity)}
     record = {
         "experiment": experiment.plan.problem.name,
