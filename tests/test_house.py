@@ -33,7 +33,8 @@ ROOMS = {
         "controls", "playback",
     ),
     "studies": (
-        "output", "check", "compare", "experiment", "decompose", "frequency", "bode", "tune", "render", "new", "export",
+        "output", "check", "compare", "sensitivity", "experiment", "decompose", "frequency", "bode", "tune", "render", "new",
+        "export",
         "report", "demo", "cli",
     ),
 }  # fmt: skip

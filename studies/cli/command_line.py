@@ -190,7 +190,8 @@ def _experiment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--samples", type=int, default=200, metavar="N", help="machines (default: %(default)s)")
     parser.add_argument("--trackers", default="pd,pd+ff,lqr", metavar="NAMES", help="with commas (default: %(default)s)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random numbers (default: %(default)s)")
-    text = "how samples lie: latin-hypercube or grid (default: %(default)s)"
+    text = "how samples lie: latin-hypercube or grid; which imperfection matters: one-at-a-time, morris or sobol"
+    text += " (default: %(default)s)"
     parser.add_argument("--design", default="latin-hypercube", metavar="HOW", help=text)
     parser.add_argument("--levels", type=int, default=3, metavar="N", help="of a grid (default: %(default)s)")
     text = "success: no hinge is farther from the path (default: %(default)s)"

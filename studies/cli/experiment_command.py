@@ -25,7 +25,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.planner.planning import plan_motion
     from linkplan.studies.experiment import study
     from linkplan.studies.experiment.experiment import Settings, plan_digest
-    from linkplan.studies.experiment.experiment_text import experiment_text, tube_said
+    from linkplan.studies.experiment.outcome_text import outcome_text
 
     settings = Settings(
         trackers=tuple(name.strip() for name in arguments.trackers.split(",")),
@@ -69,10 +69,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         return no_plan(arguments, none.plan)
     if arguments.report and target is not None:
         _write_page(outcome, target)
-    tube = tube_said(outcome.experiment)
-    name = outcome.experiment.plan.problem.name
-    text = experiment_text(name, outcome.summary, settings.design, settings.seed, tube)
-    show(arguments, outcome.record, text)
+    show(arguments, outcome.record, outcome_text(outcome))
     return DONE if outcome.experiment.plan.status == "optimal" else NO
 
 

@@ -22,9 +22,12 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.values import number, whole
 from linkplan.studies.compare.compare import tracking_reference
 from linkplan.studies.experiment.defaults import default_imperfections
-from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES, values_of
+from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES
+from linkplan.studies.experiment.layout import layout_of
 from linkplan.studies.experiment.machines import machine_of
 from linkplan.studies.experiment.metrics import Yardstick
+from linkplan.studies.sensitivity.salib import salib_version
+from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme
 
 FORMAT = 1
 # A motion that ends is held for this share of its duration after it, where the problem does not say: errors settle there.
@@ -35,7 +38,8 @@ _REST = 0.25
 class Settings:
     """What is asked of an experiment beside its plan: trackers, samples, design and seed, and the tube of success.
 
-    A grid's number of samples follows from its levels.
+    A grid's number of samples follows from its levels; a design that tells influences apart has as many whole groups as fit
+    into `samples`.
     """
 
     trackers: tuple[str, ...] = TRACKERS
@@ -62,12 +66,17 @@ class Settings:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Experiment:
-    """Trackers of one plan on many machines: `values` (n, d) of the section's factors, in a problem file's units."""
+    """Trackers of one plan on many machines: `values` (n, d) of the section's factors, in a problem file's units.
+
+    `draws` (n,) tells which noise a machine has, `scheme` what its design tells apart, if anything.
+    """
 
     plan: Plan
     settings: Settings
     section: ImperfectionsSection
     values: np.ndarray
+    draws: np.ndarray
+    scheme: Scheme | None
     reference: SampledReference
     loop: ControlLoop
     yardstick: Yardstick
@@ -79,8 +88,8 @@ class Experiment:
 
     def machine(self, sample: int) -> Imperfections:
         """Return a sample's machine: the same for every tracker, in any experiment with these settings."""
-        mechanism = self.plan.problem.mechanism
-        return machine_of(self.section, self.values[sample], mechanism, (self.settings.seed, 1, sample))
+        mechanism, noise = self.plan.problem.mechanism, (self.settings.seed, 1, int(self.draws[sample]))
+        return machine_of(self.section, self.values[sample], mechanism, noise)
 
 
 def experiment_of(plan: Plan, settings: Settings) -> Experiment:
@@ -94,7 +103,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     mechanism = problem.mechanism
     refuse_unfit(mechanism)
     section = imperfections_of(imperfections_asked(plan), mechanism)
-    values = values_of(section.factors, settings.design, settings.samples, settings.levels, settings.seed)
+    layout = layout_of(section.factors, settings.design, settings.samples, settings.levels, settings.seed)
     trajectory, tracking = plan.trajectory, problem.tracking
     ends = not trajectory.periodic
     if tracking.duration_s is None and ends:
@@ -102,7 +111,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
     loop = ControlLoop(effort_limit=np.array(problem.limits.effort), delay_periods=int(problem.tracking.delay_periods))
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    middle = np.median(values, axis=0)
+    middle = np.median(layout.values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # refused now, in one line
     yardstick = Yardstick(
         mechanism=mechanism,
@@ -115,7 +124,9 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
         plan=plan,
         settings=settings,
         section=section,
-        values=values,
+        values=layout.values,
+        draws=layout.draws,
+        scheme=layout.scheme,
         reference=reference,
         loop=loop,
         yardstick=yardstick,
@@ -144,7 +155,7 @@ def asked_record(source: Mapping, digest: str | None, settings: Settings) -> dic
         "problem": source,
         "plan": digest,
         "settings": settings_record(settings),
-        "versions": versions(),
+        "versions": versions() | ({"salib": salib_version()} if settings.design in (MORRIS, SOBOL) else {}),
     }
     return json.loads(json.dumps(plain_record(said)))
 

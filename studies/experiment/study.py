@@ -32,19 +32,36 @@ from linkplan.studies.experiment.parts import (
     working,
     write_results,
 )
+from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_of, sensitivity_record
 from linkplan.studies.experiment.summary import Summary, summarise, summary_record
+from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
 
 RECORD, RESULTS = "experiment.json", "results.parquet"
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Outcome:
-    """An experiment's results: their columns, what they say, and the record of both."""
+    """An experiment's results: their columns, what they say, and the record of both.
+
+    `sensitivity` is there where the design tells imperfections' influences apart; the summary is then of those machines
+    alone that are independent of one another.
+    """
 
     experiment: Experiment
     results: Mapping[str, np.ndarray]
     summary: Summary
     record: dict
+    sensitivity: Sensitivity | None = None
+
+    @property
+    def population(self) -> Mapping[str, np.ndarray]:
+        """The results of machines that are independent of one another: of all, but where the design ties some to others."""
+        return _independent(self.experiment, self.results)
+
+    @property
+    def distributed(self) -> bool:
+        """Whether these machines lie as the imperfections' distributions say, so that means are worth a word."""
+        return self.experiment.settings.design not in (ONE_AT_A_TIME, MORRIS)
 
 
 def run_experiment(
@@ -113,19 +130,30 @@ def _carried_out(
 
 def _save(outcome: Outcome, folder: Path, place: Path, blocks: int) -> None:
     from linkplan.studies.experiment.draw_experiment import experiment_figure
+    from linkplan.studies.experiment.draw_tornado import save_tornados
 
     write_results(folder, place / RESULTS, blocks)
     write_json(place / RECORD, outcome.record)
     (place / PLAN).mkdir()
     write_plan(outcome.experiment.plan, place / PLAN)
-    settings, summary = outcome.experiment.settings, outcome.summary
-    title = f"{outcome.experiment.plan.problem.name}: {summary.samples} machines"
-    experiment_figure(outcome.results, settings.trackers, summary.metrics, title, place / "experiment.png")
+    settings, summary, sensitivity = outcome.experiment.settings, outcome.summary, outcome.sensitivity
+    name = outcome.experiment.plan.problem.name
+    if sensitivity is not None:
+        save_tornados(sensitivity, name, place)
+    if outcome.distributed:
+        title = f"{name}: {summary.samples} machines"
+        experiment_figure(outcome.population, settings.trackers, summary.metrics, title, place / "experiment.png")
 
 
 def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: dict) -> Outcome:
-    metrics = metrics_of(experiment.plan.problem.mechanism)
-    summary = summarise(results, experiment.settings.trackers, metrics)
+    mechanism = experiment.plan.problem.mechanism
+    metrics = metrics_of(mechanism)
+    settings, scheme = experiment.settings, experiment.scheme
+    summary, sensitivity, found = summarise(_independent(experiment, results), settings.trackers, metrics), None, {}
+    if scheme is not None:
+        factors = experiment.section.factors
+        sensitivity = sensitivity_of(scheme, factors, results, settings.trackers, mechanism, settings.seed)
+        found = {"machines": experiment.n, "sensitivity": sensitivity_record(sensitivity)}
     record = {
         "experiment": experiment.plan.problem.name,
         "asked": asked,
@@ -133,8 +161,18 @@ def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: d
         "control_period_s": experiment.reference.period_s,
         "duration_s": experiment.reference.period_s * experiment.reference.n,
         **summary_record(summary),
+        **found,
     }
-    return Outcome(experiment=experiment, results=results, summary=summary, record=plain_record(record))
+    return Outcome(
+        experiment=experiment, results=results, summary=summary, record=plain_record(record), sensitivity=sensitivity
+    )
+
+
+def _independent(experiment: Experiment, results: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    if experiment.scheme is None:
+        return results
+    among = experiment.scheme.independent[results["sample"]]
+    return {name: column[among] for name, column in results.items()}
 
 
 def saved_experiment(folder: Path) -> Experiment:

@@ -13,14 +13,18 @@ import numpy as np
 from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.names import choose
 from linkplan.plain import plain
 from linkplan.planner.files.imperfections_file import imperfections_of
 from linkplan.planner.problem.values import whole
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
 from linkplan.studies.experiment.experiment import Settings, plan_digest
-from linkplan.studies.experiment.experiment_text import experiment_text, tube_said
+from linkplan.studies.experiment.outcome_text import outcome_text
 from linkplan.studies.experiment.replay import replay
+from linkplan.studies.experiment.sensitivity import Sensitivity
+from linkplan.studies.experiment.sensitivity_text import sensitivity_text
+from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, run_experiment
 
 if TYPE_CHECKING:
@@ -52,7 +56,8 @@ def experiment(
         imperfections: the table [imperfections] of a problem file, in place of the problem's; the default one where neither
             has any (docs/experiments.md).
         seed: of all random numbers.
-        design: "latin-hypercube" or "grid".
+        design: "latin-hypercube" or "grid"; "one-at-a-time", "morris" or "sobol" tell which imperfection matters most, with
+            as many whole groups of machines as fit into `samples`.
         levels: of each random imperfection in a grid.
         tube_deg: success is to stay so near to the path all the way, on every hinge.
         tube_m: the same on every slide.
@@ -106,6 +111,12 @@ class ExperimentResult:
         """Every run as a row: columns by name, sample by sample and tracker by tracker."""
         return dict(self.outcome.results)
 
+    @property
+    def sensitivity(self) -> SensitivityResult | None:
+        """Which imperfection matters most for which tracker; None where the design does not tell."""
+        found = self.outcome.sensitivity
+        return None if found is None else SensitivityResult(outcome=self.outcome, found=found)
+
     def replay(self, tracker: str, sample: int) -> Rollout:
         """Return one sample's run again, with its log in SI units."""
         return replay(self.outcome.experiment, tracker, sample)[0]
@@ -121,13 +132,55 @@ class ExperimentResult:
         one, summary = self.outcome.experiment, self.outcome.summary
         title = f"{one.plan.problem.name}: {summary.samples} machines"
         place = None if path is None else Path(path)
-        return experiment_figure(self.outcome.results, one.settings.trackers, summary.metrics, title, place)
+        return experiment_figure(self.outcome.population, one.settings.trackers, summary.metrics, title, place)
 
     def __str__(self) -> str:
-        one = self.outcome.experiment
-        tube = tube_said(one)
-        return experiment_text(one.plan.problem.name, self.outcome.summary, one.settings.design, one.settings.seed, tube)
+        return outcome_text(self.outcome)
 
     def __repr__(self) -> str:
         one = self.outcome.experiment
         return f"ExperimentResult({one.plan.problem.name!r}: {one.n} machines, {', '.join(one.settings.trackers)})"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class SensitivityResult:
+    """Which imperfection matters most for which tracker and metric. `str(result)` is the table.
+
+    A metric is a name of `ExperimentResult.results`; the rms error where none is given.
+    """
+
+    outcome: Outcome
+    found: Sensitivity
+
+    def ranking(self, tracker: str, metric: str | None = None) -> tuple[str, ...]:
+        """Return the imperfections' labels from the most important on."""
+        return self.found.ranking(*self._asked(tracker, metric))
+
+    def importance(self, tracker: str, metric: str | None = None) -> dict[str, Estimate]:
+        """Return each imperfection's importance with its 95 % interval, by label: docs/experiments.md says what it is."""
+        asked = self._asked(tracker, metric)
+        return {factor.label: self.found.importance(*asked, i) for i, factor in enumerate(self.found.factors)}
+
+    def to_dict(self) -> dict:
+        """Return every figure, in JSON's own types."""
+        return json.loads(json.dumps(self.outcome.record["sensitivity"]))
+
+    def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
+        """Return the tornado chart of a metric, a panel for each tracker; it is saved at `path` where one is given."""
+        from linkplan.studies.experiment.draw_tornado import tornado_figure, tornado_title
+
+        _, name = self._asked(next(iter(self.found.influences)), metric)
+        title = tornado_title(self.found, self.outcome.experiment.plan.problem.name, name)
+        return tornado_figure(self.found, name, title, None if path is None else Path(path))
+
+    def _asked(self, tracker: str, metric: str | None) -> tuple[str, str]:
+        choose("tracker", tracker, tuple(self.found.influences), ProblemError)
+        return tracker, choose("metric", metric or self.found.mains[0], tuple(self.found.metrics), ProblemError)
+
+    def __str__(self) -> str:
+        one = self.outcome.experiment
+        return sensitivity_text(one.plan.problem.name, self.found, one.settings.seed)
+
+    def __repr__(self) -> str:
+        one = self.outcome.experiment
+        return f"SensitivityResult({one.plan.problem.name!r}: {self.found.design}, {one.n} machines)"

@@ -233,7 +233,7 @@ def test_a_loop_too_soft_to_step_is_refused_before_any_sample_runs():
         ({"trackers": ("pdd",)}, "unknown tracker 'pdd'"),
         ({"trackers": ("pd", "pd")}, "each once"),
         ({"samples": 0}, "samples is a whole number from 1"),
-        ({"design": "sobol"}, "design"),
+        ({"design": "sobel"}, r"unknown design 'sobel'"),
         ({"tube_deg": -1.0}, "tube_deg is a positive number"),
     ],
 )
