@@ -71,6 +71,7 @@ def build_parser(only: str | None = None) -> Parser:
     batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
 
     _parquet(batch, "every trajectory.csv")
+    _engine(batch)
 
     track = command("track", "run one tracker on a plan in MuJoCo", report=True)
     track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
@@ -188,7 +189,8 @@ def _experiment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a built-in problem, a TOML file or a saved plan's folder")
     _anyway(parser)
     parser.add_argument("--samples", type=int, default=200, metavar="N", help="machines (default: %(default)s)")
-    parser.add_argument("--trackers", default="pd,pd+ff,lqr", metavar="NAMES", help="with commas (default: %(default)s)")
+    text = "names with commas between them, your own as module:object (default: %(default)s)"
+    parser.add_argument("--trackers", default="pd,pd+ff,lqr", metavar="NAMES", help=text)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random numbers (default: %(default)s)")
     text = "how samples lie: latin-hypercube or grid; which imperfection matters: one-at-a-time, morris or sobol"
     text += " (default: %(default)s)"
@@ -198,8 +200,17 @@ def _experiment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tube-deg", type=float, default=1.0, metavar="A", help=text)
     text = "success: no slide is farther from the path (default: %(default)s)"
     parser.add_argument("--tube-m", type=float, default=0.01, metavar="L", help=text)
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
-    parser.add_argument("--threads", type=int, default=0, metavar="N", help="of the simulator in each (default: all cores)")
+    _engine(parser)
+    text = "of the simulator for each worker (default: an equal share of the cores)"
+    parser.add_argument("--threads", type=int, default=0, metavar="N", help=text)
+
+
+def _engine(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="processes of this machine that share the work (default: 1)"
+    )
+    text = "share the work among the workers of the Dask scheduler at this address, such as tcp://head:8786"
+    parser.add_argument("--cluster", metavar="ADDRESS", help=text)
 
 
 def _parquet(parser: argparse.ArgumentParser, what: str) -> None:

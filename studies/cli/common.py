@@ -18,6 +18,8 @@ from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.exit_codes import NO
 from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.progress import Progress
+from linkplan.studies.tasks.cluster import cluster
+from linkplan.studies.tasks.engine import MOST_WORKERS, Engine, processes
 
 
 def output_folder(arguments: argparse.Namespace) -> Path | None:
@@ -52,6 +54,18 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
     except PlanFileError as error:
         raise PlanFileError(f"-o: {error}") from error
     return target
+
+
+def engine_asked(arguments: argparse.Namespace) -> Engine:
+    """Return what --workers or --cluster asks to run tasks on."""
+    if arguments.cluster is not None:
+        if arguments.workers is not None:
+            raise ProblemError("--workers are processes of this machine and --cluster has its own; say one of them")
+        return cluster(arguments.cluster)
+    workers = 1 if arguments.workers is None else arguments.workers
+    if not 1 <= workers <= MOST_WORKERS:
+        raise ProblemError(f"--workers is a whole number from 1 to {MOST_WORKERS}, got {workers}")
+    return processes(workers)
 
 
 def set_all(tables: Tables, settings: Sequence[str]) -> None:

@@ -12,7 +12,7 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import Plan
-from linkplan.studies.cli.common import no_plan, output_folder, plan_asked, set_all
+from linkplan.studies.cli.common import engine_asked, no_plan, output_folder, plan_asked, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -36,16 +36,16 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         tube_deg=arguments.tube_deg,
         tube_m=arguments.tube_m,
     )
-    for name, least in (("workers", 1), ("threads", 0)):
-        if getattr(arguments, name) < least:
-            raise ProblemError(f"--{name} is a whole number of at least {least}, got {getattr(arguments, name)}")
+    if arguments.threads < 0:
+        raise ProblemError(f"--threads is a whole number of at least 0, got {arguments.threads}")
+    engine = engine_asked(arguments)
     target = output_folder(arguments)
     say, source = progress(arguments), arguments.plan
     if source in PROBLEMS or Path(source).is_file():
         name, tables, folder = read_tables(source)
         set_all(tables, arguments.set)
         problem = problem_from_tables(name, tables, folder)
-        digest, asked = None, {"name": name, **problem.source}
+        digest, asked = None, {"name": name, **problem.source, "model_hash": problem.mechanism.fingerprint()}
 
         def plan():
             found = plan_motion(problem, say)
@@ -62,9 +62,9 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         def plan():
             return saved
 
-    pool = {"workers": arguments.workers, "threads": arguments.threads}
+    how = {"engine": engine, "threads": arguments.threads}
     try:
-        outcome = study.run_experiment(asked, digest, plan, settings, target, say, **pool)
+        outcome = study.run_experiment(asked, digest, plan, settings, target, say, **how)
     except _NoPlanError as none:
         return no_plan(arguments, none.plan)
     if arguments.report and target is not None:
@@ -97,12 +97,13 @@ def run_replay(arguments: argparse.Namespace) -> int:
     from linkplan.studies.compare.draw_tracking import comparison_figure
     from linkplan.studies.compare.time_series import save_time_series
     from linkplan.studies.experiment.replay import replay
-    from linkplan.studies.experiment.study import saved_experiment
+    from linkplan.studies.experiment.study import refuse_changed_tracker, saved_experiment
     from linkplan.studies.report.reports import replay_report
     from linkplan.studies.report.saving import save_report
 
     target = output_folder(arguments)
     experiment = saved_experiment(Path(arguments.plan))
+    refuse_changed_tracker(Path(arguments.plan), arguments.tracker)
     rollout, said = replay(experiment, arguments.tracker, arguments.sample)
     plan = experiment.plan
     title = f"sample {arguments.sample}"

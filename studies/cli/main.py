@@ -136,7 +136,11 @@ def _interrupted(before: _Before) -> int:
     what, folder = "nothing was written", _folder_at(before.target)
     if folder is not None and folder != before.folder:
         what = f"the result is in '{before.target}', whole"
-    elif before.command == "experiment" and before.target and os.path.isdir(f"{before.target.rstrip('/')}.unfinished"):
+    elif (
+        before.command in ("experiment", "batch")
+        and before.target
+        and os.path.isdir(f"{before.target.rstrip('/')}.unfinished")
+    ):
         what = f"what is done is in '{before.target.rstrip('/')}.unfinished', and the same command goes on from it"
     refuse(before.command, f"interrupted; {what}")
     return BY_SIGNAL + (ended_by() or signal.SIGINT)

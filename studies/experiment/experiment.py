@@ -21,6 +21,7 @@ from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.values import number, whole
 from linkplan.studies.compare.compare import tracking_reference
+from linkplan.studies.compare.user_tracker import known_tracker
 from linkplan.studies.experiment.defaults import default_imperfections
 from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES
 from linkplan.studies.experiment.layout import layout_of
@@ -55,7 +56,7 @@ class Settings:
         if not names or len(set(names)) < len(names):
             raise ProblemError(f"trackers of an experiment are one or more, each once, got {', '.join(names) or 'none'}")
         for name in names:
-            choose("tracker", name, TRACKERS, ProblemError)
+            known_tracker(name)
         whole(self.samples, "samples", 1, MOST_SAMPLES)
         whole(self.seed, "seed", 0, 2**63 - 1)
         whole(self.levels, "levels", 1, 1000)
@@ -148,8 +149,11 @@ def settings_from(record: Mapping) -> Settings:
     return Settings(**{**record, "trackers": tuple(record["trackers"])})
 
 
-def asked_record(source: Mapping, digest: str | None, settings: Settings) -> dict:
-    """Return all that an experiment's results depend on: the problem's tables, or a saved plan's digest, and versions."""
+def asked_record(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> dict:
+    """Return all that an experiment's results depend on: the problem's tables, or a saved plan's digest, and versions.
+
+    `trackers` has the hashes of what the user's own are written in.
+    """
     said = {
         "format": FORMAT,
         "problem": source,
@@ -157,12 +161,9 @@ def asked_record(source: Mapping, digest: str | None, settings: Settings) -> dic
         "settings": settings_record(settings),
         "versions": versions() | ({"salib": salib_version()} if settings.design in (MORRIS, SOBOL) else {}),
     }
+    if trackers:
+        said["tracker_sources"] = dict(trackers)
     return json.loads(json.dumps(plain_record(said)))
-
-
-def hash_of(record: Mapping) -> str:
-    """Return the hash of a record: whether results are of the same experiment."""
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def plan_digest(plan: Plan) -> str:

@@ -26,6 +26,8 @@ from linkplan.studies.experiment.sensitivity import Sensitivity
 from linkplan.studies.experiment.sensitivity_text import sensitivity_text
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, run_experiment
+from linkplan.studies.tasks.cluster import cluster as at_address
+from linkplan.studies.tasks.engine import MOST_WORKERS, processes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,6 +46,7 @@ def experiment(
     tube_m: float = 0.01,
     folder: str | Path | None = None,
     workers: int = 1,
+    cluster: str | None = None,
     threads: int = 0,
     progress: Progress | None = None,
 ) -> ExperimentResult:
@@ -51,7 +54,7 @@ def experiment(
 
     Args:
         plan: with a motion.
-        trackers: built-in names.
+        trackers: built-in names, and your own as "module:object" or by an installed package's name for it.
         samples: machines; a grid has as many as its levels make.
         imperfections: the table [imperfections] of a problem file, in place of the problem's; the default one where neither
             has any (docs/experiments.md).
@@ -63,7 +66,8 @@ def experiment(
         tube_m: the same on every slide.
         folder: where the results go, whole; what is done stands beside it until then, and the same call goes on from there.
         workers: processes; more than one needs the caller's `if __name__ == "__main__":`.
-        threads: of the simulator in each; 0 for an equal share of the cores.
+        cluster: the address of a Dask scheduler, whose workers share the work.
+        threads: of the simulator for each worker; 0 for an equal share of the cores.
         progress: called with a line of text now and then.
 
     Raises:
@@ -75,8 +79,10 @@ def experiment(
         raise LinkplanError(f"nothing to track, the plan has no motion: {plan.message}")
     if isinstance(trackers, str) or not isinstance(trackers, Sequence):
         raise ProblemError(f"trackers are a list of names, got {trackers!r}")
-    whole(workers, "workers", 1, 10_000)
+    whole(workers, "workers", 1, MOST_WORKERS)
     whole(threads, "threads", 0, 10_000)
+    if cluster is not None and workers != 1:
+        raise ProblemError(f"workers are processes of this machine and a cluster has its own; got workers={workers} too")
     answer, problem = plan.answer, plan.answer.problem
     if imperfections is not None:
         table = plain(imperfections)
@@ -94,8 +100,9 @@ def experiment(
     source = {"name": problem.name, **answer.problem.source}
     target = None if folder is None else Path(folder)
     say = listener(progress)
+    engine = processes(workers) if cluster is None else at_address(cluster)
     outcome = run_experiment(
-        source, plan_digest(answer), lambda: answer, settings, target, say, workers=workers, threads=threads
+        source, plan_digest(answer), lambda: answer, settings, target, say, engine=engine, threads=threads
     )
     return ExperimentResult(outcome=outcome)
 
