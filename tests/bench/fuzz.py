@@ -78,7 +78,6 @@ def _child(numbers: list[int], seed: int, plan: Path, pipe) -> None:
     import mujoco  # noqa: F401
 
     from linkplan.planner import planning  # noqa: F401
-
     from linkplan.studies.cli.main import main as program
 
     warnings.simplefilter("ignore")
