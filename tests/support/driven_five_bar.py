@@ -79,6 +79,16 @@ class FiveBar:
         clear = np.abs(np.imag(distal[0] * np.conj(distal[1]))) / (lengths[0] * lengths[1])
         return turned, slopes, rates, [a[:, 0], a[:, 1], *bends], clear
 
+    def joints(self, s: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the model's joints (4,) at one instant (1, 2), their slopes (4, 2), rates (4,) and accelerations (4,)."""
+        turned, slopes, rates, bends, _ = self._angles(s, v, a)
+        rows = [[1, 0], [slopes[0][0][0], slopes[1][0][0]], [0, 1], [slopes[0][1][0], slopes[1][1][0]]]
+        columns = [np.array([one[k][0] for k in (0, 2, 1, 3)]) for one in ([np.angle(x) for x in turned], rates, bends)]
+        # Distal links turn against their proximal ones.
+        relative = np.eye(4) - np.diag([1.0, 0.0, 1.0], -1)
+        q, rate, bend = (relative @ column for column in columns)
+        return q, relative @ np.array(rows, dtype=float), rate, bend
+
     def pin_at(self, s: np.ndarray) -> np.ndarray:
         """Return where the pin is (3,) [m] at motor angles (2,)."""
         none = np.zeros((1, 2))
