@@ -108,8 +108,8 @@ def _left_out(sensitivity: Sensitivity) -> list[str]:
         if one.left_out:
             lines.append(
                 folded(
-                    f"{tracker}: {one.left_out} of {one.groups} groups are left out of the errors, for it failed on a machine"
-                    " of them; what it owes its failures to, success tells"
+                    f"{tracker}: {one.left_out} of {one.groups} groups are left out of the errors, for it failed on one of"
+                    " their machines; what it owes failures to, success tells"
                 )
             )
     return ["", *lines] if lines else []
