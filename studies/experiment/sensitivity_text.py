@@ -39,7 +39,7 @@ def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
         if sensitivity.design == SOBOL:
             rows.append(["sum of first-order indices", *(_additive(sensitivity, tracker, metric) for tracker in trackers)])
         lines += [
-            f"{what}, with 95 % intervals",
+            f"{what}, with 95 % intervals" if groups > 1 else what,
             "",
             table(["imperfection", *trackers], rows),
             "",
