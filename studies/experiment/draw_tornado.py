@@ -25,7 +25,8 @@ def save_tornados(sensitivity: Sensitivity, name: str, folder: Path) -> None:
 def tornado_title(sensitivity: Sensitivity, name: str, metric: str) -> str:
     """Return the title of a figure: whose, of what, from how many machines."""
     machines = sensitivity.groups * sensitivity.size
-    return f"{name}: what the {sensitivity.metrics[metric].text} owes to each imperfection ({sensitivity.design}, {machines} machines)"
+    text = sensitivity.metrics[metric].text
+    return f"{name}: what the {text} owes to each imperfection ({sensitivity.design}, {machines} machines)"
 
 
 def tornado_figure(sensitivity: Sensitivity, metric: str, title: str, path: Path | None) -> Figure:
@@ -48,8 +49,7 @@ def tornado_figure(sensitivity: Sensitivity, metric: str, title: str, path: Path
             first.set_xlim(left=0.0)
         first.figure.suptitle(title, fontsize=11)
         bottom_legend(first)
-        figure = first.figure
-    return figure
+    return first.figure
 
 
 def draw_tornado(axis, sensitivity: Sensitivity, tracker: str, metric: str, order: list[int]) -> None:

@@ -19,7 +19,7 @@ _NEVER = 2.0**-31
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Layout:
-    """Values (n, d) of factors in a problem file's units, the noise's draws (n,), and what tells influences apart, if any."""
+    """Values (n, d) of factors in a problem file's units, noise draws (n,), and what tells influences apart, if anything."""
 
     values: np.ndarray
     draws: np.ndarray

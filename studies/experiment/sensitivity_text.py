@@ -39,7 +39,7 @@ def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
         if sensitivity.design == SOBOL:
             rows.append(["sum of first-order indices", *(_additive(sensitivity, tracker, metric) for tracker in trackers)])
         lines += [
-            f"{what}, with 95 % intervals",
+            f"{what}, with 95 % intervals" if groups > 1 else what,
             "",
             table(["imperfection", *trackers], rows),
             "",
@@ -108,8 +108,8 @@ def _left_out(sensitivity: Sensitivity) -> list[str]:
         if one.left_out:
             lines.append(
                 folded(
-                    f"{tracker}: {one.left_out} of {one.groups} groups are left out of the errors, for it failed on a machine"
-                    " of them; what it owes its failures to, success tells"
+                    f"{tracker}: {one.left_out} of {one.groups} groups are left out of the errors, for it failed on one of"
+                    " their machines; what it owes failures to, success tells"
                 )
             )
     return ["", *lines] if lines else []

@@ -1,8 +1,8 @@
 """What a figure owes to each factor, from its values at a scheme's trials.
 
-One at a time it is the change between the ends of a factor's range, the others in the middle. Morris' is the mean size of the
-elementary effects: the change across the whole range, seen from many places. Sobol's is the total index: the share of the
-figure's variance that the factor has a part in, by itself or together with others.
+One at a time it is the change between the ends of a factor's range, the others in the middle. Morris' is the mean size of
+the elementary effects: the change across the whole range, seen from many places. Sobol's is the total index: the share of
+the figure's variance that the factor has a part in, by itself or together with others.
 """
 
 import warnings

@@ -17,8 +17,8 @@ def salib(name: str) -> ModuleType:
         return importlib.import_module(f"SALib.{name}")
     except ImportError as error:
         raise LinkplanError(
-            "Morris' and Sobol's indices are computed by SALib, which is not installed (pip install 'linkplan[sensitivity]');"
-            " the design 'one-at-a-time' needs nothing more"
+            "Morris' and Sobol's indices are computed by SALib, which is not installed (pip install"
+            " 'linkplan[sensitivity]'); the design 'one-at-a-time' needs nothing more"
         ) from error
 
 

@@ -13,7 +13,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.studies.sensitivity.salib import salib, unit_cube
 
 ONE_AT_A_TIME, MORRIS, SOBOL = SENSITIVE = ("one-at-a-time", "morris", "sobol")
-# Levels of Morris' grid: four, a step being two thirds of the range (Saltelli et al., Global Sensitivity Analysis, 2008, 3.2).
+# Levels of Morris' grid, a step being two thirds of the range (Saltelli et al., Global Sensitivity Analysis, 2008, 3.2).
 LEVELS = 4
 # Fewer groups than these leave nothing to say of their spread.
 _LEAST = {ONE_AT_A_TIME: 2, MORRIS: 4, SOBOL: 16}
