@@ -177,6 +177,39 @@ class Plane:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Span:
+    """A part of a bar, from `start` to `end`; `low` and `high` are the ends of an interval about its end, if it has one."""
+
+    name: str
+    start: float
+    end: float
+    colour: int | None = 0
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Bar:
+    """A line of a bar chart: its name, its parts below one another, and a word beside it."""
+
+    label: str
+    spans: Sequence[Span]
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Bars:
+    """Bars beside their names, on one axis; they stand on `line`, which has a name where it is not zero."""
+
+    title: str
+    axis: Axis
+    rows: Sequence[Bar]
+    line: float = 0.0
+    line_name: str = ""
+    kind: str = field(default="bars", init=False)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Body:
     """A body of an animation: its pins at every frame, flat: (n_frames, n_pins * dimension) [m]."""
 
@@ -252,7 +285,7 @@ class Code:
     kind: str = field(default="code", init=False)
 
 
-Block = Text | Facts | Table | Checklist | Plot | Plane | Animation | Code
+Block = Text | Facts | Table | Checklist | Plot | Plane | Bars | Animation | Code
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -15,6 +15,7 @@ from linkplan.studies.experiment.metrics import Metric
 from linkplan.studies.experiment.statistics import Estimate, Pair
 from linkplan.studies.experiment.study import Outcome
 from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS
+from linkplan.studies.report.cause_sections import sensitivity_section
 from linkplan.studies.report.document import Axis, Block, Code, Facts, Plot, Section, Series, Table, Text
 from linkplan.studies.report.numbers import rounded
 
@@ -42,6 +43,7 @@ _OTHERS = (
 def experiment_sections(outcome: Outcome, folder: Path | None, *, depth: int = 1) -> list[Section]:
     """Return the sections of an experiment; `folder` is where its samples can be run again from."""
     experiment, below = outcome.experiment, depth + 1
+    sensitivity = outcome.record.get("sensitivity")  # of a design that tells imperfections' influences apart
     drawn = [name for start in _FIRST for name in outcome.summary.metrics if name.startswith(start)]
     others = [name for name in outcome.summary.metrics if name not in drawn]
     return [
@@ -53,6 +55,7 @@ def experiment_sections(outcome: Outcome, folder: Path | None, *, depth: int = 1
         *([Section(title="Trackers in pairs", blocks=[_pairs(outcome)], depth=below)] if outcome.summary.pairs else []),
         Section(title="How the figures are distributed", blocks=_plots(outcome, drawn), depth=below),
         Section(title="Distributions of the other figures", blocks=_plots(outcome, others), depth=below, folded=True),
+        *([sensitivity_section(sensitivity, depth=below)] if sensitivity else []),
         Section(title="Worst cases", blocks=_worst(outcome, folder), depth=below),
         Section(title="Imperfections of the machines", blocks=[_imperfections(experiment)], depth=below),
     ]

@@ -7,6 +7,7 @@ const SHOW = {
   checklist: showChecklist,
   plot: showPlot,
   plane: showPlane,
+  bars: showBars,
   animation: showAnimation,
   code: showCode,
 };
@@ -23,7 +24,7 @@ function showSection(section, id) {
     }
   };
   for (const block of section.blocks) {
-    const small = block.kind === "plot" || block.kind === "plane";
+    const small = ["plot", "plane", "bars"].includes(block.kind);
     if (small && blocks.length && blocks.at(-1).classList.contains("grid")) blocks.at(-1).append(show(block));
     else if (small) blocks.push(make("div", { class: "grid" }, show(block)));
     else if (SHOW[block.kind]) blocks.push(show(block));
