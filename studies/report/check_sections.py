@@ -39,7 +39,8 @@ def inspection_blocks(found: Inspection) -> list[Block]:
     verdict = [Text(text=problem, tone="bad") for problem in found.problems] or [
         Text(text="No problems found.", tone="good")
     ]
-    rank = f"{mechanism.n_closure_rows} rows, rank {len(mechanism.closure_rows)}"
+    n_rows = mechanism.n_closure_rows
+    rank = f"{n_rows} row{'s' if n_rows != 1 else ''}, rank {len(mechanism.closure_rows)}"
     rows = [
         ("degrees of freedom", f"{mechanism.dof} ({', '.join(j.name for j in mechanism.independent_joints)} independent)"),
         ("joints", ", ".join(joint.name for joint in mechanism.joints)),
