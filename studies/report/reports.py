@@ -1,4 +1,4 @@
-"""Whole reports: of a plan, a comparison, a feedback loop, gains, a check."""
+"""Whole reports: of a plan, a comparison, a decomposition, a feedback loop, gains, a check."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,10 @@ from linkplan.studies.bode.map_study import MapStudy
 from linkplan.studies.check.refused_model import RefusedModel
 from linkplan.studies.check.whole_check import WholeCheck
 from linkplan.studies.compare.compare import Comparison
+from linkplan.studies.decompose.decompose import Decomposition
 from linkplan.studies.report.bode_sections import bode_sections
 from linkplan.studies.report.check_sections import check_sections, refused_section
+from linkplan.studies.report.decomposition_section import decomposition_section
 from linkplan.studies.report.document import Report, Section
 from linkplan.studies.report.loop_sections import along_section, large_section, map_section, tune_sections
 from linkplan.studies.report.plan_sections import plan_sections
@@ -41,6 +43,16 @@ def comparison_report(comparison: Comparison, document: Section | None = None) -
     verdict += f", {', '.join(lost)} NOT" if lost else ""
     sections = [*whole_comparison(comparison), *([] if document is None else [document])]
     return report_of(f"Trackers on {comparison.plan.problem.name}", verdict, bool(stable), sections)
+
+
+def decomposition_report(found: Decomposition) -> Report:
+    """Return the report of where trackers' errors on a plan come from."""
+    split = [one.name for one in found.trackers if one.machines]
+    lost = [one.name for one in found.trackers if not one.machines]
+    verdict = f"split: {', '.join(split) or 'no tracker'}" + (f"; lost: {', '.join(lost)}" if lost else "")
+    name = found.plan.problem.name
+    sections = [decomposition_section(found), *plan_sections(found.plan)]
+    return report_of(f"Where the error comes from: {name}", verdict, found.found, sections)
 
 
 def bode_report(study: BodeStudy, extras: Sequence[Extra] = (), note: str | None = None) -> Report:
