@@ -33,6 +33,7 @@ _EARLIER = {
         "versions",
     ),
     "experiment.json": (r"experiment\.(json|png)|results\.parquet", "experiment"),
+    "decompose.json": (r"decompose\.(json|png)", "decomposition"),
     "batch.json": (rf"batch\.json|[^/]+/{_PLAN}", "cases"),
 }
 # A folder that holds one of these is a result.

@@ -91,6 +91,16 @@ def build_parser(only: str | None = None) -> Parser:
     experiment = command("experiment", "run trackers on many imperfect machines, the same ones for each", report=True)
     _experiment(experiment)
 
+    text = "split each tracker's error among its causes: plan, sampling and delay, simulator, devices, model, limits"
+    split = command("decompose", text, report=True)
+    split.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
+    _anyway(split)
+    text = "names with commas between them, as compare takes them; or all (default: %(default)s)"
+    split.add_argument("--trackers", default="pd, pd+ff, lqr", metavar="NAMES", help=text)
+    text = "machines that [imperfections] are drawn for; one where nothing is random (default: %(default)s)"
+    split.add_argument("--samples", type=int, default=16, metavar="N", help=text)
+    split.add_argument("--seed", type=int, default=0, metavar="N", help="of all random numbers (default: %(default)s)")
+
     text = "frequency response, margins and sampled stability of a feedback loop, predicted and measured in MuJoCo"
     bode = command("bode", text, report=True)
     _loop(bode)
@@ -143,7 +153,7 @@ def build_parser(only: str | None = None) -> Parser:
     text = "make one HTML file of a saved folder: animation, plots, certificate; it opens offline"
     report = command("report", text, output=False, settings=False)
     report.add_argument(
-        "folder", metavar="DIR", help="what plan, check, compare, experiment, bode, tune, batch or demo wrote"
+        "folder", metavar="DIR", help="what plan, check, compare, experiment, decompose, bode, tune, batch or demo wrote"
     )
     report.add_argument("-o", "--output", metavar="FILE", default="report.html", help="default: %(default)s")
 

@@ -1,4 +1,4 @@
-"""The command line: `linkplan list | check | plan | track | compare | experiment | bode | tune | view | report | ...`.
+"""The command line: `linkplan list | check | plan | track | compare | decompose | experiment | bode | tune | view | ...`.
 
 Results go to stdout, progress and refusals to stderr. Exit codes: 0 done; 1 the answer is no (infeasible, unstable,
 problems found), said in a sentence; 2 bad input or a disk that refuses, one line; 130 or 143 ended by a signal; 141 nobody
@@ -29,6 +29,7 @@ _MODULES = {
     "track": "tracking_commands",
     "compare": "tracking_commands",
     "experiment": "experiment_command",
+    "decompose": "decompose_command",
     "view": "view_command",
     "render": "render_command",
     "bode": "feedback_loop_commands",

@@ -19,6 +19,7 @@ import importlib
 TYPE_CHECKING = False  # as typing's, which takes as long to load as all the rest here: a signal in that time is not heard
 if TYPE_CHECKING:  # what editors and type checkers read; `_HOMES` below says the same when the program runs
     from linkplan.controllers.trackers.tracker import Tracker
+    from linkplan.decompositions import decompose
     from linkplan.experiments import experiment
     from linkplan.loops import bode, tune
     from linkplan.mechanisms import check, load_mechanism
@@ -40,6 +41,7 @@ __all__ = [
     "bode",
     "check",
     "compare",
+    "decompose",
     "experiment",
     "load_mechanism",
     "plan",
@@ -61,6 +63,7 @@ _HOMES = {
     "bode": "linkplan.loops",
     "check": "linkplan.mechanisms",
     "compare": "linkplan.tracking",
+    "decompose": "linkplan.decompositions",
     "experiment": "linkplan.experiments",
     "load_mechanism": "linkplan.mechanisms",
     "plan": "linkplan.plans",

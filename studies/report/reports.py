@@ -1,4 +1,4 @@
-"""Whole reports: of a plan, a comparison, a feedback loop, gains, a check."""
+"""Whole reports: of a plan, a comparison, a decomposition, a feedback loop, gains, a check."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,10 +12,12 @@ from linkplan.studies.bode.map_study import MapStudy
 from linkplan.studies.check.refused_model import RefusedModel
 from linkplan.studies.check.whole_check import WholeCheck
 from linkplan.studies.compare.compare import Comparison
+from linkplan.studies.decompose.decompose import Decomposition
 from linkplan.studies.experiment.experiment_text import tube_said
 from linkplan.studies.experiment.study import Outcome
 from linkplan.studies.report.bode_sections import bode_sections
 from linkplan.studies.report.check_sections import check_sections, refused_section
+from linkplan.studies.report.decomposition_section import decomposition_section
 from linkplan.studies.report.document import Report, Section
 from linkplan.studies.report.experiment_sections import experiment_sections, machine_section
 from linkplan.studies.report.loop_sections import along_section, large_section, map_section, tune_sections
@@ -67,6 +69,16 @@ def experiment_report(outcome: Outcome, folder: Path | None = None) -> Report:
     sections = [*experiment_sections(outcome, folder), *plan_sections(plan)]
     title = f"Trackers of {plan.problem.name} on many machines"
     return report_of(title, verdict, None if best.success.value > 0 else False, sections)
+
+
+def decomposition_report(found: Decomposition) -> Report:
+    """Return the report of where trackers' errors on a plan come from."""
+    split = [one.name for one in found.trackers if one.machines]
+    lost = [one.name for one in found.trackers if not one.machines]
+    verdict = f"split: {', '.join(split) or 'no tracker'}" + (f"; lost: {', '.join(lost)}" if lost else "")
+    name = found.plan.problem.name
+    sections = [decomposition_section(found), *plan_sections(found.plan)]
+    return report_of(f"Where the error comes from: {name}", verdict, found.found, sections)
 
 
 def bode_report(study: BodeStudy, extras: Sequence[Extra] = (), note: str | None = None) -> Report:

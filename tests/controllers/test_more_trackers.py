@@ -113,6 +113,21 @@ def test_scheduled_gains_are_the_reduced_inertia_times_the_wanted_frequency_and_
         np.testing.assert_allclose(asked("gs-pd+ff", k, *state)[0], wanted, rtol=SAME_FIGURE)
 
 
+# LQR.
+
+
+def test_lqr_s_gains_where_the_plan_stands_still_are_python_control_s():
+    plan, reference = optimal("knee-reach"), reference_of("knee-reach", PERIOD, 0.3)
+    tracking, rest = plan.problem.tracking, slice(-100, None)
+    A, B = (x[0] for x in discretise(*linearise(plan.problem.mechanism, *(x[-1:] for x in _states(reference))), PERIOD))
+    weights = np.array([tracking.lqr_position, tracking.lqr_velocity])
+    K, _, _ = control.dlqr(A, B, np.diag(weights**-2.0), np.array([[plan.problem.limits.effort[0, 1] ** -2.0]]))
+    gains = tracker_of("lqr", "knee-reach", PERIOD, 0.3).gains
+    assert np.ptp(reference.position[rest]) == 0
+    np.testing.assert_allclose(gains[rest, 0], np.repeat(K, 100, axis=0), rtol=1e-6)
+    assert np.abs(gains[0, 0] / K[0] - 1).max() > 1e-3  # along the motion they are others
+
+
 # LQR with integral action.
 
 
@@ -162,6 +177,14 @@ def test_mpc_without_an_active_limit_is_lqr():
         np.testing.assert_allclose(
             asked("mpc", k, position, velocity), asked("lqr", k, position, velocity), rtol=1e-9, atol=ROUNDING
         )
+
+
+def test_a_run_of_mpc_that_meets_no_limit_is_lqr_s():
+    lqr, mpc = run_of("lqr", "knee-reach", mass_factor=1.2, delay=1), run_of("mpc", "knee-reach", mass_factor=1.2, delay=1)
+    assert lqr.saturated_fraction == 0
+    assert np.abs(lqr.error).max() > 1e-3
+    np.testing.assert_allclose(mpc.position, lqr.position, rtol=0, atol=1e-6 * np.abs(lqr.error).max())
+    np.testing.assert_allclose(mpc.applied, lqr.applied, rtol=1e-6)
 
 
 def test_mpc_keeps_the_limits_that_lqr_goes_beyond():

@@ -16,6 +16,7 @@ from tests.support.plans import optimal, planned
 KEYS = {
     "plan.json": "problem", "track.json": "tracker", "compare.json": "plan", "bode.json": "points", "tune.json": "found",
     "check.json": "problems", "demo.json": "versions", "batch.json": "cases", "experiment.json": "experiment",
+    "decompose.json": "decomposition",
 }  # fmt: skip
 
 

@@ -1,0 +1,26 @@
+"""A decomposition's part of a report: the parts of every tracker's error, and what each of them is."""
+
+from linkplan.studies.decompose.decompose import Decomposition
+from linkplan.studies.decompose.decomposition_text import notes
+from linkplan.studies.decompose.ladder import RUNGS
+from linkplan.studies.report.document import Section, Table, Text
+
+# Figures of a cell.
+_FIGURES = 5
+
+
+def decomposition_section(found: Decomposition, *, depth: int = 1) -> Section:
+    """Return the section of where the errors come from: causes down, trackers across."""
+    tables = []
+    for unit in dict.fromkeys(unit for one in found.trackers for unit in one.shares):
+        ours = {one.name: one.shares[unit] for one in found.trackers if unit in one.shares}
+        rows = [[text, *(_rounded(shares.parts[k]) for shares in ours.values())] for k, text in enumerate(RUNGS.values())]
+        rows.append(["rms error, the sum of all", *(_rounded(shares.rms) for shares in ours.values())])
+        heads = [("switched on", ""), *((name, unit) for name in ours)]
+        tables.append(Table(title="Parts of the rms error", columns=heads, rows=rows))
+    said = [Text(text=text, tone="note") for text in notes(found)]
+    return Section(title=f"Where the error comes from: {found.plan.problem.name}", blocks=[*tables, *said], depth=depth)
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_FIGURES}g}")

@@ -1,0 +1,205 @@
+"""Where errors come from: each cause in its own part, the whole the error that a run of its own has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.models.errors import ProblemError
+from linkplan.planner.plan import Plan
+from linkplan.studies.compare.compare import default_mismatch, track, tracking_reference
+from linkplan.studies.decompose.decompose import decompose, decomposition_record
+from linkplan.studies.decompose.decomposition_text import decomposition_text
+from linkplan.studies.decompose.draw_decomposition import decomposition_figure
+from linkplan.studies.decompose.ladder import RUNGS
+from linkplan.studies.experiment.block import run_block
+from linkplan.studies.experiment.experiment import Settings, experiment_of
+from linkplan.studies.report.reports import decomposition_report
+from tests.support.plans import optimal, problem_of
+from tests.support.tolerances_planner import SAME_FIGURE
+
+# The beginning of the reach: a hundred periods.
+SHORT = "tracking.duration_s=0.01"
+# The least exact plan that passes its certificate.
+COARSE = "mesh.tolerance_deg=0.01"
+AS_MODELLED = "imperfections.payload_mass_factor=1.0"
+# What the parts may be off the whole by, as the study promises; measured 1e-15.
+PROMISED = 0.02
+# The whole against a run of another simulation loop: the same steps in another order of rounding.
+SAME_RUN = 1e-6
+
+
+def reach(*overrides: str, name: str = "knee-reach") -> Plan:
+    """Return a built-in problem's motion, planned once, with settings of tracking and imperfections."""
+    return replace(optimal(name), problem=problem_of(name, *overrides))
+
+
+def parts_of(plan: Plan, tracker: str) -> dict:
+    """Return the record of one tracker's error."""
+    record = decomposition_record(decompose(plan, [tracker]))["trackers"][tracker]
+    return record | record["deg"]
+
+
+def split(tracker: str, *overrides: str, name: str = "knee-reach") -> dict:
+    """Return the record of one tracker's error on a built-in problem with settings."""
+    return parts_of(reach(*overrides, name=name), tracker)
+
+
+def test_the_parts_add_up_to_the_error_of_a_run_of_its_own():
+    """The same machine by `track`, which knows no ladder; and the increments' own sizes do not add up."""
+    asked = ("imperfections.payload_mass_factor=1.2", "imperfections.delay_periods=1")
+    found = split("pd+ff", SHORT, *asked)
+    plan = reach(SHORT)
+    run = track(plan, "pd+ff", default_mismatch(plan, 1.2, 1))
+    rms = np.degrees(np.sqrt(np.mean(run.error**2)))
+    assert found["rms_error"] == pytest.approx(rms, rel=SAME_RUN)
+    assert sum(found["parts"].values()) == pytest.approx(rms, rel=PROMISED)
+    assert sum(found["parts"].values()) == pytest.approx(rms, rel=SAME_RUN)
+    assert abs(sum(found["rms_of_increment"].values()) / rms - 1) > PROMISED
+
+
+@pytest.mark.parametrize(
+    ("tracker", "overrides", "cause"),
+    [
+        ("pd", [AS_MODELLED], "law"),
+        ("pd+ff", [AS_MODELLED], "simulator"),
+        ("pd+ff", ["tracking.delay_periods=20", AS_MODELLED], "sampling"),
+        ("pd+ff", ["imperfections.delay_periods=20.5"], "sampling"),
+        ("pd+ff", ["imperfections.period_factor=1.1"], "sampling"),
+        ("lqi", ["imperfections.encoder_offset_deg=1.0"], "devices"),
+        ("ct", ["imperfections.torque_constant_factor=0.8"], "devices"),
+        ("gs-pd+ff", ["imperfections.payload_mass_factor=1.5"], "model"),
+        ("pd+ff", ["imperfections.start_error_deg=1.0"], "model"),
+    ],
+)
+def test_what_is_wrong_with_a_machine_is_its_largest_part(tracker, overrides, cause):
+    parts = split(tracker, SHORT, *overrides)["parts"]
+    assert max(parts, key=lambda name: abs(parts[name])) == cause
+
+
+@pytest.mark.parametrize("tracker", ["pd+ff", "lqi", "mpc"])
+def test_what_a_limit_takes_away_is_the_limits_part(tracker):
+    light = split(tracker, "tracking.duration_s=0.03", AS_MODELLED)
+    assert light["parts"]["limits"] == 0
+    heavy = split(tracker, "tracking.duration_s=0.03", "imperfections.payload_mass_factor=2.5")
+    assert heavy["parts"]["limits"] > 0.1 * heavy["rms_error"]
+
+
+def test_a_tracker_with_its_feedforward_has_no_part_of_a_law_s():
+    for tracker in TRACKERS:
+        part = split(tracker, SHORT, AS_MODELLED)["parts"]["law"]
+        assert (part == 0) == (tracker != "pd")
+
+
+def test_the_simulator_s_part_halves_with_its_timestep():
+    parts = []
+    for period in (1e-4, 5e-5, 2.5e-5):  # steps are no longer than a control period
+        found = split("pd+ff", SHORT, AS_MODELLED, f"tracking.period_s={period}")
+        parts.append(found["rms_of_increment"]["simulator"])
+    assert np.diff(np.log2(parts)) == pytest.approx(-1.0, abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_first_order_scheme_has_a_part_of_the_plan_s_that_the_consistent_one_has_not():
+    """Its velocity is not the slope of its position: no law can have both."""
+    sizes = {}
+    for scheme in ("trapezoid", "trapezoid-consistent"):
+        plan = optimal("knee-reach", AS_MODELLED, "tracking.period_s=5e-4", f"mesh.scheme={scheme}", COARSE)
+        found = parts_of(plan, "pd+ff")
+        sizes[scheme] = found["rms_of_increment"]["plan"]
+    assert sizes["trapezoid"] > 1e-3
+    assert sizes["trapezoid"] > 20 * sizes["trapezoid-consistent"]
+
+
+@pytest.mark.slow
+def test_joints_of_a_mechanism_with_two_freedoms_share_every_part():
+    found = split("lqr", SHORT, "imperfections.delay_periods=2", name="five-bar-reach")
+    by_joint = found["parts_of_joints"]
+    assert len(by_joint) == 2
+    for cause, part in found["parts"].items():
+        assert sum(joint[cause] for joint in by_joint.values()) == pytest.approx(part, abs=SAME_FIGURE)
+    assert sum(found["parts"].values()) == pytest.approx(found["rms_error"], rel=SAME_FIGURE)
+    assert all(abs(joint["sampling"]) > 0 for joint in by_joint.values())
+
+
+def test_random_imperfections_are_drawn_as_an_experiment_draws_them():
+    plan = reach(SHORT, "imperfections.payload_mass_factor=[0.8, 1.2]", "imperfections.delay_periods=[0.5, 2]")
+    found = decompose(plan, ["lqr"], samples=5, seed=3)
+    each = np.array(run_block(experiment_of(plan, Settings(trackers=("lqr",), samples=5, seed=3)), 0)["rms_error_deg"])
+    assert np.ptp(each) > 0
+    assert found.trackers[0].shares["deg"].rms == pytest.approx(np.sqrt(np.mean(each**2)), rel=SAME_RUN)
+    assert "5 machines" in decomposition_text(found)
+
+
+def test_a_loop_that_is_lost_on_the_way_is_said_with_what_came_in():
+    found = decompose(reach("tracking.duration_s=0.05", "tracking.kd=1e5", AS_MODELLED), ["pd+ff", "lqr"])
+    assert not found.found
+    lost = found.trackers[0]
+    assert lost.machines == 0
+    assert "lost when discretisation of the plan came in" in next(iter(lost.failures))
+    text = decomposition_text(found)
+    assert "pd+ff, 1 of 1 machines left out" in text
+    assert "lqr" in text.splitlines()[2]
+
+
+def test_tables_of_all_trackers_are_eighty_columns_wide_and_columns_add_up():
+    found = decompose(reach(SHORT, "imperfections.payload_mass_factor=1.2"), TRACKERS)
+    text = decomposition_text(found)
+    assert max(map(len, text.splitlines())) <= 80
+    for name in TRACKERS:
+        assert name in text
+    column = [float(line.split()[-1]) for line in text.split("\n\n")[1].splitlines()[2:]]
+    assert len(column) == len(RUNGS) + 1
+    places = len(next(line.split()[-1] for line in text.split("\n\n")[1].splitlines()[-1:]).partition(".")[2])
+    assert sum(column[:-1]) == pytest.approx(column[-1], abs=len(RUNGS) * 10.0**-places)
+
+
+def test_every_tracker_has_a_panel_whose_bars_end_where_the_whole_does(tmp_path):
+    found = decompose(reach(SHORT, AS_MODELLED), ["pd", "lqr"])
+    figure = decomposition_figure(found, tmp_path / "parts.png")
+    assert (tmp_path / "parts.png").is_file()
+    for axis, one in zip(figure.axes, found.trackers, strict=False):
+        bars = axis.patches
+        assert len(bars) == len(RUNGS) + 1
+        last = bars[len(RUNGS) - 1]
+        assert last.get_x() + last.get_width() == pytest.approx(one.shares["deg"].rms)
+        assert bars[-1].get_width() == pytest.approx(one.shares["deg"].rms)
+
+
+def test_a_report_has_the_parts_and_the_plan():
+    report = decomposition_report(decompose(reach(SHORT, AS_MODELLED), ["pd+ff"]))
+    table = next(block for section in report.sections for block in section.blocks if block.kind == "table")
+    assert [row[0] for row in table.rows][:-1] == list(RUNGS.values())
+    assert sum(row[1] for row in table.rows[:-1]) == pytest.approx(table.rows[-1][1], rel=1e-3)
+    assert len(report.sections) > 1
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ([], "one or more, got none"),
+        (["pdf"], "unknown tracker 'pdf'"),
+        (["pd", "pd"], "names of their own, got 'pd' twice"),
+    ],
+)
+def test_trackers_that_cannot_be_are_refused(asked, said):
+    with pytest.raises(ProblemError, match=said):
+        decompose(reach(SHORT, AS_MODELLED), asked)
+
+
+def test_a_law_of_one_reference_is_refused_and_a_function_is_not():
+    plan = reach(SHORT, AS_MODELLED)
+
+    class Feedforward:
+        name = "mine"
+
+        def __init__(self, reference):
+            self.reference = reference
+
+        def effort(self, k, position, velocity):  # noqa: ARG002
+            return self.reference.effort[k]
+
+    assert decompose(plan, [Feedforward]).trackers[0].name == "mine"
+    with pytest.raises(ProblemError, match="runs at shorter control periods too"):
+        decompose(plan, [Feedforward(tracking_reference(plan))])
