@@ -94,6 +94,14 @@ class FiveBar:
         pin = self.bases[0] + (self.elbows[0] - self.bases[0]) * turned[0] + (self.pin - self.elbows[0]) * turned[2]
         return np.array([pin[0].real, 0.0, pin[0].imag])
 
+    def flipped(self, s: np.ndarray) -> np.ndarray:
+        """Return the motor angles (2,) of the other elbows with which the pin is at the same place."""
+        place, found = self.pin_at(s), []
+        for base, elbow, angle in zip(self.bases, self.elbows, s, strict=True):
+            way, arm = complex(place[0], place[2]) - base, elbow - base
+            found.append(np.angle(np.conj(arm * np.exp(1j * angle) / way) * way / arm))
+        return np.array(found)
+
     def mjcf(self) -> str:
         """Return the model, whose motors' limits are far away."""
 

@@ -20,6 +20,8 @@ _NO_POWER = (-np.inf, np.inf)
 # Loops keep this share of their least singular value at home, on the way and this share of it beyond; the least of efforts
 # may swing back first.
 _CLEAR, _BEYOND, _SWINGS = 0.3, 0.05, 0.6
+# Elbows that are flipped are farther from the start than the goal, by this [rad].
+_APART = 0.1
 FAMILIES = ("watt", "stephenson", "slider-crank", "rssr", "five-bar")
 ASKED = ("time", "effort", "time within a power", "effort within a limit")
 
@@ -55,7 +57,8 @@ def _of_five_bar(rng: np.random.Generator) -> Problem:
         if best is None:
             continue
         named = {"goal_deg": {"O1": float(np.degrees(goal[0])), "O2": float(np.degrees(goal[1]))}}
-        if rng.random() < 0.5:
+        nearest = np.all(np.abs(bar.flipped(goal)) > np.abs(goal) + _APART)
+        if rng.random() < 0.5 and nearest:  # of several poses with the pin there the nearest is meant
             named = {"goal_at": {"P": [float(x) for x in bar.pin_at(goal)]}}
         tables = {
             "mechanism": {"model": bar.mjcf()},
