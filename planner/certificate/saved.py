@@ -27,6 +27,8 @@ _SMOOTHED_SHARE = 0.5
 # A distance from a reference below this share of the motion's span counts as none.
 _NO_DISTANCE = 1e-6
 _POINTS = 10
+# The largest number that a float may be: files may hold longer integers.
+_LARGEST = float(np.finfo(float).max)
 
 
 def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: object) -> tuple[str, ...]:
@@ -50,7 +52,7 @@ def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: o
         asked = f"{low:.9g} s" if low == high else f"{low:.9g} to {high:.9g} s"
         found.append(f"the motion lasts {lasts:.9g} s, asked for was {asked}")
     found += _off_states(problem, trajectory)
-    if isinstance(objective, int | float) and not isinstance(objective, bool):
+    if isinstance(objective, int | float) and not isinstance(objective, bool) and abs(objective) <= _LARGEST:
         found += _off_objective(problem, trajectory, float(objective))
     elif objective is not None:
         found.append(f"its objective is no number, {str(objective)[:60]!r}")

@@ -124,6 +124,7 @@ def refine(
     settled, again, polished, read = True, 0, 0, 0  # and the round in which switches were last read
     calm, tells, lost = 0, False, False  # settled so often; whether this mesh tells; whether rows led nowhere
     left, leaves = np.inf, True  # what was left of the integration error and the objective's change; whether it falls
+    erred, falls = np.inf, True  # the integration error before; whether it falls
     for turn in range(_FURTHER):
         check()
         if at.findings is not None and not at.passed and not at.findings.mendable:
@@ -196,7 +197,7 @@ def refine(
         if turn >= _ROUNDS and not (aims.tolerance_given and leaves):
             break
         # What errs on each finer mesh by as much as before is another motion on each.
-        wandering = marked.any() and at.findings is not None and not at.findings.exact and not leaves and not over.any()
+        wandering = marked.any() and at.findings is not None and not at.findings.exact and not falls and not over.any()
         if n_finer > finest or ((passed is not None or wandering) and not aims.tolerance_given and n_finer > _COMFORTABLE):
             if loose and at.passed and polished < _POLISHED and is_bang_bang(case, solution.transcribed):
                 # Its switches lie inside intervals, which no finer mesh will part: they are read from a motion that passes.
@@ -220,10 +221,10 @@ def refine(
         if position_rows and not begun and aims.switches:
             finer = settle_switch_times(kept, replace(finer, fixed=None), history, say, position_rows=True)
         at = _judged(case, finer, history)
-        now = np.inf if at.findings is None else at.findings.integration_error_deg or at.findings.integration_error or 0.0
-        if np.isfinite(before):
-            now = max(now, abs(at.found.solution.objective - before))
+        now = max(at.findings.integration_error or 0.0, abs(at.found.solution.objective - before)) if at.findings else np.inf
         left, leaves = now, now <= _LEAVES * left
+        errs = _error(at)
+        erred, falls = errs, errs <= _LEAVES * erred
     if not (at.passed and settled and aims.objective_tolerance is not None):
         at = better_of(best, at, aims) if at.passed else best or at
     if at.certificate is None:
@@ -286,6 +287,11 @@ def _judged(case: Case[MotionT, CertificateT], found: Found[MotionT], history: l
             integration_error=findings.integration_error,
         )
     return _Judged(found=found, certificate=certificate, findings=findings)
+
+
+def _error(at: _Judged[Any, Any]) -> float:
+    """Return the integration error in its client's unit; infinite without a certificate."""
+    return np.inf if at.findings is None else at.findings.integration_error_deg or at.findings.integration_error or 0.0
 
 
 def _marked(at: _Judged[Any, Any], strictness: float) -> np.ndarray:

@@ -86,7 +86,7 @@ def settle_switch_times(
             solved = solved or tried is not None
         if better is None:
             break
-        settled = better.solution.objective > before - _SETTLED * abs(before)
+        settled = better.solution.objective > before - _SETTLED * abs(before) and not at_bounds(better.solution)
         found = better
         no_worse = _SETTLED  # from now on both have switch times, and only a better one replaces the other
         if settled or fixed.everything:

@@ -6,11 +6,9 @@ Drawn at home, where both motors are at 0. Complex numbers are points of the pla
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 
-# Shifted Legendre coefficients of each motor's path, and Gauss points of the integral; a coarser pair tells the error.
-_COARSE, _FINE = (14, 40), (22, 64)
-_AGREE = 1e-7
+from tests.support.spectral import spectral_path
+
 # The sine of the angle between the distal links, at the least.
 _APART = 0.35
 
@@ -96,6 +94,14 @@ class FiveBar:
         pin = self.bases[0] + (self.elbows[0] - self.bases[0]) * turned[0] + (self.pin - self.elbows[0]) * turned[2]
         return np.array([pin[0].real, 0.0, pin[0].imag])
 
+    def flipped(self, s: np.ndarray) -> np.ndarray:
+        """Return the motor angles (2,) of the other elbows with which the pin is at the same place."""
+        place, found = self.pin_at(s), []
+        for base, elbow, angle in zip(self.bases, self.elbows, s, strict=True):
+            way, arm = complex(place[0], place[2]) - base, elbow - base
+            found.append(np.angle(np.conj(arm * np.exp(1j * angle) / way) * way / arm))
+        return np.array(found)
+
     def mjcf(self) -> str:
         """Return the model, whose motors' limits are far away."""
 
@@ -143,40 +149,7 @@ def random_five_bar(rng: np.random.Generator) -> tuple[FiveBar, np.ndarray, floa
 
 def least_effort(bar: FiveBar, goal: np.ndarray, duration: float) -> float | None:
     """Return the least integral of the torques' squares from rest at home to rest at a goal; None where it is not sure."""
-    coarse = _spectral(bar, goal, duration, *_COARSE, None)
-    fine = None if coarse is None else _spectral(bar, goal, duration, *_FINE, coarse[1])
-    if fine is None or abs(fine[0] / coarse[0] - 1) > _AGREE or fine[2] < _APART:
+    found = spectral_path(lambda *motion: bar.efforts(*motion)[0], np.zeros(2), goal, duration)
+    if found is None or bar.efforts(*found.at(np.linspace(0.0, duration, 201)))[1].min() < _APART:
         return None
-    return fine[0]
-
-
-def _spectral(bar: FiveBar, goal: np.ndarray, duration: float, n: int, points: int, begin: np.ndarray | None):
-    """Return the least effort of polynomial paths, their coefficients (n, 2), and how far apart the distal links stay."""
-    x, w = np.polynomial.legendre.leggauss(points)
-    x, w = 0.5 * (x + 1), 0.5 * w * duration
-    # Bends x^2 (1 - x)^2 P_k(2 x - 1): each leaves both ends at rest.
-    legendre = np.polynomial.Legendre
-    rest = np.polynomial.Polynomial([0, 0, 1, -2, 1]).convert(kind=legendre, domain=[0, 1])
-    bumps = [rest * legendre.basis(k, domain=[0, 1]) for k in range(n)]
-    straight = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])
-    tables = [
-        (np.array([b.deriv(d)(x) for b in bumps]).T / duration**d, straight.deriv(d)(x) / duration**d) for d in range(3)
-    ]
-
-    def at(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        bent = coefficients.reshape(n, 2)
-        return bar.efforts(*(table @ bent + np.outer(line, goal) for table, line in tables))
-
-    def residuals(coefficients: np.ndarray) -> np.ndarray:
-        u = at(coefficients)[0]
-        return np.nan_to_num((np.sqrt(w)[:, None] * u).ravel(), nan=1e6)
-
-    start = np.zeros((n, 2))
-    if begin is not None:
-        start[: len(begin)] = begin
-    if not np.all(np.isfinite(at(start.ravel())[0])):
-        return None
-    found = least_squares(residuals, start.ravel(), method="trf", jac="3-point", xtol=1e-13, ftol=1e-14, gtol=1e-13)
-    if not found.success:
-        return None
-    return 2 * found.cost, found.x.reshape(n, 2), float(at(found.x)[1].min())
+    return found.objective

@@ -17,8 +17,11 @@ from tests.support.mujoco_curves import Poses, closed_poses, curves_of_poses
 from tests.support.open_linkages import Linkage, random_linkage
 
 _NO_POWER = (-np.inf, np.inf)
-# Loops keep this share of their least singular value at home, on the way and a little beyond it.
-_CLEAR, _BEYOND = 0.3, 0.05
+# Loops keep this share of their least singular value at home, on the way and this share of it beyond; the least of efforts
+# may swing back first.
+_CLEAR, _BEYOND, _SWINGS = 0.3, 0.05, 0.6
+# Elbows that are flipped are farther from the start than the goal, by this [rad].
+_APART = 0.1
 FAMILIES = ("watt", "stephenson", "slider-crank", "rssr", "five-bar")
 ASKED = ("time", "effort", "time within a power", "effort within a limit")
 
@@ -54,7 +57,8 @@ def _of_five_bar(rng: np.random.Generator) -> Problem:
         if best is None:
             continue
         named = {"goal_deg": {"O1": float(np.degrees(goal[0])), "O2": float(np.degrees(goal[1]))}}
-        if rng.random() < 0.5:
+        nearest = np.all(np.abs(bar.flipped(goal)) > np.abs(goal) + _APART)
+        if rng.random() < 0.5 and nearest:  # of several poses with the pin there the nearest is meant
             named = {"goal_at": {"P": [float(x) for x in bar.pin_at(goal)]}}
         tables = {
             "mechanism": {"model": bar.mjcf()},
@@ -67,7 +71,8 @@ def _of_five_bar(rng: np.random.Generator) -> Problem:
 def _attempted(rng: np.random.Generator, linkage: Linkage, asked: str) -> Problem | None:
     model = mujoco.MjModel.from_xml_string(linkage.mjcf)
     goal = float(rng.choice([-1, 1]) * rng.uniform(0.4, 2.5))
-    poses = closed_poses(model, -_BEYOND * goal, (1 + _BEYOND) * goal)
+    beyond = _BEYOND if asked.startswith("time") else _SWINGS
+    poses = closed_poses(model, -beyond * goal, (1 + beyond) * goal)
     if poses is None or poses.clear.min() < _CLEAR:
         return None
     curves, span = curves_of_poses(model, poses), np.linspace(0.0, goal, 501)
@@ -111,7 +116,7 @@ def _ranges(rng: np.random.Generator, linkage: Linkage, model: mujoco.MjModel, p
     if rng.random() < 0.5:
         return {}
     joint = str(rng.choice(linkage.followers))
-    angle = np.degrees(poses.q[:, model.joint(joint).qposadr[0]])
+    angle = np.degrees(poses.q[:, model.joint(joint).qposadr[0]])  # on the way and beyond: nothing that is best is cut off
     slack = float(rng.choice([0.5, 10.0]))
     return {"range_deg": {joint: [float(angle.min()) - slack, float(angle.max()) + slack]}}
 

@@ -152,7 +152,7 @@ def _slider(rng: np.random.Generator) -> Slider:
 
 def _curves(slider: Slider, start: float, goal: float) -> Curves:
     """Return M, and what M a comes to at rest, by v^2 and by v, as curves over the crank's angle."""
-    room = 0.05 * abs(goal - start)
+    room = 0.6 * abs(goal - start)
     angle = np.linspace(min(start, goal) - room, max(start, goal) + room, _POSES)
     inertia, energy = (CubicSpline(angle, of(angle)) for of in (slider.inertia_at, slider.potential))
     drag = CubicSpline(angle, -slider.drag(angle))
