@@ -46,7 +46,7 @@ class Optimum:
 class NewtonStep:
     """Where Newton steps from an optimum led, and how far that may be from the optimum sought.
 
-    `left` is the largest error of a scaled unknown or row multiplier, by the shrinking of the steps; infinite where they tell
+    `left` is the largest error of a scaled unknown or row multiplier, as the steps shrink; infinite where that tells
     nothing of it: they do not shrink, or which bounds bind has not settled. `violation` is the most by which a scaled row or
     bound is overstepped, evaluated there; `steps` is how many steps were taken.
     """
