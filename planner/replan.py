@@ -11,6 +11,7 @@ planned from the beginning.
 """
 
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -19,12 +20,14 @@ from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered
+from linkplan.planner.motion_step import MotionStep, motion_step
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.free_duration import bounded_by_guess
 from linkplan.planner.refinement.history import Say, Step, silent
 from linkplan.planner.search.presolve import plain_contradiction, start_pose_of
+from linkplan.planner.solvers.newton import Conditions, Optimum, conditions_of, newton_step
 from linkplan.planner.solvers.outcome import Solver
 from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
 from linkplan.planner.transcription.collocation import Transcribed
@@ -34,6 +37,8 @@ from linkplan.planner.transcription.program import Program
 _ROOM = 1e-6
 # Limits that a warm motion overruns between its nodes are tightened so many times.
 _TIGHTENED = 2
+# Newton steps of a real-time iteration: the last two say what is left.
+_STEPS = 3
 
 
 class Planner:
@@ -50,6 +55,8 @@ class Planner:
         self._last: Transcribed | None = None
         self._solver: Solver | None = None
         self._program: Program | None = None
+        self._conditions: Conditions | None = None
+        self._optimum: Optimum | None = None  # of the last program, at its `start`; None until a solver has told
 
     def plan(self, problem: PlanningProblem) -> Plan:
         """Return the plan of a problem.
@@ -74,12 +81,57 @@ class Planner:
         The motion is not certified: `plan` does that.
         """
         with self._alone:
-            if self._last is None or self._solver is None or structure(problem) != self._key:
+            if not self._serves(problem):
                 return None
-            if self._held_at is not None and not np.array_equal(problem.limits.effort, self._held_at):
-                return None  # its bang arcs hold the old limits
             solution = run_solver(self._solver, renumbered(self._last, problem, self._last.start))
         return solution if solution.converged and not _held_back(problem, solution) else None
+
+    def step(self, problem: PlanningProblem) -> MotionStep | None:
+        """Return the motion to which three Newton steps by one factorisation lead from the last plan, and its error bounds.
+
+        For replanning at the rate of control (real-time iteration): a quarter of a whole plan's time, the same in every call
+        but the first, and no certificate is made. The next step begins here; where what is left is not known (`settled` is
+        False), the next one begins where this one did.
+
+        Returns:
+            The motion; None where the last plan's program does not serve the problem: `plan` it.
+
+        Raises:
+            ProblemError: when start or goal contradict the mechanism itself.
+        """
+        with self._alone:
+            if not self._serves(problem):
+                return None
+            if self._optimum is None:  # once, after a plan from the beginning
+                self._take(run_solver(self._solver, self._last))
+            if self._optimum is None:
+                return None
+            start_pose_of(problem)  # refuses what is out of reach
+            numbered = renumbered(self._last, problem, self._last.start)
+            begin = time.perf_counter()
+            found = newton_step(self._conditions_of_last(), self._last, self._optimum, numbered, _STEPS)
+            step = motion_step(problem, numbered, found, time.perf_counter() - begin)
+            if step.settled:
+                self._last, self._optimum = replace(numbered, start=found.optimum.x), found.optimum
+            return step
+
+    def _serves(self, problem: PlanningProblem) -> bool:
+        """Return whether the kept program is one of a problem."""
+        if self._last is None or self._solver is None or structure(problem) != self._key:
+            return False
+        # Bang arcs hold the old limits.
+        return self._held_at is None or bool(np.array_equal(problem.limits.effort, self._held_at))
+
+    def _conditions_of_last(self) -> Conditions:
+        if self._conditions is None:
+            self._conditions = conditions_of(self._last.program)
+        return self._conditions
+
+    def _take(self, solution: Solution) -> None:
+        """Keep an answer as what the next one begins at."""
+        self._last = replace(solution.transcribed, start=solution.x)
+        told = solution.converged and solution.multipliers is not None and solution.bound_multipliers is not None
+        self._optimum = Optimum(x=solution.x, rows=solution.multipliers, bounds=solution.bound_multipliers) if told else None
 
     def _certified(self, problem: PlanningProblem, solution: Solution) -> Plan | None:
         """Return the plan of a warm solution, or None where it is to be planned from the beginning."""
@@ -104,16 +156,16 @@ class Planner:
         plan = finished(problem, trajectory, certificate, objective, history, None)
         if not plan.passed:
             return None
-        self._last = replace(solution.transcribed, start=solution.x)
+        self._take(solution)
         return replace(plan, solved_again=True)
 
     def _keep(self, problem: PlanningProblem, solved: Transcribed) -> None:
         if not is_program_of(solved, problem):
             return  # a motion kept clear of what was not asked for, say
-        self._last, self._key = solved, structure(problem)
+        self._last, self._key, self._optimum = solved, structure(problem), None
         self._held_at = None if solved.bang_efforts is None else problem.limits.effort
         if solved.program is not self._program:
-            self._program = solved.program
+            self._program, self._conditions = solved.program, None
             self._solver = build_solver(solved.program, problem.solver, warm=True)
 
 

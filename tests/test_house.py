@@ -26,7 +26,7 @@ ROOMS = {
     ),
     "planner": (
         "transcription", "trajectory", "keys", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain",
-        "ode", "search", "diagnosis", "planning", "robustness", "files", "replan", "batch",
+        "ode", "search", "diagnosis", "planning", "robustness", "files", "motion_step", "replan", "batch",
     ),
     "controllers": (
         "reference", "trackers", "integrator", "sampling", "rollout", "imperfections", "rigid_loop", "ensemble", "batch",

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.controllers.imperfections.imperfections import Drives
+from linkplan.controllers.imperfections.stacking import stacked
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -51,20 +52,20 @@ def driving(
     """Return drives with delays in control periods, stepped by timesteps [s], `substeps` to a period; limits (n_u, 2)."""
     n_u = len(limit)
 
-    def stacked(name: str) -> np.ndarray:
-        return np.array([np.broadcast_to(getattr(one, name), (n_u,)) for one in drives], dtype=float)
+    def of_all(name: str) -> np.ndarray:
+        return stacked([getattr(one, name) for one in drives], n_u)
 
     steps = np.array([round(delay * substeps, 9) for delay in delays])  # a delay of n / substeps is a whole step
     whole = np.floor(steps / substeps).astype(int)
     late = np.floor(steps - substeps * whole).astype(int)
     fraction = steps - substeps * whole - late
-    bandwidth, rate = stacked("bandwidth_hz"), stacked("rate_limit")
+    bandwidth, rate = of_all("bandwidth_hz"), of_all("rate_limit")
     each = zip(bandwidth, timesteps_s, strict=True)
     phases = np.array([[2 * np.pi * f * h for f in row] for row, h in each]).reshape(len(drives), n_u)
     left = np.array([[float(np.exp(-x)) for x in row] for row in phases]).reshape(phases.shape)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(np.isinf(phases), 0.0, (1.0 - left) / phases)
-    resolution, factor = stacked("resolution"), stacked("constant_factor")
+    resolution, factor = of_all("resolution"), of_all("constant_factor")
     memory = int(whole.max(initial=0)) + 2
     return Driving(
         limit=np.array(limit, dtype=float),

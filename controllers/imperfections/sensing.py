@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.controllers.imperfections.imperfections import Sensors
+from linkplan.controllers.imperfections.stacking import stacked
 
 # Noise is drawn for so many control instants at a time.
 _BLOCK = 256
@@ -28,7 +29,7 @@ class Sensing:
     noise: np.ndarray  # (n, 2 n_s), of position and velocity
     filtered: np.ndarray
     pole: np.ndarray
-    generators: tuple[np.random.Generator, ...]
+    generators: tuple[np.random.Generator | None, ...]
     perfect: bool
     drawn: np.ndarray
     before: np.ndarray
@@ -45,14 +46,14 @@ def sensing(sensors: Sequence[Sensors], position: np.ndarray, velocity: np.ndarr
     """Return the sensors of simulations that start at positions and velocities (n, n_s), read every period [s]."""
     n, n_s = position.shape
 
-    def stacked(name: str) -> np.ndarray:
-        return np.array([np.broadcast_to(getattr(one, name), (n_s,)) for one in sensors], dtype=float)
+    def of_all(name: str) -> np.ndarray:
+        return stacked([getattr(one, name) for one in sensors], n_s)
 
-    noise = np.concatenate([stacked("noise"), stacked("velocity_noise")], axis=1)
+    noise = np.concatenate([of_all("noise"), of_all("velocity_noise")], axis=1)
     filters = [one.velocity_filter_hz for one in sensors]
     poles = [0.0 if f is None else float(np.exp(-2 * np.pi * f * period_s)) for f in filters]
     filtered = np.array([[f is not None] for f in filters])
-    resolution, offset = stacked("resolution"), stacked("offset")
+    resolution, offset, noisy = of_all("resolution"), of_all("offset"), bool(np.any(noise))
     return Sensing(
         period_s=period_s,
         resolution=resolution,
@@ -60,7 +61,9 @@ def sensing(sensors: Sequence[Sensors], position: np.ndarray, velocity: np.ndarr
         noise=noise,
         filtered=filtered,
         pole=np.array(poles)[:, None],
-        generators=tuple(np.random.default_rng(np.random.SeedSequence(one.noise_seed)) for one in sensors),
+        generators=tuple(
+            np.random.default_rng(np.random.SeedSequence(one.noise_seed)) if noisy else None for one in sensors
+        ),
         perfect=not (np.any(resolution) or np.any(offset) or np.any(noise) or np.any(filtered)),
         drawn=np.empty((n, 0, 2 * n_s)),
         # As if the sensors had been read one period earlier, on the way to the start.

@@ -18,7 +18,7 @@ from linkplan.models.poses.along import evaluated
 _NEWTON_STEPS = 3
 # Strides folded into one call, the last position repeated where fewer are left. The first calls are short: near a singular
 # pose few strides are regular.
-_STRETCHES = (1, 4, 16, 64, 256)
+_STRETCHES = (1, 4, 16, 64, 128, 256)
 _FIRST = 16
 # A stride is regular where Newton corrects its predictor by less than this share of the step,
 MOST_CORRECTED = 0.25

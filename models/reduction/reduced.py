@@ -73,7 +73,7 @@ def _linearisation(dynamics: ReducedDynamics) -> ca.Function:
     """Return it by the implicit function theorem: M_r da = -(dr/dq Gamma ds + dr/dv dv) + Gamma^T B du, r the residual."""
     of = dynamics.residual
     inputs = [ca.SX.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in())]
-    q, v, a, u, *further = inputs
+    q, v, _, u, *further = inputs
     left = of(*inputs)
     slopes = ca.Function("slopes", inputs, [ca.horzcat(ca.jacobian(left, q), ca.jacobian(left, v))])
     by = slopes(q, v, dynamics.acceleration(q, v, u, *further), u, *further)

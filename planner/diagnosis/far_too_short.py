@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.along import demanded, least_effort, sampled
 from linkplan.planner.closed_chain.guess import Guess, even_poses
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.durations import longest
@@ -68,7 +68,10 @@ def path_effort(problem: PlanningProblem, guess: Guess) -> PathEffort | None:
     except AssemblyError:
         return None
     v, a = guess.velocity(time), guess.acceleration(time)
-    (effort, missed), (held, _) = (needed_effort(mechanism, q, rate * v, rate * a) for rate in (1.0, 0.0))
+    tau, maps = demanded(mechanism, q, v, a)
+    effort = least_effort(tau, maps)
+    missed = tau - np.einsum("ksu,ku->ks", maps, effort)
+    held = least_effort(sampled(mechanism.dynamics.inverse_dynamics, q, 0 * v, 0 * a)[:, :, 0], maps)
     bound = np.where(effort > 0, limit[:, 1], limit[:, 0])
     widest = np.abs(limit).max(axis=1)  # to a side to which an actuator gives nothing, the other one's limit is the measure
     factors = np.abs(effort) / np.where(bound == 0, widest, np.abs(bound))

@@ -120,7 +120,8 @@ class Tracking:
 
     def tracked(self) -> "Tracking":
         """Return these settings if a motion can be tracked with them: its delay is a whole number of control periods."""
-        return replace(self, delay_periods=whole(self.delay_periods, "tracking.delay_periods", 0, MAX_DELAY))
+        delay = whole(self.delay_periods, "tracking.delay_periods", 0, MAX_DELAY)
+        return self if type(self.delay_periods) is int else replace(self, delay_periods=delay)
 
     @property
     def acts(self) -> bool:

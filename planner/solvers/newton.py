@@ -1,18 +1,18 @@
-"""Newton's method on a program's optimality conditions, from an answer to other numbers: two steps by one factorisation.
+"""Newton's method on a program's optimality conditions, from an optimum to other numbers, all steps by one factorisation.
 
 With the bounds and rows that bind held as equations, the conditions are F(x, lambda) = 0, with
 
     F = [grad f + J^T lambda;  g - target],   K = F' = [H  J^T;  J  0].
 
-A Newton step from the last answer, K d_1 = -F, is the first-order change of unknowns and multipliers with the numbers (Fiacco,
-Introduction to Sensitivity and Stability Analysis, 1983); which bounds bind is settled on that linearisation, as in the
-primal-dual active set strategy (Hintermueller, Ito & Kunisch, SIAM J. Optim. 13, 2003). A simplified step d_2 follows by the
-same K. If further ones shrink by no less than Theta = |d_2| / |d_1|, what is left after both is at most
+The first step, K d_1 = -F, is the first-order change of unknowns and multipliers with the numbers (Fiacco, Introduction to
+Sensitivity and Stability Analysis, 1983); which bounds bind is settled on that linearisation, as in the primal-dual active
+set strategy (Hintermueller, Ito & Kunisch, SIAM J. Optim. 13, 2003). Simplified steps follow by the same K. They shrink by
+about the same ratio Theta from one to the next, and so what is left after the last one, d, is
 
-    |x - x*|  <=  Theta / (1 - Theta) |d_2|
+    |x - x*|  <=  Theta / (1 - Theta) |d|,   Theta the ratio of the last two,
 
-(Deuflhard, Newton Methods for Nonlinear Problems, 2004, section 2.1, for simplified Newton steps), in the largest of the scaled
-unknowns and row multipliers.
+in the largest of the scaled unknowns and row multipliers, as far as the ratio does not grow (Deuflhard, Newton Methods for
+Nonlinear Problems, 2004, section 2.1).
 """
 
 from dataclasses import dataclass
@@ -27,15 +27,15 @@ from linkplan.planner.transcription.program import Program
 _MOST_CHANGES = 8
 # A bound is overstepped, or a multiplier has the wrong sign, beyond this: scaled unknowns are of order one.
 _SLACK = 1e-9
-# Simplified steps after the first: the ratio of the last two says how fast they shrink.
-_CORRECTIONS = 2
 # Steps that shrink by less than this tell nothing of what is left.
 _SLOW = 0.5
+# Steps that are smaller than this need no further ones: what is left is a share of them.
+_SMALL = 1e-11
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Optimum:
-    """A point with its multipliers: unknowns x (n,), those of rows (n_rows,) and of bounds (n,), of f + rows g + bounds x."""
+    """Unknowns x (n,) with their multipliers: of rows (n_rows,) and bounds (n,), of f + rows g + bounds x."""
 
     x: np.ndarray
     rows: np.ndarray
@@ -44,29 +44,31 @@ class Optimum:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class NewtonStep:
-    """Where two Newton steps from an optimum led, and how far that may be from the optimum sought.
+    """Where Newton steps from an optimum led, and how far that may be from the optimum sought.
 
-    `left` is the largest error of a scaled unknown or row multiplier, by the shrinking of the steps; infinite where they tell
+    `left` is the largest error of a scaled unknown or row multiplier, as the steps shrink; infinite where that tells
     nothing of it: they do not shrink, or which bounds bind has not settled. `violation` is the most by which a scaled row or
-    bound is overstepped, evaluated there.
+    bound is overstepped, evaluated there; `steps` is how many steps were taken.
     """
 
     optimum: Optimum
     left: float
     violation: float
+    steps: int
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Conditions:
-    """A program's optimality conditions as functions.
+    """A program's optimality conditions as functions of x, p and the rows' multipliers.
 
-    `at` gives, from x, p and rows' multipliers lambda, grad f, g, and the values of J and of the whole H; `rows` and `hessian`
-    are their patterns as scipy has them: (row of each value, beginnings of columns).
+    `slopes` gives grad f (n,), g (n_rows,) and K, `gaps` grad f + J^T lambda (n,) and g (n_rows,); `rows` and `columns` are
+    the places of K's values, column by column.
     """
 
-    at: ca.Function
-    rows: tuple[np.ndarray, np.ndarray]
-    hessian: tuple[np.ndarray, np.ndarray]
+    slopes: ca.Function
+    gaps: ca.Function
+    rows: np.ndarray
+    columns: np.ndarray
 
 
 def conditions_of(program: Program) -> Conditions:
@@ -75,95 +77,107 @@ def conditions_of(program: Program) -> Conditions:
     x, p, lam = ca.MX.sym("x", n), ca.MX.sym("p", functions["nlp"].size1_in(1)), ca.MX.sym("lam", program.n_rows)
     (_, gradient), (g, J) = functions["grad_f"](x, p), functions["jac_g"](x, p)
     H = ca.triu2symm(functions["hess_lag"](x, p, 1.0, lam))
-    at = ca.Function("conditions", [x, p, lam], [ca.densify(gradient), ca.densify(g), J, H])
-    rows, hessian = ((np.array(A.row()), np.array(A.colind())) for A in (J.sparsity(), H.sparsity()))
-    return Conditions(at=at, rows=rows, hessian=hessian)
+    K = ca.blockcat([[H, J.T], [J, ca.MX(program.n_rows, program.n_rows)]])
+    return Conditions(
+        slopes=ca.Function("slopes", [x, p, lam], [ca.densify(gradient), ca.densify(g), K]),
+        gaps=ca.Function("gaps", [x, p, lam], [ca.densify(gradient + J.T @ lam), ca.densify(g)]),
+        rows=np.array(K.sparsity().row()),
+        columns=np.repeat(np.arange(K.shape[1]), np.diff(K.sparsity().colind())),
+    )
 
 
-def newton_step(conditions: Conditions, last: Transcribed, optimum: Optimum, asked: Transcribed) -> NewtonStep:
-    """Return where two Newton steps lead from an optimum to another problem's numbers.
+def newton_step(conditions: Conditions, last: Transcribed, optimum: Optimum, asked: Transcribed, most: int) -> NewtonStep:
+    """Return where Newton steps lead from an optimum to another problem's numbers.
 
     Args:
         conditions: of the program that both have.
         last: the numbers of the optimum.
         optimum: where to begin.
         asked: the numbers to go to.
+        most: how many steps, three at the least; fewer where they become small.
     """
-    x, lam, p = optimum.x, optimum.rows, asked.parameters
-    before = np.array(last.program.functions["nlp"](x, last.parameters)[1]).ravel()
-    sides = _sides(x, optimum.bounds, last.lower, last.upper, asked.lower, asked.upper)
-    row_sides = _sides(before, lam, last.row_lower, last.row_upper, asked.row_lower, asked.row_upper)
-    gradient, g, J, H = _evaluated(conditions, x, p, lam)
-    settled, n = False, len(x)
+    x, lam, p, n = optimum.x, optimum.rows, asked.parameters, len(optimum.x)
+    before = _values(conditions.gaps, x, last.parameters, lam)[1]
+    sides = np.concatenate(
+        [
+            _sides(x, optimum.bounds, last.lower, last.upper, asked.lower, asked.upper),
+            _sides(before, lam, last.row_lower, last.row_upper, asked.row_lower, asked.row_upper),
+        ]
+    )
+    lower, upper = np.concatenate([asked.lower, asked.row_lower]), np.concatenate([asked.upper, asked.row_upper])
+    gradient, g, K = _values(conditions.slopes, x, p, lam)
+    here, settled = np.concatenate([x, g]), False
     for _ in range(_MOST_CHANGES):
-        free, binds = np.flatnonzero(sides == 0), np.flatnonzero(row_sides)
-        factors = _factors(H, J, free, binds)
+        kept = (sides == 0) == (np.arange(len(sides)) < n)  # unknowns that no bound holds, and rows that bind
+        to = np.where(sides > 0, upper, lower)
+        factors = _factors(conditions, K, kept)
         if factors is None:
             break
-        to, rows_to = (np.where(of > 0, high, low) for of, low, high in _bounds(asked, sides, row_sides))
-        d = np.where(sides == 0, 0.0, to - x)  # what binds goes where it is bound
-        missing = rows_to[binds] - g[binds] - (J @ d)[binds]
-        found = factors.solve(np.concatenate([-(gradient + H @ d)[free], missing]))
-        d[free] = found[: len(free)]
-        rows = np.zeros(len(lam))
-        rows[binds] = found[len(free) :]
-        bounds = np.where(sides == 0, 0.0, -(gradient + H @ d + J.T @ rows))
-        held = sides, row_sides
-        sides = _changed(sides, x + d, bounds, asked.lower, asked.upper)
-        row_sides = _changed(row_sides, g + J @ d, rows, asked.row_lower, asked.row_upper)
-        settled = np.array_equal(sides, held[0]) and np.array_equal(row_sides, held[1])
-        if settled:
+        d = np.where((sides != 0) & ~kept, to - here, 0.0)  # unknowns that are bound go where they are bound
+        known = np.concatenate([-gradient, to[n:] - g]) - _product(conditions, K, d)
+        d[kept] = factors.solve(known[kept])
+        moved = _product(conditions, K, d)
+        pushes = np.concatenate([np.where(kept[:n], 0.0, -(gradient + moved[:n])), d[n:]])
+        there = here + np.concatenate([d[:n], moved[n:]])
+        held, sides = sides, _changed(sides, there, pushes, lower, upper)
+        if np.array_equal(sides, held):
+            settled = True
             break
-    if not settled:
-        return NewtonStep(optimum=optimum, left=np.inf, violation=_violation(asked, x))
-    x, sizes = x + d, [max(np.abs(d).max(), np.abs(rows - lam).max(initial=0.0))]
-    for _ in range(_CORRECTIONS):
-        gradient, g, J, _ = _evaluated(conditions, x, p, rows)
-        found = factors.solve(np.concatenate([-(gradient + J.T @ rows)[free], rows_to[binds] - g[binds]]))
-        x[free] += found[: len(free)]
-        rows[binds] += found[len(free) :]
-        sizes.append(np.abs(found).max())
-    ratio = sizes[-1] / sizes[-2] if sizes[-2] > 0 else 0.0
+    if not settled or not np.all(np.isfinite(d)):
+        return NewtonStep(optimum=optimum, left=np.inf, violation=_violation(here, lower, upper), steps=0)
+    x, rows = x + d[:n], d[n:].copy()
+    sizes = [max(np.abs(d[:n]).max(), np.abs(rows - lam).max(initial=0.0))]
+    free, binds = kept[:n], kept[n:]
+    slope, g = _values(conditions.gaps, x, p, rows)
+    while len(sizes) < most and (sizes[-1] > _SMALL or len(sizes) < 2):
+        found = factors.solve(np.concatenate([-slope[free], (to[n:] - g)[binds]]))
+        x[free] += found[: free.sum()]
+        rows[binds] += found[free.sum() :]
+        sizes.append(np.abs(found).max(initial=0.0))
+        slope, g = _values(conditions.gaps, x, p, rows)
+        if not sizes[-1] < sizes[-2]:
+            break
+    there, pushes = np.concatenate([x, g]), np.concatenate([np.where(free, 0.0, -slope), rows])
+    ratio = sizes[-1] / sizes[-2] if sizes[-2] > _SMALL else 0.0
+    sure = ratio < _SLOW and np.array_equal(_changed(sides, there, pushes, lower, upper), sides)
     return NewtonStep(
-        optimum=Optimum(x=np.clip(x, asked.lower, asked.upper), rows=rows, bounds=bounds),
-        left=float(ratio / (1 - ratio) * sizes[-1]) if ratio < _SLOW else np.inf,
-        violation=_violation(asked, x),
+        optimum=Optimum(x=np.clip(x, asked.lower, asked.upper), rows=rows, bounds=pushes[:n]),
+        left=float(ratio / (1 - ratio) * sizes[-1]) if sure else np.inf,
+        violation=_violation(there, lower, upper),
+        steps=len(sizes),
     )
 
 
-def _evaluated(conditions: Conditions, *numbers: np.ndarray):
-    """Return grad f, g, J and H; the latter as scipy's."""
-    import scipy.sparse
-
-    at = conditions.at
-    buffer, evaluate = at.buffer()
-    given, found = [np.ascontiguousarray(a, dtype=float) for a in numbers], [np.empty(at.nnz_out(k)) for k in range(4)]
+def _values(function: ca.Function, *numbers: np.ndarray) -> list[np.ndarray]:
+    """Return the values of a function's outputs, nonzeros where they are sparse; CasADi reads and writes numpy's memory."""
+    buffer, evaluate = function.buffer()
+    given = [np.ascontiguousarray(a, dtype=float) for a in numbers]
+    found = [np.empty(function.nnz_out(k)) for k in range(function.n_out())]
     for put, arrays in ((buffer.set_arg, given), (buffer.set_res, found)):
         for k, array in enumerate(arrays):
             if array.size:
                 put(k, memoryview(array))
     evaluate()
-    gradient, g, J, H = found
-    matrices = ((J, conditions.rows, len(g)), (H, conditions.hessian, len(gradient)))
-    shaped = [scipy.sparse.csc_matrix((values, *of), shape=(rows, len(gradient))) for values, of, rows in matrices]
-    return gradient, g, *shaped
+    return found
 
 
-def _factors(H, J, free: np.ndarray, binds: np.ndarray):
-    """Return the factors of K over what is free and what binds; None where it is singular."""
-    import scipy.sparse
+def _product(conditions: Conditions, K: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Return K d."""
+    return np.bincount(conditions.rows, K * d[conditions.columns], minlength=len(d))
+
+
+def _factors(conditions: Conditions, K: np.ndarray, kept: np.ndarray):
+    """Return the factors of K over some of its rows and columns; None where it is singular there."""
     import scipy.sparse.linalg
 
-    held = J[binds][:, free]
-    K = scipy.sparse.bmat([[H[free][:, free], held.T], [held, None]], format="csc")
+    of = kept[conditions.rows] & kept[conditions.columns]
+    place, size = np.cumsum(kept) - 1, int(kept.sum())
+    begins = np.concatenate([[0], np.cumsum(np.bincount(place[conditions.columns[of]], minlength=size))])
+    matrix = scipy.sparse.csc_matrix((K[of], place[conditions.rows[of]], begins), shape=(size, size))
     try:
-        return scipy.sparse.linalg.splu(K)
+        return scipy.sparse.linalg.splu(matrix)
     except RuntimeError:
         return None
-
-
-def _bounds(asked: Transcribed, sides: np.ndarray, row_sides: np.ndarray):
-    return (sides, asked.lower, asked.upper), (row_sides, asked.row_lower, asked.row_upper)
 
 
 def _sides(value, multiplier, lower, upper, new_lower, new_upper) -> np.ndarray:
@@ -172,15 +186,13 @@ def _sides(value, multiplier, lower, upper, new_lower, new_upper) -> np.ndarray:
     return np.where(new_lower == new_upper, 1, np.where(above, 1, np.where(below, -1, 0)))
 
 
-def _changed(sides: np.ndarray, value: np.ndarray, multiplier: np.ndarray, lower, upper) -> np.ndarray:
+def _changed(sides: np.ndarray, value: np.ndarray, push: np.ndarray, lower, upper) -> np.ndarray:
     """Return which bounds bind next: those overstepped come in, those that pull in place of pushing leave."""
-    kept = np.where(sides * multiplier < -_SLACK, 0, sides)
+    kept = np.where(sides * push < -_SLACK, 0, sides)
     come = np.where(value > upper + _SLACK, 1, np.where(value < lower - _SLACK, -1, 0))
     return np.where(lower == upper, sides, np.where(sides == 0, come, kept))
 
 
-def _violation(asked: Transcribed, x: np.ndarray) -> float:
-    """Return the most by which a scaled row or bound is overstepped at x."""
-    g = np.array(asked.program.functions["nlp"](x, asked.parameters)[1]).ravel()
-    pairs = ((x, asked.lower, asked.upper), (g, asked.row_lower, asked.row_upper))
-    return max(float(np.maximum(low - value, value - high).max(initial=0.0)) for value, low, high in pairs)
+def _violation(value: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float:
+    """Return the most by which bounds are overstepped."""
+    return float(np.maximum(lower - value, value - upper).max(initial=0.0))

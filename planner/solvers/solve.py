@@ -49,7 +49,8 @@ _LEAST_TIME_S = 1e-3
 class Solution:
     """A solver's result for a program: unknowns, whether a local optimum, its status in words, the time it took [s].
 
-    `multipliers` (n_rows,) are the rows', of f + multipliers g; None from a solver that does not tell.
+    `multipliers` (n_rows,) are the rows', of f + multipliers g, `bound_multipliers` (n,) the unknowns' own; None from a
+    solver that does not tell.
     """
 
     transcribed: Transcribed
@@ -61,6 +62,7 @@ class Solution:
     build_s: float
     solve_s: float
     multipliers: np.ndarray | None = None
+    bound_multipliers: np.ndarray | None = None
 
 
 def build_solver(
@@ -274,6 +276,7 @@ def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0
         build_s=build_s,
         solve_s=time.perf_counter() - begin,
         multipliers=np.array(result["lam_g"]).ravel() if "lam_g" in result else None,
+        bound_multipliers=np.array(result["lam_x"]).ravel() if "lam_x" in result else None,
     )
 
 

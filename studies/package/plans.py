@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
+from linkplan.next_motion import NextMotion
 from linkplan.planner import plan as planned
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.files import plan_folder
@@ -99,6 +100,19 @@ class Planner:
         """
         asked = _problem(problem)
         return Plan(problem=asked, answer=self._planner.plan(asked.planning))
+
+    def step(self, problem: Problem | str | Path) -> NextMotion | None:
+        """Return the motion to which a few Newton steps lead from the last plan, for replanning at the rate of control.
+
+        A quarter of the time of `plan`, the same in every call but the first. It is not certified: its error is bounded.
+        The next step begins here. None where the last plan differs from the problem in more than numbers: `plan` it.
+
+        Raises:
+            LinkplanError: when the problem is none.
+        """
+        asked = _problem(problem)
+        step = self._planner.step(asked.planning)
+        return None if step is None else NextMotion(problem=asked, step=step)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)

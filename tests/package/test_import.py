@@ -46,6 +46,16 @@ def test_planning_loads_no_plots():
     assert not loaded & {"matplotlib", "control"}
 
 
+def test_a_planned_reach_loads_no_more_than_it_needs():
+    run = "import os; os.environ['MUJOCO_GL'] = 'disable'; from linkplan.studies.cli.main import main"
+    modules = "', '.join(m for m in sys.modules if m.count('.') < 2)"
+    code = f"{run}; main(['plan', 'knee-reach']); import sys; print({modules})"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.splitlines()[-1]
+    loaded = set(said.split(", "))
+    assert "linkplan.planner" in loaded
+    assert not loaded & {"numpy.random", "scipy.optimize", "scipy.sparse", "scipy.interpolate", "matplotlib", "secrets"}
+
+
 def test_the_names_that_list_prints_load_neither_solver_nor_simulator():
     loaded = loaded_by("from linkplan.studies.cli.main import main; main(['list'])")
     assert "linkplan" in loaded

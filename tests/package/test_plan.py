@@ -191,6 +191,21 @@ def test_a_planner_answers_as_a_fresh_plan_does(plan):
     assert again.objective == pytest.approx(linkplan.plan(other).objective, rel=1e-6)
 
 
+def test_a_step_is_next_to_the_plan_of_its_problem_in_users_units(plan):
+    planner, other = linkplan.Planner(), plan.problem.replace(goal_deg={"O": 54.0})
+    assert planner.step(other) is None
+    planner.plan(plan.problem)
+    step, exact = planner.step(other), linkplan.plan(other)
+    assert step.settled
+    assert step.sample(0.16).position["O"] == pytest.approx(54.0)
+    assert step.duration_s == pytest.approx(0.16)
+    away = np.abs(step.sample().position["O"] - exact.sample().position["O"]).max()
+    assert away <= step.position_error["O"] + np.degrees(1e-7)
+    assert 0 < step.position_error["O"] < 0.01
+    assert step.effort_error["act_O"] > 0
+    assert "NextMotion" in repr(step)
+
+
 def test_a_differential_equation_of_ones_own_is_solved():
     problem = linkplan.OdeProblem(
         name="double integrator",

@@ -227,3 +227,6 @@ OUT_OF_REACH_M = 1e-7
 # How near to an active limit on a site a motion comes [m]: rows stand off it by IPOPT's relaxation and by what a certificate
 # takes off, measured 6e-8, and by an interval's bend where it only touches it, measured 2e-5.
 SITE_BINDS_M = 5e-5
+# What the solver's own end leaves of a re-solve that a Newton step is held against [rad; N.m]: its last barrier, 1e-9 of the
+# scaled unknowns, measured 2e-8 and 1e-6 where limits bind weakly, 4e-4.
+SOLVERS_OWN_POSITION, SOLVERS_OWN_EFFORT = 1e-7, 2e-3

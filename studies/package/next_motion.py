@@ -1,0 +1,63 @@
+"""`NextMotion`: what `Planner.step` returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.planner import plan as planned
+from linkplan.planner.files.motion_table import MotionTable, motion_table
+from linkplan.planner.motion_step import MotionStep
+from linkplan.problems import Problem
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class NextMotion:
+    """A motion next to an optimal one, by a few Newton steps from the last: not certified, its error bounded."""
+
+    problem: Problem
+    step: MotionStep
+
+    @property
+    def settled(self) -> bool:
+        """Whether the steps shrink, so that the bounds hold; else plan anew."""
+        return self.step.settled
+
+    @property
+    def duration_s(self) -> float:
+        """How long the motion takes [s]."""
+        return self.step.trajectory.duration_s
+
+    @property
+    def violation(self) -> float:
+        """The most by which a row of the program (dynamics, loops, limits), in its own unit of order one, is overstepped."""
+        return self.step.violation
+
+    @property
+    def position_error(self) -> dict[str, float]:
+        """By independent joint, how far [deg or m] positions at nodes may be from the optimal ones on the same mesh."""
+        joints = self.problem.mechanism.independent_joints
+        return {j.name: float(j.shown(x)) for j, x in zip(joints, self.step.position_error, strict=True)}
+
+    @property
+    def effort_error(self) -> dict[str, float]:
+        """By actuator, how far [N.m or N] its effort may be from the optimal motion's on the same mesh, at any instant."""
+        actuators = self.problem.mechanism.actuators
+        return {a.name: float(x) for a, x in zip(actuators, self.step.effort_error, strict=True)}
+
+    def sample(self, time_s: float | np.ndarray | None = None) -> MotionTable:
+        """Return the motion at times (n,) or a time [s], as `Plan.sample` does; by default ten instants of every interval.
+
+        Raises:
+            LinkplanError: when the loops do not close along the motion.
+        """
+        motion = planned.Plan(
+            problem=self.problem.planning, status="failed", message="not certified", trajectory=self.step.trajectory
+        )
+        table = motion_table(motion, None if time_s is None else np.atleast_1d(np.asarray(time_s, dtype=float)))
+        return table.single() if time_s is not None and np.ndim(time_s) == 0 else table
+
+    def __repr__(self) -> str:
+        joint, error = next(iter(self.position_error.items()))
+        return f"NextMotion({self.problem.name!r}, {self.duration_s:.6g} s, {joint} within {error:.2g})"
