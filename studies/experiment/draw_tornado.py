@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from linkplan.studies.experiment.sensitivity import Sensitivity, Varied
 from linkplan.studies.experiment.sensitivity_text import shown
@@ -13,6 +14,8 @@ from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME, SOBOL
 
 _COLUMNS = 3
 _THICK = 0.36
+# Intervals between a panel's ticks, at the most: their labels have room.
+_TICKS = 4
 
 
 def save_tornados(sensitivity: Sensitivity, name: str, folder: Path) -> None:
@@ -43,7 +46,7 @@ def tornado_figure(sensitivity: Sensitivity, metric: str, title: str, path: Path
         for axis in axes.flat[len(trackers) :]:
             axis.set_visible(False)
         first = axes.flat[0]
-        first.set_yticks(range(len(order)), [_named(sensitivity.factors[i]) for i in order])
+        first.set_yticks(range(len(order)), [_named(sensitivity.factors[i], sensitivity.design) for i in order])
         first.set_ylim(len(order) - 0.4, -0.6)
         if sensitivity.design == SOBOL:
             first.set_xlim(left=0.0)
@@ -56,6 +59,7 @@ def draw_tornado(axis, sensitivity: Sensitivity, tracker: str, metric: str, orde
     """Draw a bar for each imperfection, the first of the order on top: what one end of its range makes, and the other."""
     draw = {ONE_AT_A_TIME: _draw_ends, MORRIS: _draw_effects, SOBOL: _draw_shares}[sensitivity.design]
     draw(axis, sensitivity, tracker, metric, order)
+    axis.xaxis.set_major_locator(MaxNLocator(_TICKS))
     axis.grid(visible=False, axis="y")
     axis.tick_params(axis="y", length=0)
 
@@ -68,7 +72,7 @@ def _draw_ends(axis, sensitivity: Sensitivity, tracker: str, metric: str, order:
         width = np.nan_to_num(reached - one.middle)
         axis.barh(place + side * _THICK / 2, width, _THICK, left=one.middle, color=colour, label=label)
         for k in np.flatnonzero(~np.isfinite(reached)):
-            axis.annotate(f"lost {label}", (one.middle, place[k] + side * _THICK / 2), va="center", fontsize=7, color=BLACK)
+            axis.annotate(f" lost {label}", (one.middle, place[k] + side * _THICK / 2), va="center", fontsize=7, color=BLACK)
     axis.axvline(one.middle, color=BLACK, linewidth=0.9, label="all in the middle")
     axis.set_xlabel(_what(sensitivity, metric))
 
@@ -77,13 +81,13 @@ def _draw_effects(axis, sensitivity: Sensitivity, tracker: str, metric: str, ord
     one, place = sensitivity.influences[tracker][metric], np.arange(len(order))
     size, mean, half = (x[order] for x in (one.importance, one.parts["mean"], one.high - one.importance))
     # The mean of the effects that raise the figure, and of those that lower it: together the mean size, in the margin.
-    axis.barh(place, (size + mean) / 2, 2 * _THICK, color=ORANGE, label="raises it, from the low to the high end")
-    axis.barh(place, -(size - mean) / 2, 2 * _THICK, color=BLUE, label="lowers it")
+    axis.barh(place, (size + mean) / 2, 2 * _THICK, color=ORANGE, label="raised towards the high end")
+    axis.barh(place, -(size - mean) / 2, 2 * _THICK, color=BLUE, label="lowered")
     digits = max(0, 1 - math.floor(math.log10(np.nanmax(size)))) if np.any(size > 0) else 0
     for k in np.flatnonzero(np.isfinite(size)):
         said = f"{size[k]:.{digits}f} ± {half[k]:.{digits}f}"
         axis.annotate(said, (1.01, place[k]), xycoords=axis.get_yaxis_transform(), va="center", fontsize=7.5)
-    axis.plot([], [], " ", label="beside: mean size of the change, with its 95 % interval")
+    axis.plot([], [], " ", label="beside: the mean size, 95 % interval")
     axis.axvline(0.0, color=BLACK, linewidth=0.9)
     axis.set_xlabel(f"mean change of the {_what(sensitivity, metric)}")
 
@@ -111,9 +115,9 @@ def _what(sensitivity: Sensitivity, metric: str) -> str:
     return one.text if one.unit == "1" else f"{one.text} [{one.unit}]"
 
 
-def _named(factor: Varied) -> str:
+def _named(factor: Varied, design: str) -> str:
     if factor.ends is None:
-        return f"{factor.label}\n95 of 100 draws"
+        return factor.label + {ONE_AT_A_TIME: "\n95 of 100 draws", MORRIS: "\none to another"}.get(design, "")
     unit = "" if factor.unit == "1" else f" {factor.unit}"
     low, high = (_short(end, factor.ends) for end in factor.ends)
     return f"{factor.label}\n{low} to {high}{unit}"

@@ -14,7 +14,7 @@ from linkplan.studies.sensitivity.influence import Influence, influence_of
 from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME, SOBOL, Scheme
 
 SUCCESS = "success"
-_SUCCESS = Metric(text="share of machines within the tube all the way", unit="1", better="more")
+_SUCCESS = Metric(text="share of successes", unit="1", better="more")
 # What an importance is, by design.
 MEASURES = {
     ONE_AT_A_TIME: "change between the ends of the range, all else in the middle",

@@ -4,10 +4,12 @@ import json
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.planning import silent
+from linkplan.studies.experiment.draw_tornado import draw_tornado
 from linkplan.studies.experiment.experiment import Settings, experiment_of
 from linkplan.studies.experiment.replay import replay
 from linkplan.studies.experiment.sensitivity_text import sensitivity_text
@@ -29,6 +31,7 @@ def tried(design, imperfections, *overrides, target=None, trackers=("pd+ff",), s
     return run_experiment({"name": "knee-reach"}, None, lambda: plan, settings, target, silent)
 
 
+@pytest.mark.slow
 def test_the_error_that_a_wrong_payload_leaves_to_feedforward_is_in_proportion_to_it():
     found = tried("one-at-a-time", [*NO_PUSH, "payload_mass_factor=[1.1, 1.2]"]).sensitivity
     one = found.influences["pd+ff"]["rms_error_deg"]
@@ -91,6 +94,7 @@ def test_a_means_interval_is_of_independent_machines_alone():
     assert len(np.unique(pairs, axis=0)) == 32
 
 
+@pytest.mark.slow
 def test_the_record_the_table_and_the_figure_stand_in_the_folder(tmp_path):
     trackers = ("pd", "pd+ff", "lqr", "lqi", "ct")
     imperfections = [DELAY, "coulomb_friction=[0.0, 1.0]", "velocity_noise_deg_s=1.0"]
@@ -107,6 +111,19 @@ def test_the_record_the_table_and_the_figure_stand_in_the_folder(tmp_path):
     text = sensitivity_text("knee-reach", outcome.sensitivity, 0)
     assert max(map(len, text.splitlines())) <= 80
     assert text.count("coulomb_friction.O") >= 1
+
+
+def test_a_tornados_bars_end_where_the_figure_does_at_the_ends_of_each_range():
+    found = tried("one-at-a-time", [DELAY, PAYLOAD], SHORT).sensitivity
+    axis = Figure().subplots()
+    draw_tornado(axis, found, "pd+ff", "rms_error_deg", [0, 1])
+    one = found.influences["pd+ff"]["rms_error_deg"]
+    bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in axis.patches]
+    assert [sorted(bar) for bar in bars] == [
+        pytest.approx(sorted((one.middle, end))) for name in ("at_low", "at_high") for end in one.parts[name]
+    ]
+    assert one.importance.min() > 1e-4
+    assert axis.get_xlabel() == "rms error [deg]"
 
 
 def test_failures_are_told_and_success_says_what_they_are_owed_to():
