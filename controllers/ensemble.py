@@ -229,19 +229,27 @@ def _simulate(
 def _asked(
     law: TrackerWithMemory, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray, n_u: int
 ) -> tuple[np.ndarray, np.ndarray, dict[int, str]]:
-    """Return efforts (n, n_u) and memories of simulations, and why the tracker failed for some, whose efforts are NaN."""
-    try:
-        effort, after = law.step(k, position, velocity, memory)
-        effort = np.asarray(effort, dtype=float)
-        if effort.shape != (len(position), n_u):
-            raise ProblemError(f"it gave efforts of shape {effort.shape[1:]}, not one for each of {n_u} actuators")
-        return effort, after, {}
-    except Exception as error:  # a user's law may raise anything
-        if len(position) == 1:
-            said = f"the tracker failed: {one_line(error)}"
-            return np.full((1, n_u), np.nan), memory, {0: said}
+    """Return efforts (n, n_u) and memories of simulations, and why the tracker failed for some, whose efforts are NaN.
+
+    A law that says `batched = False` is asked for one state after the other, and never twice for one instant: what it
+    keeps in itself, where it does, goes on by one instant each time.
+    """
+    n = len(position)
+    if n == 1 or getattr(law, "batched", True):
+        try:
+            effort, after = law.step(k, position, velocity, memory)
+            effort = np.asarray(effort, dtype=float)
+            if effort.shape != (n, n_u):
+                raise ProblemError(f"it gave efforts of shape {effort.shape[1:]}, not one for each of {n_u} actuators")
+            if len(after) != n:
+                raise ProblemError(f"it gave a memory of {len(after)} rows for {n} simulations")
+            return effort, after, {}
+        except (Exception, SystemExit) as error:  # a user's law may raise anything
+            if n == 1:
+                said = f"the tracker failed: {one_line(error) or type(error).__name__}"
+                return np.full((1, n_u), np.nan), memory, {0: said}
     # One after another: the others of the batch are not to suffer from what went wrong for one.
-    rows = [slice(i, i + 1) for i in range(len(position))]
+    rows = [slice(i, i + 1) for i in range(n)]
     each = [_asked(law, k, position[row], velocity[row], memory[row], n_u) for row in rows]
     failed = {i: said[0] for i, (_, _, said) in enumerate(each) if said}
     return np.concatenate([one[0] for one in each]), np.concatenate([one[1] for one in each]), failed

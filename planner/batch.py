@@ -1,10 +1,12 @@
 """Many problems that vary one, planned one after the other, warm where they differ in numbers alone."""
 
 import copy
-from collections.abc import Iterator
+import hashlib
+from collections.abc import Iterator, Sequence
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.interrupts import check
+from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.batch_file import Batch, Case
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override, read_tables
@@ -14,28 +16,43 @@ from linkplan.planner.refinement.history import Say, silent
 from linkplan.planner.replan import Planner
 
 
-def plan_batch(batch: Batch, say: Say = silent) -> Iterator[tuple[Case, Plan]]:
-    """Yield each case with its plan, in order; what differs in numbers alone is solved from the last solution.
+def check_batch(batch: Batch) -> str:
+    """Return the hash of all that the plans of a batch depend on, after a look at every case.
 
     Raises:
-        ProblemError: for a case whose settings cannot be used, naming it, before any is planned.
+        ProblemError: for a case whose settings cannot be used, naming it.
         ModelError: when a mechanism that is named cannot be used.
     """
+    digest, last = hashlib.sha256(), None
     # Ten thousand problems take gigabytes: each is made to be checked, forgotten, and made again when its turn comes.
-    for _ in _problems(batch):
+    for case, problem in _problems(batch, batch.cases):
         check()
+        if problem.mechanism is not last:
+            digest.update(problem.mechanism.fingerprint().encode())
+            last = problem.mechanism
+        digest.update(f"{case.name}: {problem.source!r}\n".encode())
+    return digest.hexdigest()
+
+
+def plan_cases(batch: Batch, cases: Sequence[Case], say: Say = silent) -> Iterator[tuple[Case, Plan]]:
+    """Yield cases of a batch with their plans, in order; what differs in numbers alone is solved from the last solution.
+
+    Raises:
+        ProblemError: for a case whose settings cannot be used, naming it.
+        ModelError: when a mechanism that is named cannot be used.
+    """
     planner = Planner()
-    for number, (case, problem) in enumerate(_problems(batch)):
-        say(f"{number + 1} of {len(batch.cases)}: {case.name}")
+    for case, problem in _problems(batch, cases):
+        say(case.name)
         yield case, planner.plan(problem)
 
 
-def _problems(batch: Batch) -> Iterator[tuple[Case, PlanningProblem]]:
+def _problems(batch: Batch, cases: Sequence[Case]) -> Iterator[tuple[Case, PlanningProblem]]:
     """Yield each case with its problem; one mechanism serves cases in a row that say the same of it."""
     name, common, folder = read_tables(batch.problem)
     asked: object = None
-    mechanism = None
-    for case in batch.cases:
+    mechanism: Mechanism | None = None
+    for case in cases:
         tables = copy.deepcopy(common)
         try:
             for setting in (*batch.common, *case.settings):

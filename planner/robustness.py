@@ -33,6 +33,10 @@ class Price:
         )
 
 
+# The nominal plan's objective among a plan's details, in the objective's SI unit.
+_DETAIL = "objective_as_modelled"
+
+
 def nominal_of(problem: PlanningProblem) -> PlanningProblem | None:
     """Return a problem without its ranges and its reserve; None where it has neither."""
     limits = problem.limits
@@ -53,6 +57,23 @@ def price_of(plan: Plan, say: Callable[[str], None] = silent) -> Price | None:
     cheaper = plan_motion(nominal, say)
     if cheaper.trajectory is None or cheaper.objective is None or plan.objective is None:
         return None
+    return _price(plan, cheaper.objective)
+
+
+def with_price(plan: Plan, price: Price | None) -> Plan:
+    """Return a plan whose details, which are saved with it, have its price."""
+    return plan if price is None else replace(plan, details={**plan.details, _DETAIL: price.nominal})
+
+
+def saved_price(plan: Plan) -> Price | None:
+    """Return the price that a plan's details have; None where they have none."""
+    nominal = plan.details.get(_DETAIL)
+    if plan.objective is None or not isinstance(nominal, int | float):
+        return None
+    return _price(plan, float(nominal))
+
+
+def _price(plan: Plan, nominal: float) -> Price:
     objective = plan.problem.objective
     unit = TERMS[objective.name][1] if objective.name in TERMS else ""
-    return Price(objective=plan.objective, nominal=cheaper.objective, unit=unit, name=objective.name)
+    return Price(objective=plan.objective, nominal=nominal, unit=unit, name=objective.name)

@@ -33,8 +33,8 @@ ROOMS = {
         "controls", "playback",
     ),
     "studies": (
-        "output", "check", "compare", "experiment", "decompose", "frequency", "bode", "tune", "render", "new", "export",
-        "report", "demo", "cli",
+        "output", "check", "tasks", "compare", "batch", "sensitivity", "experiment", "decompose", "frequency", "bode",
+        "tune", "render", "new", "export", "report", "demo", "cli",
     ),
 }  # fmt: skip
 # Imports from one room of the planner into another, counted by file: more of them and two rooms are one.

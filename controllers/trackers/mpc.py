@@ -61,61 +61,66 @@ class MPC:
         predicted = self.drive[self.ahead[at, :-1]] + np.stack([times(K, error) for K in self.alone[at]], axis=1)
         beyond = ~np.all((predicted >= low - slack) & (predicted <= high + slack), axis=(1, 2))
         onward = self.start(len(position))
-        for row in np.flatnonzero(beyond):
-            before = np.where(np.isnan(memory[row]), np.clip(predicted[row], low, high).ravel(), memory[row])
-            found = self._corrected(k, position[row], velocity[row], before.reshape(BLOCKS, -1))
-            if found is not None:
-                onward[row], effort[row] = found.ravel(), found[0]
+        rows = np.flatnonzero(beyond)
+        if len(rows):
+            last = memory[rows].reshape(len(rows), BLOCKS, -1)
+            before = np.where(np.isnan(last), np.clip(predicted[rows], low, high), last)
+            found, better = self._corrected(k, position[rows], velocity[rows], before)
+            onward[rows] = np.where(better[:, None], found.reshape(len(rows), -1), np.nan)
+            effort[rows[better]] = found[better, 0]
         return effort, onward
 
-    def _corrected(self, k: int, s: np.ndarray, v: np.ndarray, efforts: np.ndarray) -> np.ndarray | None:
-        """Return better efforts (blocks, n_u) from a state on; None where the motion they lead to cannot be predicted."""
-        reference, kept = self.reference, self.kept
-        motion = self.predictor.motion_of(reference.pose[k], s, v, efforts)
-        if motion is None:
-            return None
+    def _corrected(self, k: int, s: np.ndarray, v: np.ndarray, efforts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return better efforts (r, blocks, n_u) from states (r, n_s) on, and for which (r,) there are any.
+
+        There are none where the motion that efforts lead to cannot be predicted.
+        """
+        reference, kept, ahead = self.reference, self.kept, self.ahead[k % len(self.ahead)]
+        motion, found = self.predictor.motions_of(reference.pose[k], s, v, efforts)
+        better, rows = efforts.copy(), np.flatnonzero(found)
+        motion, efforts = motion[rows], efforts[rows]
         A, B = self.predictor.linearised(motion, efforts)
-        A, B = A[:, kept[:, None], kept], B[:, kept]
-        ahead = self.ahead[k % len(self.ahead)]
+        A, B = A[:, :, kept[:, None], kept], B[:, :, kept]
         # A cycle's positions go on where it turns: errors are told from its own first instant.
         passed = reference.position[k] - reference.position[k % len(self.ahead)]
-        independent = self.predictor.mechanism.independent
-        n_q = self.predictor.mechanism.n_q
-        x = np.concatenate([motion[1:, independent] - passed, motion[1:, n_q:]], axis=1)
+        mechanism = self.predictor.mechanism
+        x = np.concatenate([motion[:, 1:, mechanism.independent] - passed, motion[:, 1:, mechanism.n_q :]], axis=2)
         wanted = np.concatenate([reference.position[ahead[1:]], reference.velocity[ahead[1:]]], axis=1)
-        found = _least_cost(
-            A,
-            B,
-            (x - wanted)[:, kept],
-            efforts - self.drive[ahead[:-1]],
-            self.periods * self.regulator.Q,
-            self.periods * self.regulator.R,
-            self.regulator.cost[ahead[-1]],
-            self.effort_limit - efforts[:, :, None],
-        )
-        return None if found is None else efforts + found
+        weights = self.periods * self.regulator.Q, self.periods * self.regulator.R, self.regulator.cost[ahead[-1]]
+        programs = _programs(A, B, (x - wanted)[:, :, kept], efforts - self.drive[ahead[:-1]], *weights)
+        rooms = self.effort_limit - efforts[:, :, :, None]
+        for row, hessian, gradient, room in zip(rows, *programs, rooms, strict=True):
+            correction = _solved(hessian, gradient, room)
+            found[row] = correction is not None
+            if correction is not None:
+                better[row] += correction
+        return better, found
 
 
-def _least_cost(A, B, e, w, Q, R, P, room) -> np.ndarray | None:
-    """Return the corrections d (N, n_u) of efforts within their room (N, n_u, 2) that cost least; None where none are found.
+def _programs(A, B, e, w, Q, R, P) -> tuple[np.ndarray, np.ndarray]:
+    """Return Hessians (r, N n_u, N n_u) and gradients (r, N n_u) in corrections d (N, n_u) of efforts.
 
-    dx_{b+1} = A_b dx_b + B_b d_b; the cost is of e + dx (N, m), of which the last weighs P, and of w + d (N, n_u).
+    dx_{b+1} = A_b dx_b + B_b d_b; the cost is of e + dx (r, N, m), of which the last weighs P, and of w + d (r, N, n_u).
+    Each row by itself, whatever stands beside it: matmul takes the matrices of a stack one by one.
     """
-    n, m, n_u = B.shape
-    states = np.zeros((n, m, n * n_u))
-    state = np.zeros((m, n * n_u))
+    r, n, m, n_u = B.shape
+    states = np.zeros((r, n, m, n * n_u))
     for b in range(n):
-        state = A[b] @ state
-        state[:, b * n_u : (b + 1) * n_u] += B[b]
-        states[b] = state
+        if b:
+            states[:, b, :, : b * n_u] = A[:, b] @ states[:, b - 1, :, : b * n_u]
+        states[:, b, :, b * n_u : (b + 1) * n_u] = B[:, b]
     weighed = np.matmul(Q, states)
-    weighed[-1] = P @ states[-1]
-    flat = states.reshape(n * m, -1)
-    hessian = flat.T @ weighed.reshape(n * m, -1) + np.kron(np.eye(n), R)
-    gradient = weighed.reshape(n * m, -1).T @ e.ravel() + (w @ R).ravel()
+    weighed[:, -1] = P @ states[:, -1]
+    turned = weighed.reshape(r, n * m, -1).transpose(0, 2, 1)
+    hessian = turned @ states.reshape(r, n * m, -1) + np.kron(np.eye(n), R)
+    return hessian, (turned @ e.reshape(r, -1, 1))[:, :, 0] + (w @ R).reshape(r, -1)
+
+
+def _solved(hessian: np.ndarray, gradient: np.ndarray, room: np.ndarray) -> np.ndarray | None:
+    """Return the corrections (N, n_u) within their room (N, n_u, 2) that cost least; None where none are found."""
     low, high = (np.ascontiguousarray(side) for side in room.reshape(-1, 2).T)  # DAQP reads memory, whatever the strides
-    found, _, flag, _ = daqp.solve(hessian, gradient, np.empty((0, n * n_u)), high, low)
-    return found.reshape(n, n_u) if flag > 0 else None
+    found, _, flag, _ = daqp.solve(np.ascontiguousarray(hessian), gradient, np.empty((0, len(gradient))), high, low)
+    return found.reshape(room.shape[:2]) if flag > 0 else None
 
 
 def mpc(

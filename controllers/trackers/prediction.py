@@ -20,29 +20,57 @@ class Predictor:
     block_s: float
     begin: ca.Function  # q near, s -> q, gap [m]
     motion: ca.Function  # (q, v), efforts of the blocks -> (q, v) after each
+    slopes: ca.Function  # q, v, efforts of the blocks -> the acceleration's derivatives by s, v, efforts
 
-    def motion_of(self, near: np.ndarray, s: np.ndarray, v: np.ndarray, efforts: np.ndarray) -> np.ndarray | None:
-        """Return (q, v) (blocks + 1, n_q + n_s) from a state under held efforts (blocks, n_u); None where it is lost."""
-        q, gap = evaluated(self.begin, near, s)
-        if not gap.item() <= CLOSED_NEAR_M:
-            return None
-        state = np.concatenate([q.ravel(), v])
-        (after,) = evaluated(self.motion, state, efforts.T)
-        motion = np.concatenate([state[None], after.T])
-        return motion if np.all(np.isfinite(motion)) else None
+    def motions_of(
+        self, near: np.ndarray, s: np.ndarray, v: np.ndarray, efforts: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return (q, v) (r, blocks + 1, n_q + n_s) from states (r, n_s) under held efforts (r, blocks, n_u).
 
-    def linearised(self, motion: np.ndarray, efforts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return A (blocks, 2 n_s, 2 n_s) and B (blocks, 2 n_s, n_u) of each block of a motion, about its middle."""
-        mechanism, n = self.mechanism, self.blocks
-        n_q, n_s = mechanism.n_q, mechanism.dof
-        middle = 0.5 * (motion[1:] + motion[:-1])
-        function = mapped(mechanism.dynamics.linearisation, n)
-        outputs = evaluated(function, middle[:, :n_q].T, middle[:, n_q:].T, efforts.T)
-        by_s, by_v, by_u = (x.reshape(n_s, n, -1).transpose(1, 0, 2) for x in outputs)
-        A, B = np.zeros((n, 2 * n_s, 2 * n_s)), np.zeros((n, 2 * n_s, efforts.shape[1]))
-        A[:, :n_s, n_s:] = np.eye(n_s)
-        A[:, n_s:, :n_s], A[:, n_s:, n_s:], B[:, n_s:] = by_s, by_v, by_u
-        return discretise(A, B, self.block_s)
+        And whether (r,) each is predicted: what stands where it is lost means nothing.
+        """
+        motions, found = np.zeros((len(s), self.blocks + 1, len(near) + s.shape[1])), np.zeros(len(s), dtype=bool)
+        for row, motion in enumerate(motions):
+            q, gap = evaluated(self.begin, near, s[row])
+            if not gap.item() <= CLOSED_NEAR_M:
+                continue
+            motion[0] = np.concatenate([q.ravel(), v[row]])
+            motion[1:] = evaluated(self.motion, motion[0], efforts[row].T)[0].T
+            found[row] = np.all(np.isfinite(motion))
+        return motions, found
+
+    def linearised(self, motions: np.ndarray, efforts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return A (r, blocks, 2 n_s, 2 n_s), B (r, blocks, 2 n_s, n_u) of each block of motions, about its middle."""
+        n_q, n_s, n = self.mechanism.n_q, self.mechanism.dof, self.blocks
+        middle = 0.5 * (motions[:, 1:] + motions[:, :-1])
+        slopes = [np.empty((len(efforts), n, n_s, size)) for size in (n_s, n_s, efforts.shape[2])]
+        for row, (x, u) in enumerate(zip(middle, efforts, strict=True)):
+            for slope, found in zip(slopes, evaluated(self.slopes, x[:, :n_q].T, x[:, n_q:].T, u.T), strict=True):
+                slope[row] = found.reshape(n_s, n, -1).transpose(1, 0, 2)
+        A, B = held(*(slope.reshape(-1, *slope.shape[2:]) for slope in slopes), self.block_s)
+        return A.reshape(-1, n, *A.shape[1:]), B.reshape(-1, n, *B.shape[1:])
+
+
+def held(by_s: np.ndarray, by_v: np.ndarray, by_u: np.ndarray, block_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return A (n, 2 n_s, 2 n_s), B (n, 2 n_s, n_u) of (s, v) over blocks [s], the acceleration's derivatives held.
+
+    The exponential's series to its fourth order, that of the Runge-Kutta step by which motions are predicted, where it
+    converges at once; the exponential itself beside a singular pose.
+    """
+    n, n_s, n_u = by_u.shape
+    A, B = np.zeros((n, 2 * n_s, 2 * n_s)), np.zeros((n, 2 * n_s, n_u))
+    A[:, :n_s, n_s:] = np.eye(n_s)
+    A[:, n_s:, :n_s], A[:, n_s:, n_s:], B[:, n_s:] = by_s, by_v, by_u
+    stiff = ~((block_s**2 * np.abs(by_s).sum(axis=2) <= 1) & (block_s * np.abs(by_v).sum(axis=2) <= 1)).all(axis=1)
+    term = np.eye(2 * n_s) * block_s  # of h (1 + h A / 2 + (h A)^2 / 6 + (h A)^3 / 24)
+    total = term
+    for order in (2, 3, 4):
+        term = (block_s / order) * (A @ term)
+        total = total + term
+    over = np.eye(2 * n_s) + A @ total, total @ B
+    if np.any(stiff):
+        over[0][stiff], over[1][stiff] = discretise(A[stiff], B[stiff], block_s)
+    return over
 
 
 def predictor(mechanism: Mechanism, blocks: int, block_s: float) -> Predictor:
@@ -58,6 +86,7 @@ def predictor(mechanism: Mechanism, blocks: int, block_s: float) -> Predictor:
         block_s=block_s,
         begin=ca.Function("begin", [near, s], list(closed_near(mechanism, near, s))),
         motion=step.mapaccum(blocks),
+        slopes=mapped(mechanism.dynamics.linearisation, blocks),
     )
 
 

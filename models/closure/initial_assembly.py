@@ -3,6 +3,7 @@
 import numbers
 from collections.abc import Mapping
 from dataclasses import replace
+from random import Random
 
 import numpy as np
 
@@ -119,10 +120,10 @@ def poses_about(loop: KinematicLoop, home: np.ndarray, unit: np.ndarray) -> list
     jacobian = loop.residual(home)[1] * unit
     rank = numerical_rank(jacobian, loop.rank_tolerance)
     free = np.linalg.svd(jacobian)[2][rank:].T if jacobian.size else np.eye(len(home))
-    rng = np.random.default_rng(0)
+    random = Random(0)  # the standard library's: numpy's takes as long to load as a loop to close
     found = []
     for _ in range(_NEARBY if free.shape[1] else 0):
-        direction = free @ rng.normal(size=free.shape[1])
+        direction = free @ [random.gauss(0.0, 1.0) for _ in range(free.shape[1])]
         trial = home + _NEARBY_STEP * unit * direction / np.abs(direction).max()
         pose, gap = newton.close(loop, trial, list(range(len(home))))
         if gap <= loop.closed_m:

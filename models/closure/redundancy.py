@@ -19,6 +19,7 @@ the planned position's slope.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from random import Random
 
 import casadi as ca
 import numpy as np
@@ -41,6 +42,13 @@ class ProjectedLoops:
     gapes: bool = False
 
 
+def jacobians_at_random(jacobian: ca.Function) -> list[np.ndarray]:
+    """Return q -> J (n_rows, n_q) at three poses taken at random, closed or not: the same ones in every run."""
+    random = Random(0)
+    poses = [[random.uniform(-1.0, 1.0) for _ in range(jacobian.size1_in(0))] for _ in range(3)]
+    return [np.array(jacobian(q)) for q in poses]
+
+
 def projected_loops(
     jacobian: ca.Function,
     rows: Sequence[int],
@@ -61,9 +69,7 @@ def projected_loops(
         gapes: whether rounding alone forbids the motion.
     """
     found = []
-    rng = np.random.default_rng(0)
-    n_q = jacobian.size1_in(0)
-    samples = [np.array(jacobian(rng.uniform(-1.0, 1.0, n_q))) for _ in range(3)] if len(rows) else []
+    samples = jacobians_at_random(jacobian) if len(rows) else []
     at_home = np.array(jacobian(home))
     tolerance = max(_CONSTANT, noise)
     for of, columns in _components(jacobian.sparsity_out(0), dependent):

@@ -7,6 +7,10 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 
+# Samples of a function of many outputs that are evaluated side by side: CasADi takes longer to lay out more of them, as one
+# sparse matrix, than it takes to evaluate them.
+_TOGETHER, _MANY = 32, 256
+
 
 @functools.lru_cache(maxsize=64)
 def mapped(function: ca.Function, n: int) -> ca.Function:
@@ -17,6 +21,9 @@ def mapped(function: ca.Function, n: int) -> ca.Function:
 def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
     """Return a function's first output over samples: arguments (n, k), result (n, rows, columns)."""
     n = len(arguments[0])
+    if n > _TOGETHER and function.numel_out(0) >= _MANY:
+        parts = [[a[k : k + _TOGETHER] for a in arguments] for k in range(0, n, _TOGETHER)]
+        return np.concatenate([sampled(function, *part) for part in parts])
     (stacked,) = evaluated(mapped(function, n), *[a.T for a in arguments], outputs=1)
     return stacked.reshape(function.size1_out(0), n, function.size2_out(0)).transpose(1, 0, 2)
 

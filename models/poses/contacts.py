@@ -8,6 +8,7 @@ import copy
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
+from xml.sax.saxutils import quoteattr
 
 import mujoco
 import numpy as np
@@ -36,6 +37,7 @@ class ContactPair:
 
     first: str
     second: str
+    bodies: tuple[str, str]
     poses: tuple[int, ...]
     depth_m: float
 
@@ -92,6 +94,7 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
         ContactPair(
             first=geom_name(model, a),
             second=geom_name(model, b),
+            bodies=_bodies(model, (a, b)),
             poses=tuple(k for k, _ in at),
             depth_m=max(depth for _, depth in at),
         )
@@ -140,7 +143,7 @@ def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sampl
     return Meeting(
         first=geom_name(model, pair[0]),
         second=geom_name(model, pair[1]),
-        bodies=(body_name(model, model.geom_bodyid[pair[0]]), body_name(model, model.geom_bodyid[pair[1]])),
+        bodies=_bodies(model, pair),
         since=since,
         depth_m=float(depth[deepest]),
         deepest_at=seen[deepest][0],
@@ -249,6 +252,17 @@ def geom_name(model: mujoco.MjModel, index: int) -> str:
 def body_name(model: mujoco.MjModel, index: int) -> str:
     """Return a body's name, or one made of its index."""
     return model.body(int(index)).name or f"body {int(index)}"
+
+
+def _bodies(model: mujoco.MjModel, pair: Pair) -> tuple[str, str]:
+    first, second = (body_name(model, model.geom_bodyid[geom]) for geom in pair)
+    return first, second
+
+
+def exclusion(bodies: tuple[str, str]) -> str:
+    """Return the line of MJCF by which two bodies pass each other, to stand in <contact>."""
+    one, other = (quoteattr(body) for body in bodies)
+    return f"<exclude body1={one} body2={other}/>"
 
 
 def new_meetings(found: Iterable[Meeting]) -> tuple[Meeting, ...]:

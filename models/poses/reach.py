@@ -10,6 +10,7 @@ import scipy
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import advance, led, step_sizes
+from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
     closure_rank,
     dips,
@@ -160,8 +161,8 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
     begin, n = 0, _FIRST_STEPS
     while begin < len(path):
         found, arrived = led(mechanism, q, path[begin : begin + n])
-        for trial in found:
-            stop = _range_stop(mechanism, q, trial, coordinate)
+        for trial, outside in zip(found, _leaves_ranges(mechanism, found), strict=True):
+            stop = _range_stop(mechanism, q, trial, coordinate) if outside.any() else None
             if stop is not None:
                 poses.append(stop[0])
                 return poses, End(position=float(stop[0][index]), reason=_end_of(stop[1]), joint=stop[2]), []
@@ -179,13 +180,18 @@ def _end_of(joint: Joint) -> str:
     return f"range of {joint.name}" if joint.chart is None or joint.kind == "slide" else f"end of {joint.name}'s chart"
 
 
+def _leaves_ranges(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return which dependent joints are out of their ranges at poses (n, n_q): (n, n_z)."""
+    ranges = [(mechanism.joints[i].lower, mechanism.joints[i].upper) for i in mechanism.dependent]
+    low, high = np.array(ranges).reshape(-1, 2).T
+    z = poses[:, mechanism.dependent]
+    return np.maximum(z - high, low - z) > _RANGE_SLACK
+
+
 def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int):
     """Return the pose, joint and index where the first dependent joint leaves its range between two poses, or None."""
     first = None
-    low, high = (
-        np.array([(mechanism.joints[i].lower, mechanism.joints[i].upper) for i in mechanism.dependent]).reshape(-1, 2).T
-    )
-    out = np.maximum(trial[mechanism.dependent] - high, low - trial[mechanism.dependent]) > _RANGE_SLACK
+    (out,) = _leaves_ranges(mechanism, trial[None])
     for i in mechanism.dependent[out]:
         joint = mechanism.joints[i]
         for limit, outside in ((joint.upper, trial[i] - joint.upper), (joint.lower, joint.lower - trial[i])):
@@ -210,7 +216,7 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
     a, b = q[index], trial[index]
     if function(q) * function(trial) >= 0 or function(pose_at(a)) * function(pose_at(b)) >= 0:
         return np.array(q)
-    return pose_at(float(scipy.optimize.brentq(lambda x: function(pose_at(x)), a, b, xtol=1e-14)))
+    return pose_at(sign_change(lambda x: function(pose_at(x)), a, b, xtol=1e-14))
 
 
 def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:

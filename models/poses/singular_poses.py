@@ -25,18 +25,18 @@ _FLAT = 1e-3
 
 def least_values(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Return the least singular values (2,) of J and of J_z that the closure's rank at home counts, slides by the extent."""
-    return least_values_along(mechanism, np.asarray(q)[None])[0]
+    poses = np.asarray(q)[None]
+    return np.array([_least_along(mechanism, poses, columns)[0] for columns in (slice(None), mechanism.dependent)])
 
 
-def least_values_along(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
-    """Return the same (n, 2) at poses (n, n_q)."""
+def _least_along(mechanism: Mechanism, poses: np.ndarray, columns: slice | np.ndarray) -> np.ndarray:
+    """Return the least singular value (n,) that counts, of some columns of J, at poses (n, n_q)."""
     rank = len(mechanism.dependent)
     if rank == 0:
-        return np.ones((len(poses), 2))
+        return np.ones(len(poses))
     unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.joints])
     jacobian = sampled(mechanism.dynamics.closure_jacobian, poses) * unit
-    both = (np.linalg.svd(A, compute_uv=False) for A in (jacobian, jacobian[:, :, mechanism.dependent]))
-    return np.stack([values[:, rank - 1] for values in both], axis=1)
+    return np.linalg.svd(jacobian[:, :, columns], compute_uv=False)[:, rank - 1]
 
 
 def is_branching(mechanism: Mechanism, q: np.ndarray) -> bool:
@@ -56,7 +56,7 @@ def dips(mechanism: Mechanism, poses: np.ndarray) -> list[int]:
     """Return the samples k of poses (n, n_q), ends left out, at which the least singular value of J_z dips."""
     if len(mechanism.dependent) == 0 or len(poses) < 3:
         return []
-    values = least_values_along(mechanism, poses)[:, 1]
+    values = _least_along(mechanism, poses, mechanism.dependent)
     at_home = least_values(mechanism, mechanism.home)[1]
     inner = values[1:-1]
     lowest = (inner <= values[:-2]) & (inner <= values[2:]) & (inner < _DIP * at_home)
@@ -66,7 +66,7 @@ def dips(mechanism: Mechanism, poses: np.ndarray) -> list[int]:
 def all_regular(mechanism: Mechanism, poses: np.ndarray) -> bool:
     """Return whether no least singular value of J_z at poses (n, n_q) is so low that it wants a closer look."""
     at_home = least_values(mechanism, mechanism.home)[1]
-    return bool(np.all(least_values_along(mechanism, poses)[:, 1] >= _DIP * at_home))
+    return bool(np.all(_least_along(mechanism, poses, mechanism.dependent) >= _DIP * at_home))
 
 
 def vanishes(mechanism: Mechanism, q: np.ndarray) -> bool:

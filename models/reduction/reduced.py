@@ -8,6 +8,7 @@ v = s' and a = s'' belong to the independent joints, z are the dependent ones, J
 are independent all along, in overconstrained loops, E J stands in place of J: see `models.closure.redundancy`.
 """
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -15,7 +16,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.closure.equations import Closure
-from linkplan.models.closure.redundancy import ProjectedLoops, combination
+from linkplan.models.closure.redundancy import ProjectedLoops, combination, jacobians_at_random
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.dynamics import Tree
 from linkplan.models.tree.sites import site_places
@@ -57,10 +58,31 @@ class ReducedDynamics:
     residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
     acceleration: ca.Function  # q, v, u -> a (n_s,)
     flow: ca.Function  # q, v, u -> q' (n_q,), v' (n_s,)
-    linearisation: ca.Function  # q, v, u -> da/ds, da/dv, da/du along the closed chain
     closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N], the least that does it; zero on closures left out
     energy: ca.Function  # q, v -> kinetic, potential [J]
     site_places: ca.Function  # q -> p_world (3, n_sites) [m] of every site of the model, whatever the payload
+
+    @property
+    def linearisation(self) -> ca.Function:
+        """q, v, u -> da/ds, da/dv, da/du along the closed chain; made when it is first asked for."""
+        return _linearisation(self)
+
+
+@functools.lru_cache(maxsize=64)
+def _linearisation(dynamics: ReducedDynamics) -> ca.Function:
+    """Return it by the implicit function theorem: M_r da = -(dr/dq Gamma ds + dr/dv dv) + Gamma^T B du, r the residual."""
+    of = dynamics.residual
+    inputs = [ca.SX.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in())]
+    q, v, a, u, *further = inputs
+    left = of(*inputs)
+    slopes = ca.Function("slopes", inputs, [ca.horzcat(ca.jacobian(left, q), ca.jacobian(left, v))])
+    by = slopes(q, v, dynamics.acceleration(q, v, u, *further), u, *further)
+    by_q, by_v = by[:, : q.numel()], by[:, q.numel() :]
+    right = ca.horzcat(-by_q @ dynamics.velocity_map(q, *further), -by_v, dynamics.effort_map(q, *further))
+    n_s = v.numel()
+    found = solve_positive(dynamics.reduced_inertia(q, *further), right)
+    outputs = [ca.densify(found[:, columns]) for columns in (slice(n_s), slice(n_s, 2 * n_s), slice(2 * n_s, None))]
+    return ca.Function("linearisation", [q, v, u, *further], outputs)
 
 
 def reduce_tree(
@@ -163,13 +185,6 @@ def reduce_tree(
         residual=function("residual", [q, v, a, u], inverse - effort_map @ u),
         acceleration=function("acceleration", [q, v, u], acceleration),
         flow=function("flow", [q, v, u], rates, acceleration),
-        linearisation=function(
-            "linearisation",
-            [q, v, u],
-            ca.jacobian(acceleration, q) @ gamma_map,
-            ca.jacobian(acceleration, v),
-            ca.jacobian(acceleration, u),
-        ),
         closure_force=function("closure_force", [q, v, a, u], force),
         energy=function("energy", [q, v], kinetic_at(q, rates, *further), tree.potential_energy),
         site_places=ca.Function("site_places", [q], [ca.densify(site_places(tree))]),
@@ -219,8 +234,7 @@ def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[slice]) -> 
     """
     n_rows = jacobian.size1_out(0)
     spread = np.eye(n_rows)
-    rng = np.random.default_rng(0)
-    samples = [np.array(jacobian(rng.uniform(-1.0, 1.0, jacobian.size1_in(0)))) for _ in range(3)]
+    samples = jacobians_at_random(jacobian)
     for gap in gaps:
         of = list(range(gap.start, gap.stop))
         kept = [row for row in of if row in chosen]

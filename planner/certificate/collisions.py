@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.contacts import Meeting, may_collide, meetings, new_meetings
+from linkplan.models.poses.contacts import Meeting, exclusion, may_collide, meetings, new_meetings
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
@@ -72,8 +72,7 @@ def noted(meeting: Meeting) -> str:
     depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep along the motion: its forces are not planned for"
     if meeting.since is not None:
         return f"contact of {who(meeting)} from t = {meeting.since:.5g} s on, {depth}"
-    one, other = meeting.bodies
     return (
         f"contact of {who(meeting)}, as deep at home, or on a pin that they share, {depth}; the simulator"
-        f' applies them unless told <exclude body1="{one}" body2="{other}"/>'
+        f" applies them unless told {exclusion(meeting.bodies)}"
     )

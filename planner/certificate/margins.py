@@ -205,7 +205,7 @@ def margins(
     corners = problem.robust.corners
     if corners:
         joints = tuple(joint.name for joint in mechanism.joints)
-        efforts = corner_efforts_along(mechanism, corners, q, v, a)
+        efforts = corner_efforts_along(mechanism, corners, q, v, a, u)
         for item, corner in enumerate(corners):
             for j, bounds in enumerate(problem.robust.room * limits.effort):
                 where = f"{names[j]} with {corner.said(joints)}"

@@ -167,7 +167,7 @@ def _path(
             path.append(ranged_control(mechanism.actuators[j], ctrl, u[j], gain, ca.fmax) / control_unit(mechanism, j))
     lengths = call("tendon_length", q) if asked.tendons else ca.SX(0, 1)
     path += [lengths[item] / mechanism.tendons[item].span for item in asked.tendons]
-    efforts = corner_efforts(mechanism, asked.corners, call, given["payload"], motion[:3])
+    efforts = corner_efforts(mechanism, asked.corners, call, given["payload"], motion)
     path += [effort / given["effort"] for effort in efforts]
     return path + [site_row(mechanism, key, q) for key in asked.sites]
 

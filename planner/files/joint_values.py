@@ -4,7 +4,7 @@ from typing import Any
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.keys.sections import Section
+from linkplan.planner.keys.section import Section
 
 
 def joint_values(section: Section, key: str, table_name: str, mechanism: Mechanism) -> dict[int, Any]:

@@ -8,7 +8,7 @@ from linkplan.models.names import choose
 from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.sites_file import site_limits_of
 from linkplan.planner.files.values import interval
-from linkplan.planner.keys.sections import LimitsSection, MotorSection, RobustSection
+from linkplan.planner.keys.limits_section import LimitsSection, MotorSection, RobustSection
 from linkplan.planner.problem.limits import Limits, Motor, free
 from linkplan.planner.problem.robust import Range, Robust
 

@@ -11,7 +11,7 @@ from linkplan.models.poses.equilibrium import resting, sprung_freedoms
 from linkplan.planner.closed_chain.prescribed import is_whole
 from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.sites_file import points_of, pose_at
-from linkplan.planner.keys.sections import MotionSection, WaypointSection
+from linkplan.planner.keys.motion_section import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.reference import Sine

@@ -25,16 +25,14 @@ from linkplan.planner.files.motion_file import motion_of
 from linkplan.planner.files.named_coordinates import coordinates_note, other_coordinates
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.files.trajectory_file import read_trajectory
+from linkplan.planner.keys.limits_section import LimitsSection, RobustSection
+from linkplan.planner.keys.motion_section import MotionSection, ReferenceSection
 from linkplan.planner.keys.reading import kind_of, read, read_section, refuse_unknown_keys
 from linkplan.planner.keys.sections import (
     GuessSection,
-    LimitsSection,
     MechanismSection,
     MeshSection,
-    MotionSection,
     ObjectiveSection,
-    ReferenceSection,
-    RobustSection,
     SolverSection,
     TrackingSection,
 )

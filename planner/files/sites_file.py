@@ -9,8 +9,9 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import SiteTargets, independent_rows_of, places_of, site_pose
 from linkplan.models.tree.sites import site_index
 from linkplan.planner.files.values import interval
+from linkplan.planner.keys.limits_section import SITE_LIMITS, Box, Tube, Wall
 from linkplan.planner.keys.reading import read
-from linkplan.planner.keys.sections import SITE_LIMITS, Box, Section, Tube, Wall
+from linkplan.planner.keys.section import Section
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.sites import AXES, SiteLimit, SitePoint
 

@@ -18,7 +18,6 @@ import errno
 import json
 import os
 import re
-import secrets
 import shutil
 import socket
 import stat
@@ -59,7 +58,7 @@ class WorkFolder:
 def work_folder(place: Path) -> Iterator[WorkFolder]:
     """Give a work folder beside a result's place, settled at the end whatever happens."""
     host = re.sub(r"[^A-Za-z0-9.]", "_", socket.gethostname())[:32] or "host"
-    identity = secrets.token_hex(8)
+    identity = os.urandom(8).hex()
     path = place.parent / f"{_PREFIX}{host}-{os.getpid()}-{identity}"
     lock = None
     try:

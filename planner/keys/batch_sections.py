@@ -5,7 +5,7 @@ from typing import Annotated, Any
 from msgspec import Meta
 
 from linkplan.planner.keys.kinds import Settings
-from linkplan.planner.keys.sections import Section, key
+from linkplan.planner.keys.section import Section, key
 
 # A folder is named after each case: no separators, no wildcards, nothing that cannot be seen.
 _FOLDER_NAME = Meta(

@@ -5,7 +5,9 @@ from typing import Any
 import msgspec
 
 from linkplan.planner.keys.batch_sections import BatchFile
-from linkplan.planner.keys.sections import SITE_LIMITS, ProblemFile, Section
+from linkplan.planner.keys.limits_section import SITE_LIMITS
+from linkplan.planner.keys.section import Section
+from linkplan.planner.keys.sections import ProblemFile
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 FILES: dict[str, type[Section]] = {"problem": ProblemFile, "batch": BatchFile}

@@ -9,7 +9,8 @@ import msgspec
 
 from linkplan.planner.keys.kinds import LARGEST
 from linkplan.planner.keys.refusals import range_words, without_metadata, words
-from linkplan.planner.keys.sections import ProblemFile, Section
+from linkplan.planner.keys.section import Section
+from linkplan.planner.keys.sections import ProblemFile
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -6,29 +6,14 @@ key, slides in metres with `_m`; all else is SI.
 
 from typing import TYPE_CHECKING, Annotated, Any
 
-from msgspec import Meta, Struct, defstruct
+from msgspec import Meta, defstruct
 
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.keys import kinds
+from linkplan.planner.keys.limits_section import LimitsSection, Motor, RobustSection
+from linkplan.planner.keys.motion_section import MotionSection, ReferenceSection
 from linkplan.planner.keys.quantities import FORMS, QUANTITIES, WORDS, Quantity, spread_schema
-
-# The value of a key that is left out and has no single default. No file can say it: no kind of value admits it.
-ABSENT: Any = None
-
-
-def key(meaning: str, unit: str = "", default: str = "") -> Meta:
-    """Return what is said of a key: its meaning, its unit, and its default in words where that is no single value."""
-    said = f"{meaning[0].upper()}{meaning[1:]}" + (f" [{unit}]" if unit else "") + "."
-    shown = {"x-unit": unit} if unit else {}
-    return Meta(
-        description=f"{said} Default: {default}." if default else said,
-        extra={"meaning": meaning, "unit": unit, "default": default},
-        extra_json_schema=shown,
-    )
-
-
-class Section(Struct, frozen=True, forbid_unknown_fields=True):
-    """A table of known keys."""
+from linkplan.planner.keys.section import ABSENT, Section, key
 
 
 class PayloadSection(Section, frozen=True):
@@ -77,74 +62,6 @@ class MechanismSection(Section, frozen=True):
     ] = ABSENT
 
 
-class WaypointSection(Section, frozen=True):
-    """A state on the way: a position, a speed or both, at a time or at one that is free."""
-
-    at_deg: Annotated[kinds.Angles, key("hinges' angles there", "deg", "free")] = {}
-    at_m: Annotated[kinds.Numbers, key("slides' positions there", "m", "free")] = {}
-    at: Annotated[kinds.Places, key("where sites are there, in place of joints", "m", "free")] = {}
-    speed_deg_s: Annotated[kinds.Numbers, key("hinges' speeds there", "deg/s", "free")] = {}
-    speed_m_s: Annotated[kinds.Numbers, key("slides' speeds there", "m/s", "free")] = {}
-    time_s: Annotated[kinds.Positive | kinds.Free, key("when it is passed", "s")] = "free"
-
-
-# Of where a motion starts and ends.
-_OPEN = "free in a periodic motion; a reach needs it"
-
-
-class MotionSection(Section, frozen=True):
-    """The motion: from where to where, by way of what, in how long."""
-
-    kind: Annotated[
-        kinds.Kind,
-        key("from start to goal; back to its own first state; or the reference itself, followed exactly"),
-    ]
-    start_deg: Annotated[kinds.Angles, key("where it starts: hinges' angles by joint", "deg", _OPEN)] = {}
-    start_m: Annotated[kinds.Numbers, key("where it starts: slides' positions", "m", _OPEN)] = {}
-    start_at: Annotated[kinds.Places, key("where sites are at the start, in place of joints", "m", "joints say it")] = {}
-    goal_deg: Annotated[kinds.Angles, key("where it ends, or is after half a period: hinges' angles", "deg", _OPEN)] = {}
-    goal_m: Annotated[kinds.Numbers, key("where it ends: slides' positions", "m", _OPEN)] = {}
-    goal_at: Annotated[kinds.Places, key("where sites are at the end, in place of joints", "m", "joints say it")] = {}
-    start_speed_deg_s: Annotated[kinds.Numbers, key("hinges' speeds at the start", "deg/s", "at rest")] = {}
-    start_speed_m_s: Annotated[kinds.Numbers, key("slides' speeds at the start", "m/s", "at rest")] = {}
-    goal_speed_deg_s: Annotated[kinds.Numbers, key("hinges' speeds at the end", "deg/s", "at rest")] = {}
-    goal_speed_m_s: Annotated[kinds.Numbers, key("slides' speeds at the end", "m/s", "at rest")] = {}
-    duration_s: Annotated[
-        kinds.Duration | kinds.Free, key('how long it takes, or "free"', "s", "free, or the reference's period")
-    ] = ABSENT
-    min_duration_s: Annotated[kinds.ShortDuration, key("the shortest free duration", "s", "any")] = ABSENT
-    max_duration_s: Annotated[kinds.Duration, key("the longest free duration", "s", "any")] = ABSENT
-    waypoints: Annotated[
-        list[WaypointSection],
-        Meta(
-            extra={
-                "said": f"a list of tables with keys {', '.join(WaypointSection.__struct_fields__)}",
-                "numbered": True,
-            }
-        ),
-        key(
-            "states on the way, passed in order: at_deg, at_m or at (of sites), speed_deg_s, speed_m_s, each at its time_s"
-            " or at a free time",
-            default="none",
-        ),
-    ] = []
-    turns: Annotated[
-        kinds.WholeTurns,
-        key("whole turns by which hinges of a periodic motion go on in a period", default="none: it returns in full"),
-    ] = ABSENT
-
-
-class ReferenceSection(Section, frozen=True):
-    """A sinusoid for each independent joint: bias + amplitude sin(2 pi frequency t + phase)."""
-
-    frequency_hz: Annotated[kinds.Frequency, key("common to all joints: its period is the motion's", "Hz")]
-    amplitude_deg: Annotated[kinds.Angles, key("hinges' amplitudes", "deg", "none: each joint needs one")] = {}
-    amplitude_m: Annotated[kinds.Numbers, key("slides' amplitudes", "m", "none: each joint needs one")] = {}
-    bias_deg: Annotated[kinds.Angles, key("hinges' mean angles", "deg", "0")] = {}
-    bias_m: Annotated[kinds.Numbers, key("slides' mean positions", "m", "0")] = {}
-    phase_deg: Annotated[kinds.Phases, key("phases by joint", "deg", "0")] = {}
-
-
 class ObjectiveSection(Section, frozen=True):
     """What the motion is best in."""
 
@@ -156,86 +73,6 @@ class ObjectiveSection(Section, frozen=True):
             default="effort; tracking where there is a reference to follow",
         ),
     ] = ABSENT
-
-
-class Box(Section, frozen=True):
-    """Bounds on where a site is, coordinate by coordinate."""
-
-    x: Annotated[kinds.Interval, key("[low, high] of x; ends may be infinite", "m", "any")] = ABSENT
-    y: Annotated[kinds.Interval, key("[low, high] of y", "m", "any")] = ABSENT
-    z: Annotated[kinds.Interval, key("[low, high] of z", "m", "any")] = ABSENT
-
-
-class Wall(Section, frozen=True):
-    """A plane that a site stays on one side of."""
-
-    normal: Annotated[kinds.Point, key("points to the side that is free")]
-    at: Annotated[kinds.Point, key("a point of the wall", "m")]
-
-
-class Tube(Section, frozen=True):
-    """A polyline that a site stays near to."""
-
-    along: Annotated[kinds.Corners, key("the corners of the polyline", "m")]
-    radius_m: Annotated[kinds.Positive, key("how far from the polyline the site may be", "m")]
-
-
-# Told apart by their keys, in this order.
-SITE_LIMITS: tuple[type[Section], ...] = (Wall, Tube, Box)
-_SITE_LIMIT = Meta(
-    extra={"said": "a box, a wall or a tube", "shapes": SITE_LIMITS},
-    extra_json_schema={"minProperties": 1, "anyOf": [{"$ref": f"#/$defs/{shape.__name__}"} for shape in SITE_LIMITS]},
-)
-SiteLimit = Annotated[dict[str, Any], _SITE_LIMIT]
-_SITES = Meta(extra={"of": "site = limits", "noun": "site"})
-
-
-class LimitsSection(Section, frozen=True):
-    """What holds at every instant."""
-
-    effort: Annotated[kinds.Efforts, key("by actuator, [low, high]", "N.m, N", "the model's own")] = {}
-    range_deg: Annotated[
-        kinds.Ranges, key("hinges' ranges, dependent ones too, within the model's own", "deg", "the model's own")
-    ] = {}
-    range_m: Annotated[kinds.Ranges, key("slides' ranges", "m", "the model's own")] = {}
-    speed_deg_s: Annotated[
-        kinds.Speeds, key("hinges' speeds, dependent ones too: a number for both ways, or [low, high]", "deg/s", "none")
-    ] = {}
-    speed_m_s: Annotated[kinds.Speeds, key("slides' speeds", "m/s", "none")] = {}
-    effort_rate: Annotated[
-        kinds.ActuatorLimits, key("of efforts, which then have no jumps, by actuator", "N.m/s, N/s", "none")
-    ] = {}
-    power_w: Annotated[kinds.ActuatorLimits, key("mechanical power by actuator: a number, or [low, high]", "W", "none")] = {}
-    closure_force: Annotated[kinds.ClosureLimits, key("what a closure's pin is rated at", "N", "none")] = {}
-    reserve: Annotated[kinds.Margin, key("the share of every effort limit that a plan leaves to feedback")] = 0.0
-    singular_margin: Annotated[kinds.Margin, key("the least det J_z along the motion, as a share of that at home")] = 0.0
-    site: Annotated[
-        dict[str, SiteLimit | list[SiteLimit]],
-        _SITES,
-        key("boxes, walls and tubes that sites stay within, one or a list of them", "m", "none"),
-    ] = {}
-    contacts: Annotated[
-        kinds.Contacts, key("a plan on whose way geoms meet is refused, or noted and planned without their forces")
-    ] = "refuse"
-
-
-class MotorSection(Section, frozen=True):
-    """The motor behind an actuator, in the actuator's own effort and speed."""
-
-    torque_constant: Annotated[
-        kinds.Positive, key("effort per current; with resistance_ohm it gives the copper loss", "N.m/A, N/A", "unknown")
-    ] = ABSENT
-    resistance_ohm: Annotated[kinds.Positive, key("of the winding", "ohm", "unknown")] = ABSENT
-    stall_effort: Annotated[
-        kinds.Positive, key("at rest; with the no-load speed it gives the torque-speed line", "N.m, N", "unknown")
-    ] = ABSENT
-    no_load_speed_deg_s: Annotated[kinds.Positive, key("of an actuator that turns", "deg/s", "unknown")] = ABSENT
-    no_load_speed_m_s: Annotated[kinds.Positive, key("of one that slides", "m/s", "unknown")] = ABSENT
-
-
-_TOGETHER = {"torque_constant": ["resistance_ohm"], "resistance_ohm": ["torque_constant"]}
-Motor = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
-_MOTORS = Meta(extra={"of": "actuator = its motor", "noun": "actuator of [motors]"})
 
 
 class GuessSection(Section, frozen=True):
@@ -292,24 +129,6 @@ class SolverSection(Section, frozen=True):
     starts: Annotated[kinds.Starts, key("of so many motions to start from, the best answer is kept")] = 1
 
 
-class RobustSection(Section, frozen=True):
-    """Machines for which one motion keeps every effort limit: all within these ranges, at every corner."""
-
-    payload_factor: Annotated[
-        kinds.Interval, key("[low, high] of the factor on the payload's mass and inertia", default="[1, 1]")
-    ] = ABSENT
-    torque_constant_factor: Annotated[
-        kinds.Interval,
-        key("[low, high] of the factor on what an actuator gives for the effort that it is told", default="[1, 1]"),
-    ] = ABSENT
-    viscous_friction: Annotated[
-        kinds.Ranges, key("[low, high] of a joint's damping beside the model's", "N.m.s/rad, N.s/m", "none")
-    ] = {}
-    coulomb_friction: Annotated[
-        kinds.Ranges, key("[low, high] of a joint's dry friction, against the motion or with it", "N.m, N", "none")
-    ] = {}
-
-
 class TrackingSection(Section, frozen=True):
     """How the plan is tracked in simulation: gains, sampling, delay."""
 
@@ -361,6 +180,9 @@ else:  # its keys stand where their ranges are
         namespace={"__doc__": "What is wrong with simulated machines: where each quantity's value lies."},
         module=__name__,
     )
+
+
+_MOTORS = Meta(extra={"of": "actuator = its motor", "noun": "actuator of [motors]"})
 
 
 class ProblemFile(Section, frozen=True, kw_only=True):

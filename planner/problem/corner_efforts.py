@@ -16,14 +16,17 @@ def corner_efforts(
 ) -> list[ca.SX]:
     """Return the efforts (n_u,) of each corner that a motion (q, v, a) needs.
 
+    Where there are more actuators than degrees of freedom, efforts that make a motion are not the only ones: a corner has the
+    plan's own share of them, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u), and so the plan's u as modelled.
+
     Args:
-        mechanism: with an actuator for each degree of freedom.
+        mechanism: whose actuators move every degree of freedom.
         corners: of the ranges.
         call: a function of the reduced dynamics by name, of the machine as modelled.
         payload: its numbers (7,), none without one.
-        motion: q (n_q,), v and a (n_s,).
+        motion: q (n_q,), v and a (n_s,), and the plan's efforts u (n_u,).
     """
-    q, v, a = motion
+    q, v, a, u = motion
     gamma, effort_map = call("velocity_map", q), call("effort_map", q)
     rates = gamma @ v
     needed: dict[float, ca.SX] = {}
@@ -39,19 +42,23 @@ def corner_efforts(
         tau = needed[factor]
         for joint, viscous, coulomb in corner.friction:
             tau = tau + gamma[joint, :].T * (viscous * rates[joint] + coulomb)
-        found.append(ca.solve(effort_map, tau) / corner.torque_factor)
+        if mechanism.n_u == mechanism.dof:
+            found.append(ca.solve(effort_map, tau) / corner.torque_factor)
+        else:
+            found.append(u + ca.pinv(effort_map) @ (tau / corner.torque_factor - effort_map @ u))
     return found
 
 
-def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a) -> np.ndarray:
-    """Return the efforts (n, n_corners, n_u) [N.m or N] of each corner along samples q (n, n_q), v, a (n, n_s)."""
-    found = sampled(_function(mechanism, corners), q, v, a)
+def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a, u) -> np.ndarray:
+    """Return the efforts (n, n_corners, n_u) [N.m or N] of each corner along samples q (n, n_q), v, a (n, n_s), u (n, n_u)."""
+    found = sampled(_function(mechanism, corners), q, v, a, u)
     return found.reshape(len(q), len(corners), mechanism.n_u)
 
 
 @functools.lru_cache(maxsize=16)
 def _function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
-    q, v, a = ca.SX.sym("q", mechanism.n_q), ca.SX.sym("v", mechanism.dof), ca.SX.sym("a", mechanism.dof)
+    sizes = {"q": mechanism.n_q, "v": mechanism.dof, "a": mechanism.dof, "u": mechanism.n_u}
+    motion = tuple(ca.SX.sym(name, size) for name, size in sizes.items())
     payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
-    efforts = corner_efforts(mechanism, corners, lambda name, *x: getattr(mechanism.dynamics, name)(*x), payload, (q, v, a))
-    return ca.Function("corners", [q, v, a], [ca.densify(ca.vertcat(*efforts))])
+    efforts = corner_efforts(mechanism, corners, lambda name, *x: getattr(mechanism.dynamics, name)(*x), payload, motion)
+    return ca.Function("corners", list(motion), [ca.densify(ca.vertcat(*efforts))])

@@ -132,10 +132,12 @@ class PlanningProblem:
     def _check_robust(self) -> None:
         """Refuse ranges that mean nothing on this mechanism."""
         robust, mechanism = self.robust, self.mechanism
-        if robust.corners and mechanism.n_u != mechanism.dof:
+        driven = int(np.linalg.matrix_rank(np.array(mechanism.dynamics.effort_map(mechanism.home)))) if robust.corners else 0
+        if robust.corners and driven < mechanism.dof:
             raise ProblemError(
-                f"[robust] needs one actuator for every degree of freedom; '{mechanism.name}' has {mechanism.n_u} for"
-                f" {mechanism.dof}"
+                "[robust] keeps one motion for every machine within its ranges, which takes actuators that move every degree of"
+                f" freedom; those of '{mechanism.name}' move {driven} of {mechanism.dof}, and how the rest moves depends on the"
+                " machine"
             )
         if robust.payload_factor != (1.0, 1.0) and mechanism.payload is None:
             raise ProblemError("robust.payload_factor needs a mechanism.payload; there is none")

@@ -12,7 +12,8 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.keys.kinds import BREAKS, MAX_DELAY
 from linkplan.planner.keys.reading import checked
-from linkplan.planner.keys.sections import MeshSection, Section, SolverSection, TrackingSection
+from linkplan.planner.keys.section import Section
+from linkplan.planner.keys.sections import MeshSection, SolverSection, TrackingSection
 from linkplan.planner.problem.values import frozen, plain, whole
 from linkplan.planner.transcription.schemes import scheme
 

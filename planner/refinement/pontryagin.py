@@ -11,34 +11,45 @@ from linkplan.planner.solvers.solve import Solution
 
 # A multiplier of the wrong sign that is larger than this share of the largest is no rounding.
 _WRONG = 1e-2
-# Quantities whose rate along a motion no effort changes at once: held, they are constraints of second order. Their multiplier
-# is a measure with impulses at an arc's ends (Hartl, Sethi and Vickson 1995), which a transcription gives as values that
-# alternate from interval to interval: only an arc's sum has a sign. An ODE's own quantities may be such ones.
+# Quantities whose rate along a motion no effort changes at once: held, they are constraints of second order. Their
+# multiplier is a measure with impulses at an arc's ends (Hartl, Sethi and Vickson 1995), which a transcription gives as
+# values that alternate from interval to interval: only an arc's sum has a sign. An ODE's own quantities may be such ones.
 _SECOND_ORDER = ("site", "tube", "tendon", "singular", "path")
 
 
 def arcs_against_their_limits(solution: Solution) -> np.ndarray:
     """Return the instants (n,) [s], middles of intervals, at which what is held would better not be."""
-    transcribed, multipliers = solution.transcribed, solution.multipliers
-    if multipliers is None or (transcribed.bang_efforts is None and transcribed.constrained_paths is None):
-        return np.empty(0)
-    program, mesh = transcribed.program, transcribed.program.mesh
-    wrong = np.zeros(mesh.n_intervals, dtype=bool)
-    # An effort whose rate is limited is a state: what holds it acts on the whole arc, and has no sign at each instant.
-    if transcribed.bang_efforts is not None and "effort_rate" not in program.interval.own_kinds:
-        _, gradient = program.functions["grad_f"](solution.x, transcribed.parameters)
-        _, jacobian = program.functions["jac_g"](solution.x, transcribed.parameters)
-        reduced = np.array(gradient).ravel() + np.array(jacobian.T @ multipliers).ravel()
-        wrong |= _wrong(_of_efforts(transcribed, reduced))
-    if transcribed.constrained_paths is not None:
-        wrong |= _wrong(_of_paths(transcribed, multipliers))
-    breaks = mesh.breaks(solution.x[program.layout.durations()] * transcribed.units.time_s)
+    breaks = interval_breaks(solution)
+    wrong = np.hstack(held_wrongly(solution)).any(axis=1)
     return 0.5 * (breaks[1:] + breaks[:-1])[wrong]
 
 
+def interval_breaks(solution: Solution) -> np.ndarray:
+    """Return the ends of a solution's intervals (n + 1,) [s]."""
+    program, transcribed = solution.transcribed.program, solution.transcribed
+    return program.mesh.breaks(solution.x[program.layout.durations()] * transcribed.units.time_s)
+
+
+def held_wrongly(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Return on which intervals efforts (n, n_u) and path quantities (n, n_path) are held that would better not be."""
+    transcribed, multipliers = solution.transcribed, solution.multipliers
+    program, mesh = transcribed.program, transcribed.program.mesh
+    efforts = np.zeros((mesh.n_intervals, program.layout.n_u), dtype=bool)
+    paths = np.zeros((mesh.n_intervals, program.interval.n_path), dtype=bool)
+    # An effort whose rate is limited is a state: what holds it acts on the whole arc, and has no sign at each instant.
+    if multipliers is not None and transcribed.bang_efforts is not None and "effort_rate" not in program.interval.own_kinds:
+        _, gradient = program.functions["grad_f"](solution.x, transcribed.parameters)
+        _, jacobian = program.functions["jac_g"](solution.x, transcribed.parameters)
+        reduced = np.array(gradient).ravel() + np.array(jacobian.T @ multipliers).ravel()
+        efforts = _wrong(_of_efforts(transcribed, reduced))
+    if multipliers is not None and transcribed.constrained_paths is not None:
+        paths = _wrong(_of_paths(transcribed, multipliers))
+    return efforts, paths
+
+
 def _wrong(pushes: np.ndarray) -> np.ndarray:
-    """Return which intervals (n,) have a push (n, k) off their limit, against the largest one onto it."""
-    return np.any(pushes < -_WRONG * np.abs(pushes).max(initial=np.finfo(float).tiny), axis=1)
+    """Return which pushes (n, k) are off their limit, against the largest one onto it."""
+    return pushes < -_WRONG * np.abs(pushes).max(initial=np.finfo(float).tiny)
 
 
 def _of_efforts(transcribed, reduced: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.refinement.case import Aims, Case, CertificateT, Findings, Found, MotionT, attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, standing_off
 from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.switch_search import at_bounds, is_bang_bang, settle_switch_times
 from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.solvers.outcome import SUCCEEDED
@@ -71,6 +72,11 @@ class Refined(Generic[MotionT, CertificateT]):
     certificate: CertificateT
     settled: bool
     moved: float = 0.0
+
+    @property
+    def against(self) -> np.ndarray:
+        """The instants (n,) [s] at which what is held would better not be: none of a local optimum."""
+        return arcs_against_their_limits(self.solution)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -189,7 +195,9 @@ def refine(
         n_finer = _grown(at.found.mesh, marked)
         if turn >= _ROUNDS and not (aims.tolerance_given and leaves):
             break
-        if n_finer > finest or (passed is not None and not aims.tolerance_given and n_finer > _COMFORTABLE):
+        # What errs on each finer mesh by as much as before is another motion on each.
+        wandering = marked.any() and at.findings is not None and not at.findings.exact and not leaves and not over.any()
+        if n_finer > finest or ((passed is not None or wandering) and not aims.tolerance_given and n_finer > _COMFORTABLE):
             if loose and at.passed and polished < _POLISHED and is_bang_bang(case, solution.transcribed):
                 # Its switches lie inside intervals, which no finer mesh will part: they are read from a motion that passes.
                 polished += 1
@@ -212,7 +220,9 @@ def refine(
         if position_rows and not begun and aims.switches:
             finer = settle_switch_times(kept, replace(finer, fixed=None), history, say, position_rows=True)
         at = _judged(case, finer, history)
-        now = max(at.findings.integration_error or 0.0, abs(at.found.solution.objective - before)) if at.findings else np.inf
+        now = np.inf if at.findings is None else at.findings.integration_error_deg or at.findings.integration_error or 0.0
+        if np.isfinite(before):
+            now = max(now, abs(at.found.solution.objective - before))
         left, leaves = now, now <= _LEAVES * left
     if not (at.passed and settled and aims.objective_tolerance is not None):
         at = better_of(best, at, aims) if at.passed else best or at

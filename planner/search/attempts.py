@@ -13,8 +13,8 @@ from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.refine import refine
+from linkplan.planner.refinement.released_arcs import arcs_let_go
 from linkplan.planner.search.durations import with_longer_durations
 from linkplan.planner.search.first_mesh import PER_SWING, first_mesh, graded_mesh
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
@@ -96,11 +96,12 @@ def certified(
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
         return Plan(problem=problem, status="failed", message=message, history=tuple(history))
+    better = arcs_let_go(case, better, history, say)
     solved_for = better.solution
     better, change = unsmoothed(case, better, history, say)
     solution = better.solution
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
-    against = arcs_against_their_limits(solution)
+    against = better.against
     plan = finished(problem, better.motion, better.certificate, objective, history, None, optimal=not len(against))
     moved = change if better.solution is not solved_for else better.moved
     said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > MOVES else ""

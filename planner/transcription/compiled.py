@@ -17,12 +17,11 @@ import shlex
 import shutil
 import subprocess
 import sys
-import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import IO, TypeVar
+from typing import TypeVar
 
 import casadi as ca
 
@@ -53,8 +52,8 @@ _FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
 # Sources beyond this many bytes (a leg of thirteen joints makes seven million) take -O2 minutes, and -O0 seconds: their
 # code is then three times as fast as the interpreter's in place of ten.
 _LARGE_BYTES, _LARGE_FLAGS = 2_000_000, ("-O0", "-ffp-contract=off", "-fPIC", "-shared")
-# A compiler that hangs must not hang the planner; these functions take seconds, its version less than one.
-_TIMEOUT_S, _VERSION_S = 120.0, 10.0
+# A compiler that hangs must not hang the planner; these functions take seconds.
+_TIMEOUT_S = 120.0
 # The sources that write an interval's functions from those of a node: this room's.
 _SOURCES = sorted(Path(__file__).parent.glob("*.py"))
 
@@ -79,12 +78,13 @@ def _common_key() -> bytes:
     for path in _SOURCES:
         digest.update(path.read_bytes())
     command = compiler() or ()
-    version = b""
-    if command:
-        with contextlib.suppress(OSError, subprocess.SubprocessError):
-            version = _said([*command, "--version"])
     digest.update(repr((ca.__version__, command, _FLAGS, os.uname().machine if hasattr(os, "uname") else "")).encode())
-    digest.update(version)
+    for word in command:  # another version is another file: to ask it takes a process
+        with contextlib.suppress(OSError):
+            program = Path(shutil.which(word) or "").resolve()
+            if program.is_file():
+                found = program.stat()
+                digest.update(repr((str(program), found.st_size, found.st_mtime_ns)).encode())
     return digest.digest()
 
 
@@ -210,19 +210,11 @@ def _written(functions: Code, work: Path, key: str) -> tuple[dict, list[str]]:
     return said, command
 
 
-def _said(command: list[str]) -> bytes:
-    """Return what a command prints."""
-    with tempfile.TemporaryFile() as said:
-        _run(command, None, _VERSION_S, said)
-        said.seek(0)
-        return said.read()
-
-
-def _run(command: list[str], work: Path | None, timeout_s: float | None = None, said: IO[bytes] | None = None) -> None:
+def _run(command: list[str], work: Path) -> None:
     """Run a compiler in a folder; as of `run_with_children`.
 
     Raises:
         OSError: where it cannot be started.
         subprocess.SubprocessError: where it fails, or takes too long.
     """
-    run_with_children(command, work, _TIMEOUT_S if timeout_s is None else timeout_s, said)
+    run_with_children(command, work, _TIMEOUT_S)

@@ -125,39 +125,42 @@ def quantities(path: KinematicLoopPath) -> list[Column]:
     independent, actuators = list(enumerate(mechanism.independent_joints)), list(enumerate(mechanism.actuators))
     columns: list[Column] = []
 
-    def add(head: str, unit: str, values: np.ndarray, kind: np.ndarray) -> None:
-        columns.append(Column(head=head, unit=unit, values=values, scale=_scale(kind)))
+    def add(head: str, unit: str, values: np.ndarray, scale: float) -> None:
+        columns.append(Column(head=head, unit=unit, values=values, scale=scale))
 
     at_all = acts(path)
     for j, actuator in actuators:
+        scale = _scale(path.ratio[..., j])
         for i, joint in independent:
             if at_all[i, j]:
                 add(
                     f"{actuator.name}->{joint.name}",
                     ratio_unit(joint, actuator.unit),
                     path.ratio[:, i, j],
-                    path.ratio[..., j],
+                    scale,
                 )
     own = path.reduced_inertia.diagonal(axis1=1, axis2=2)
     felt = _same(own, path.reflected_inertia)
     for i, joint in independent:
         also = "".join(f" = at {actuator.name}" for j, actuator in actuators if felt[j] == i)
-        add(f"inertia {joint.name}{also}", inertia_unit(joint), own[:, i], own[:, i])
+        add(f"inertia {joint.name}{also}", inertia_unit(joint), own[:, i], _scale(own[:, i]))
     for j, actuator in actuators:
         if felt[j] is None:
             values = path.reflected_inertia[:, j]
-            add(f"inertia at {actuator.name}", "kg m2" if actuator.unit == "N.m" else "kg", values, values)
+            add(f"inertia at {actuator.name}", "kg m2" if actuator.unit == "N.m" else "kg", values, _scale(values))
+    weight, hold, available = (_scale(x) for x in (path.gravity_effort, path.holding_effort, path.available_effort))
     for i, joint in independent:
-        add(f"weight alone {joint.name}", effort_unit(joint), path.gravity_effort[:, i], path.gravity_effort)
+        add(f"weight alone {joint.name}", effort_unit(joint), path.gravity_effort[:, i], weight)
     for j, actuator in actuators:
-        add(f"hold {actuator.name}", actuator.unit, path.holding_effort[:, j], path.holding_effort)
+        add(f"hold {actuator.name}", actuator.unit, path.holding_effort[:, j], hold)
     for i, joint in independent:
         if actuators:
-            add(f"available {joint.name}", effort_unit(joint), path.available_effort[:, i], path.available_effort)
+            add(f"available {joint.name}", effort_unit(joint), path.available_effort[:, i], available)
     if len(mechanism.dependent):
-        add("det J_z/home", "1", path.singularity, path.singularity)
+        add("det J_z/home", "1", path.singularity, _scale(path.singularity))
+    force = _scale(path.closure_force)
     for c, name in enumerate(mechanism.closure_names):
-        add(f"force {name}", "N", path.closure_force[:, c], path.closure_force)
+        add(f"force {name}", "N", path.closure_force[:, c], force)
     return columns
 
 
@@ -191,10 +194,10 @@ def weight_sentences(path: KinematicLoopPath) -> list[str]:
 
 def unheld_sentences(path: KinematicLoopPath) -> list[str]:
     """Return a sentence for each coordinate that no effort of the actuators holds still at some pose of a path."""
-    said = []
+    said, least = [], _BEYOND * _scale(path.gravity_effort)
     for i, joint in enumerate(path.mechanism.independent_joints):
         missing = np.abs(path.unheld_effort[:, i])
-        beyond = missing > _BEYOND * _scale(path.gravity_effort)
+        beyond = missing > least
         if beyond.any():
             k = int(np.argmax(missing))
             said.append(

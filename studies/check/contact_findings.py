@@ -3,7 +3,7 @@
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.contacts import ContactPair, Meeting, meetings
+from linkplan.models.poses.contacts import ContactPair, Meeting, exclusion, meetings
 from linkplan.planner.certificate.collisions import who
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 
@@ -29,7 +29,11 @@ def contact_findings(
         treatment: the problem's `contacts`, "refuse" or "note".
     """
     if path is None:
-        return [f"{reach_sentence(pair, n_poses)}: contact forces are not planned for" for pair in pairs], []
+        return [
+            f"{reach_sentence(pair, n_poses)}: contact forces are not planned for; where the links pass side by side,"
+            f" {exclusion(pair.bodies)} in the model's <contact> says so"
+            for pair in pairs
+        ], []
     way = np.arange(float(len(path.poses)))
 
     def position_at(at: np.ndarray) -> np.ndarray:
@@ -42,7 +46,7 @@ def contact_findings(
             depth = f"up to {1e3 * meeting.depth_m:.2g} mm deep"
             notes.append(
                 f"{who(meeting)} overlap as deep at home, or on a pin that they share, {depth}: contact forces are not"
-                " planned for"
+                f" planned for; the simulator applies them unless told {exclusion(meeting.bodies)}"
             )
         elif treatment == "note":
             notes.append(f"{_on_the_way(mechanism, meeting, path, position_at)}: contact forces are not planned for")

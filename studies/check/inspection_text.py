@@ -16,10 +16,11 @@ def inspection_text(found: Inspection) -> str:
     """Return the report on an assembled mechanism."""
     mechanism = found.mechanism
     n_rows = mechanism.n_closure_rows
+    rows = f"{n_rows} row{'s' if n_rows != 1 else ''}"
     lines = [
         f"{mechanism.name}: {mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
         f" ({', '.join(j.name for j in mechanism.independent_joints)} independent of {mechanism.n_q} joints)",
-        f"closure: {', '.join(mechanism.closure_names) or 'none'}: {n_rows} rows, rank {len(mechanism.closure_rows)},"
+        f"closure: {', '.join(mechanism.closure_names) or 'none'}: {rows}, rank {len(mechanism.closure_rows)},"
         f" gap {error_figure(found.closure_gap_m)} m",
         "home: "
         + ", ".join(f"{j.name} = {j.said(x, 5)} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)),

@@ -7,17 +7,20 @@ coordinate's speed (virtual work). m_j is the inertia that actuator j feels, the
 Robotics and Automation 3, 1987, for a point; here for an actuator's length). Efforts and forces are those at rest.
 """
 
+import functools
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import needed_effort, sampled
+from linkplan.models.poses.along import least_effort, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import Reach
+from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.planner.closed_chain.guess import first_guess, poses_along
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import start_pose_of
@@ -80,7 +83,9 @@ def measure(
     still = np.zeros((len(poses), mechanism.dof))
     ratio = sampled(dynamics.effort_map, poses)
     inertia = sampled(dynamics.reduced_inertia, poses)
-    holding, unheld = needed_effort(mechanism, poses, still, still)
+    weight = sampled(_at_rest(dynamics), poses)[:, :, 0]
+    holding = least_effort(weight, ratio)
+    unheld = weight - np.einsum("ksu,ku->ks", ratio, holding)
     force = sampled(dynamics.closure_force, poses, still, still, holding)[:, :, 0]
     sizes = [np.linalg.norm(force[:, mechanism.closure_slice(c)], axis=1) for c in range(len(mechanism.closure_names))]
     return KinematicLoopPath(
@@ -101,6 +106,14 @@ def measure(
         singularity=_singularity(mechanism, poses),
         closure_force=np.array(sizes).T.reshape(len(poses), -1),
     )
+
+
+@functools.lru_cache(maxsize=16)
+def _at_rest(dynamics: ReducedDynamics) -> ca.Function:
+    """Return q -> the generalised effort (n_s,) that holds a pose: an eighth of the inverse dynamics of a moving one."""
+    inverse = dynamics.inverse_dynamics
+    q, still = ca.SX.sym("q", inverse.size1_in(0)), ca.SX.zeros(inverse.size1_in(1))
+    return ca.Function("at_rest", [q], [ca.densify(inverse(q, still, still))])
 
 
 def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[KinematicLoopPath, ...]:
@@ -131,6 +144,8 @@ def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
 def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     """Return poses with others put in between, equally many in each gap, where they are fewer than a path's samples."""
     parts = int(np.ceil((_SAMPLES - 1) / max(1, len(poses) - 1)))
+    if parts == 1:
+        return poses
     places = poses[:, mechanism.independent]
     shares = np.arange(1, parts)[:, None] / parts
     gaps = [one + shares * (other - one) for one, other in pairwise(places)]

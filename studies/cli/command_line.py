@@ -3,7 +3,7 @@
 import argparse
 
 from linkplan.controllers.controls import keys_said
-from linkplan.studies.cli.parser import Parser
+from linkplan.studies.cli.parser import NoParser, Parser
 from linkplan.studies.cli.shells import SHELLS
 from linkplan.studies.export.formats import FORMATS
 from linkplan.studies.output.tables import folded
@@ -14,8 +14,12 @@ full disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 the
 reader of stdout left before the result, which no -o has saved"""
 
 
-def build_parser() -> Parser:
-    """Return the command line's parser."""
+def build_parser(only: str | None = None) -> Parser:
+    """Return the command line's parser.
+
+    Args:
+        only: the command whose words are to be parsed, where it is known already; the others are then left out.
+    """
     parser = Parser(
         prog="linkplan",
         description="Optimal-control motion planning for closed-chain mechanisms.",
@@ -28,6 +32,8 @@ def build_parser() -> Parser:
     def command(
         name: str, text: str, *, output: bool = True, settings: bool = True, report: bool = False
     ) -> argparse.ArgumentParser:
+        if only not in (None, name):
+            return NoParser()
         sentence = folded(f"{text[0].upper()}{text[1:]}.", below="")
         sub = commands.add_parser(name, help=text, description=sentence, epilog=EPILOG)
         parser.commands[name] = sub
@@ -65,6 +71,7 @@ def build_parser() -> Parser:
     batch.add_argument("batch", metavar="BATCH", help="a TOML file: problem, set, and [[case]] tables or a [sweep] table")
 
     _parquet(batch, "every trajectory.csv")
+    _engine(batch)
 
     track = command("track", "run one tracker on a plan in MuJoCo", report=True)
     track.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
@@ -81,7 +88,7 @@ def build_parser() -> Parser:
     _mismatch(compare, 1.2, 1)
     _parquet(compare, "every run's .csv")
 
-    experiment = command("experiment", "run trackers on many imperfect machines, the same ones for each")
+    experiment = command("experiment", "run trackers on many imperfect machines, the same ones for each", report=True)
     _experiment(experiment)
 
     text = "split each tracker's error among its causes: plan, sampling and delay, simulator, devices, model, limits"
@@ -146,7 +153,7 @@ def build_parser() -> Parser:
     text = "make one HTML file of a saved folder: animation, plots, certificate; it opens offline"
     report = command("report", text, output=False, settings=False)
     report.add_argument(
-        "folder", metavar="DIR", help="what plan, check, compare, decompose, bode, tune, batch or demo wrote"
+        "folder", metavar="DIR", help="what plan, check, compare, experiment, decompose, bode, tune, batch or demo wrote"
     )
     report.add_argument("-o", "--output", metavar="FILE", default="report.html", help="default: %(default)s")
 
@@ -192,17 +199,28 @@ def _experiment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a built-in problem, a TOML file or a saved plan's folder")
     _anyway(parser)
     parser.add_argument("--samples", type=int, default=200, metavar="N", help="machines (default: %(default)s)")
-    parser.add_argument("--trackers", default="pd,pd+ff,lqr", metavar="NAMES", help="with commas (default: %(default)s)")
+    text = "names with commas between them, your own as module:object (default: %(default)s)"
+    parser.add_argument("--trackers", default="pd,pd+ff,lqr", metavar="NAMES", help=text)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random numbers (default: %(default)s)")
-    text = "how samples lie: latin-hypercube or grid (default: %(default)s)"
+    text = "how samples lie: latin-hypercube or grid; which imperfection matters: one-at-a-time, morris or sobol"
+    text += " (default: %(default)s)"
     parser.add_argument("--design", default="latin-hypercube", metavar="HOW", help=text)
     parser.add_argument("--levels", type=int, default=3, metavar="N", help="of a grid (default: %(default)s)")
     text = "success: no hinge is farther from the path (default: %(default)s)"
     parser.add_argument("--tube-deg", type=float, default=1.0, metavar="A", help=text)
     text = "success: no slide is farther from the path (default: %(default)s)"
     parser.add_argument("--tube-m", type=float, default=0.01, metavar="L", help=text)
-    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
-    parser.add_argument("--threads", type=int, default=0, metavar="N", help="of the simulator in each (default: all cores)")
+    _engine(parser)
+    text = "of the simulator for each worker (default: an equal share of the cores)"
+    parser.add_argument("--threads", type=int, default=0, metavar="N", help=text)
+
+
+def _engine(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="processes of this machine that share the work (default: 1)"
+    )
+    text = "share the work among the workers of the Dask scheduler at this address, such as tcp://head:8786"
+    parser.add_argument("--cluster", metavar="ADDRESS", help=text)
 
 
 def _parquet(parser: argparse.ArgumentParser, what: str) -> None:

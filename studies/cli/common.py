@@ -10,9 +10,6 @@ from linkplan.models.catalogue import MODELS, is_folder, is_there, nearest_sourc
 from linkplan.models.errors import ModelError, PlanFileError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import nearest
-from linkplan.planner.files.folders import check_target
-from linkplan.planner.files.new_file import check_new
-from linkplan.planner.files.plan_folder import read_plan, record, unchecked
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import Tables, apply_override, read_tables, refuse_saved_plan
@@ -21,6 +18,8 @@ from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.exit_codes import NO
 from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.progress import Progress
+from linkplan.studies.tasks.cluster import cluster
+from linkplan.studies.tasks.engine import MOST_WORKERS, Engine, processes
 
 
 def output_folder(arguments: argparse.Namespace) -> Path | None:
@@ -31,6 +30,8 @@ def output_folder(arguments: argparse.Namespace) -> Path | None:
         return None
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")
+    from linkplan.planner.files.folders import check_target
+
     target = Path(arguments.output)
     try:
         check_target(target, f"{arguments.command}.json")
@@ -45,12 +46,26 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
         return None
     if not arguments.output:
         raise ProblemError("-o takes a file, got an empty name")
+    from linkplan.planner.files.new_file import check_new
+
     target = Path(arguments.output)
     try:
         check_new(target)
     except PlanFileError as error:
         raise PlanFileError(f"-o: {error}") from error
     return target
+
+
+def engine_asked(arguments: argparse.Namespace) -> Engine:
+    """Return what --workers or --cluster asks to run tasks on."""
+    if arguments.cluster is not None:
+        if arguments.workers is not None:
+            raise ProblemError("--workers are processes of this machine and --cluster has its own; say one of them")
+        return cluster(arguments.cluster)
+    workers = 1 if arguments.workers is None else arguments.workers
+    if not 1 <= workers <= MOST_WORKERS:
+        raise ProblemError(f"--workers is a whole number from 1 to {MOST_WORKERS}, got {workers}")
+    return processes(workers)
 
 
 def set_all(tables: Tables, settings: Sequence[str]) -> None:
@@ -132,6 +147,8 @@ def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
             raise ProblemError(
                 f"--set {override}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it{meant}"
             )
+    from linkplan.planner.files.plan_folder import read_plan, unchecked
+
     plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
     if note is not None:
         say.keep(note)
@@ -142,5 +159,7 @@ def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
 
 def no_plan(arguments: argparse.Namespace, plan: Plan) -> int:
     """Say why there is no motion and return the exit code."""
+    from linkplan.planner.files.plan_folder import record
+
     show(arguments, record(plan), f"{plan.problem.name}: {plan.message}")
     return NO

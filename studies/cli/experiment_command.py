@@ -1,7 +1,10 @@
 """The command `experiment`: trackers on many imperfect machines; and a sample of one run again by `track`."""
 
+from __future__ import annotations
+
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.folders import write_json, write_whole
@@ -9,9 +12,12 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import Plan
-from linkplan.studies.cli.common import no_plan, output_folder, plan_asked, set_all
+from linkplan.studies.cli.common import engine_asked, no_plan, output_folder, plan_asked, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
+
+if TYPE_CHECKING:
+    from linkplan.studies.experiment.study import Outcome
 
 
 def run_experiment(arguments: argparse.Namespace) -> int:
@@ -19,7 +25,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.planner.planning import plan_motion
     from linkplan.studies.experiment import study
     from linkplan.studies.experiment.experiment import Settings, plan_digest
-    from linkplan.studies.experiment.experiment_text import experiment_text, tube_said
+    from linkplan.studies.experiment.outcome_text import outcome_text
 
     settings = Settings(
         trackers=tuple(name.strip() for name in arguments.trackers.split(",")),
@@ -30,16 +36,16 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         tube_deg=arguments.tube_deg,
         tube_m=arguments.tube_m,
     )
-    for name, least in (("workers", 1), ("threads", 0)):
-        if getattr(arguments, name) < least:
-            raise ProblemError(f"--{name} is a whole number of at least {least}, got {getattr(arguments, name)}")
+    if arguments.threads < 0:
+        raise ProblemError(f"--threads is a whole number of at least 0, got {arguments.threads}")
+    engine = engine_asked(arguments)
     target = output_folder(arguments)
     say, source = progress(arguments), arguments.plan
     if source in PROBLEMS or Path(source).is_file():
         name, tables, folder = read_tables(source)
         set_all(tables, arguments.set)
         problem = problem_from_tables(name, tables, folder)
-        digest, asked = None, {"name": name, **problem.source}
+        digest, asked = None, {"name": name, **problem.source, "model_hash": problem.mechanism.fingerprint()}
 
         def plan():
             found = plan_motion(problem, say)
@@ -56,16 +62,24 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         def plan():
             return saved
 
-    pool = {"workers": arguments.workers, "threads": arguments.threads}
+    how = {"engine": engine, "threads": arguments.threads}
     try:
-        outcome = study.run_experiment(asked, digest, plan, settings, target, say, **pool)
+        outcome = study.run_experiment(asked, digest, plan, settings, target, say, **how)
     except _NoPlanError as none:
         return no_plan(arguments, none.plan)
-    tube = tube_said(outcome.experiment)
-    name = outcome.experiment.plan.problem.name
-    text = experiment_text(name, outcome.summary, settings.design, settings.seed, tube)
-    show(arguments, outcome.record, text)
+    if arguments.report and target is not None:
+        _write_page(outcome, target)
+    show(arguments, outcome.record, outcome_text(outcome))
     return DONE if outcome.experiment.plan.status == "optimal" else NO
+
+
+def _write_page(outcome: Outcome, target: Path) -> None:
+    """Write the page into a folder with results: it changes none of them."""
+    from linkplan.studies.report.render import write_report
+    from linkplan.studies.report.reports import experiment_report
+    from linkplan.studies.report.saving import PAGE
+
+    write_report(experiment_report(outcome, target), target / PAGE)
 
 
 class _NoPlanError(Exception):
@@ -83,10 +97,13 @@ def run_replay(arguments: argparse.Namespace) -> int:
     from linkplan.studies.compare.draw_tracking import comparison_figure
     from linkplan.studies.compare.time_series import save_time_series
     from linkplan.studies.experiment.replay import replay
-    from linkplan.studies.experiment.study import saved_experiment
+    from linkplan.studies.experiment.study import refuse_changed_tracker, saved_experiment
+    from linkplan.studies.report.reports import replay_report
+    from linkplan.studies.report.saving import save_report
 
     target = output_folder(arguments)
     experiment = saved_experiment(Path(arguments.plan))
+    refuse_changed_tracker(Path(arguments.plan), arguments.tracker)
     rollout, said = replay(experiment, arguments.tracker, arguments.sample)
     plan = experiment.plan
     title = f"sample {arguments.sample}"
@@ -97,6 +114,7 @@ def run_replay(arguments: argparse.Namespace) -> int:
         write_json(place / "track.json", record)
         save_time_series(comparison, place)
         comparison_figure(comparison, place / "track.png")
+        save_report(replay_report(comparison, said), place, page=arguments.report)
 
     if target is not None:
         write_whole(target, save, "track.json")

@@ -89,9 +89,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
     """Return a command's arguments, or the exit code where there is nothing to run."""
-    parser = build_parser()
+    words = sys.argv[1:] if argv is None else argv
+    parser = build_parser(words[0] if words and words[0] in _MODULES else None)
     try:
-        parser.refuse_misspelled(sys.argv[1:] if argv is None else argv)
+        parser.refuse_misspelled(words)
         arguments, extra = parser.parse_known_args(argv)
         if extra and arguments.command is not None:
             parser.refuse_extra(arguments.command, extra, sets=bool(getattr(arguments, "set", None)))
@@ -136,7 +137,11 @@ def _interrupted(before: _Before) -> int:
     what, folder = "nothing was written", _folder_at(before.target)
     if folder is not None and folder != before.folder:
         what = f"the result is in '{before.target}', whole"
-    elif before.command == "experiment" and before.target and os.path.isdir(f"{before.target.rstrip('/')}.unfinished"):
+    elif (
+        before.command in ("experiment", "batch")
+        and before.target
+        and os.path.isdir(f"{before.target.rstrip('/')}.unfinished")
+    ):
         what = f"what is done is in '{before.target.rstrip('/')}.unfinished', and the same command goes on from it"
     refuse(before.command, f"interrupted; {what}")
     return BY_SIGNAL + (ended_by() or signal.SIGINT)

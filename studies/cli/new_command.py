@@ -37,10 +37,13 @@ def run_new(arguments: argparse.Namespace) -> int:
     if target is not None:
         write_new(target, text.encode("utf-8"))
     verdict = "planned" if found.planned else f"NOT planned: {found.why}"
+    notes = [f"note: {note}" for note in found.notes]
     said = {"file": None if target is None else str(target), "planned": found.planned, "why": found.why, "tables": tables}
+    said |= {"notes": found.notes}
     if target is None:
-        say.keep(f"{found.description}: {verdict}")
+        for line in (f"{found.description}: {verdict}", *notes):
+            say.keep(line)
         show(arguments, said, text.rstrip("\n"))
     else:
-        show(arguments, said, f"{target}: {found.description}\n{verdict[0].upper()}{verdict[1:]}")
+        show(arguments, said, "\n".join([f"{target}: {found.description}", f"{verdict[0].upper()}{verdict[1:]}", *notes]))
     return DONE if found.planned else NO

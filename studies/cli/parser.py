@@ -95,6 +95,22 @@ class Parser(argparse.ArgumentParser):
         self.error(f"{said}; options are {', '.join(self.options)}")
 
 
+class NoParser(argparse.ArgumentParser):
+    """What stands for the parser of a command that was not given: it takes arguments' descriptions and keeps none."""
+
+    def __init__(self) -> None:
+        """Make nothing: what argparse makes takes longer than to parse a command."""
+
+    def add_argument(self, *names: str, **settings) -> argparse.Action:  # argparse's own
+        """Forget an argument."""
+        del names, settings
+        return argparse.Action([], "")
+
+    def set_defaults(self, **values) -> None:  # argparse's own
+        """Forget defaults."""
+        del values
+
+
 def _nearest_option(name: str, options: Sequence[str]) -> str:
     """Return " (did you mean '--x'?)" for the option, or word, that is closest; dashes make none close."""
     by_letters = {option.lstrip("-"): option for option in options}

@@ -4,13 +4,11 @@ import argparse
 from dataclasses import asdict
 from pathlib import Path
 
-from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.planner.files.plan_folder import record, write_plan
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.robustness import price_of
-from linkplan.studies.cli.common import output_folder, set_all
+from linkplan.planner.robustness import price_of, with_price
+from linkplan.studies.cli.common import engine_asked, output_folder, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -18,13 +16,16 @@ from linkplan.studies.cli.printing import progress, show
 def run_plan(arguments: argparse.Namespace) -> int:
     """Plan a motion; 1 where there is none."""
     from linkplan.studies.output.plan_text import plan_text
-    from linkplan.studies.output.save_plan import save_plan
 
     target, say = output_folder(arguments), progress(arguments)
     name, tables, folder = read_tables(arguments.problem)
     set_all(tables, arguments.set)
     plan = plan_motion(problem_from_tables(name, tables, folder), say)
+    price = price_of(plan, say)
+    plan = with_price(plan, price)
     if plan.passed and target is not None:
+        from linkplan.planner.files.folders import write_whole
+        from linkplan.studies.output.save_plan import save_plan
 
         def write(place: Path) -> None:
             save_plan(plan, place, target, jumps=arguments.jumps, parquet=arguments.parquet)
@@ -39,42 +40,29 @@ def run_plan(arguments: argparse.Namespace) -> int:
         say.keep(f"saved in {target}")
     elif target is not None:
         say.keep(f"nothing written: {plan.status}")
-    price = price_of(plan, say)
     text = plan_text(plan) if price is None else f"{plan_text(plan)}\n{price.sentence()}"
-    show(arguments, lambda: record(plan) | ({} if price is None else {"price": asdict(price)}), text)
+
+    def document() -> dict:
+        from linkplan.planner.files.plan_folder import record
+
+        return record(plan) | ({} if price is None else {"price": asdict(price)})
+
+    show(arguments, document, text)
     return DONE if plan.passed else NO
 
 
 def run_batch(arguments: argparse.Namespace) -> int:
-    """Plan the cases of a batch file; 1 where one of them has no plan."""
-    from linkplan.planner.batch import plan_batch
+    """Plan the cases of a batch file, or go on with that; 1 where one of them has no plan."""
     from linkplan.planner.files.batch_file import read_batch
-    from linkplan.studies.output.batch_table import batch_text, case_record, case_row
+    from linkplan.studies.batch import study
+    from linkplan.studies.output.batch_table import batch_text
 
+    engine = engine_asked(arguments)
     target, say = output_folder(arguments), progress(arguments)
     batch = read_batch(arguments.batch)
-    rows: list[list] = []
-    failures: list[str] = []
-    cases: dict[str, dict] = {}
-
-    def run(place: Path | None) -> None:
-        """Plan every case and write it as it comes: of ten thousand plans only rows and records are kept."""
-        for case, plan in plan_batch(batch, say):
-            rows.append(case_row(case, plan))
-            if not plan.passed:
-                failures.append(f"{case.name}: {plan.message}")
-            if place is not None or arguments.json:
-                cases[case.name] = case_record(case, plan)
-            if place is not None and target is not None and plan.passed:
-                (place / case.name).mkdir()
-                write_plan(plan, place / case.name, target / case.name, parquet=arguments.parquet)
-        if place is not None:
-            write_json(place / "batch.json", {"cases": cases})
-
-    if target is None:
-        run(None)
-    else:
-        write_whole(target, run, "batch.json")
+    how = {"engine": engine, "parquet": arguments.parquet, "keep_records": arguments.json}
+    outcome = study.run_batch(batch, target, say, **how)
+    if target is not None:
         say.keep(f"saved in {target}")
-    show(arguments, {"cases": cases}, batch_text(rows, failures))
-    return NO if failures else DONE
+    show(arguments, outcome.record, batch_text(outcome.rows, outcome.failures))
+    return NO if outcome.failures else DONE

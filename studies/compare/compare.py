@@ -19,6 +19,8 @@ from linkplan.controllers.trackers.scheduled_pd import scheduled_pd
 from linkplan.controllers.trackers.tracker import AnyTracker, Tracker
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
+from linkplan.models.poses.contacts import exclusion
+from linkplan.planner.certificate.collisions import who
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.values import number, whole
@@ -27,6 +29,8 @@ from linkplan.studies.compare.user_tracker import Asked, users_tracker
 
 # Below this many control periods in a motion a table of tracking errors says more about sampling than about trackers.
 FEWEST_SAMPLES = 10
+# Pairs of geoms that a sentence names.
+_NAMED = 3
 # More control instants than this take a gigabyte to log, and minutes; more of the simulator's steps take an hour.
 MOST_INSTANTS, MOST_STEPS = 2e6, 1e8
 
@@ -236,11 +240,27 @@ def gap_note(plan: Plan, rollout: Rollout) -> str | None:
     return gap_sentence(mechanism, largest, softness_error(mechanism, rollout.pose))
 
 
+def contact_note(plan: Plan, rollout: Rollout) -> str | None:
+    """Return the sentence on contacts that acted in a run and that its plan leaves out, None where there were none."""
+    met = plan.certificate.contacts if plan.certificate is not None else ()
+    if not (rollout.contacts and met):
+        return None
+    pairs = ", ".join(who(meeting).removeprefix("geoms ") for meeting in met[:_NAMED])
+    more = f" and {len(met) - _NAMED} more pairs" if len(met) > _NAMED else ""
+    told = " ".join(dict.fromkeys(exclusion(meeting.bodies) for meeting in met[:_NAMED]))
+    return (
+        f"contacts of {pairs}{more} push in MuJoCo, at up to {rollout.contacts} points together; plans know no contact"
+        f" force, and loops gape where their links push each other; {told} in the model's <contact> lets links pass side by"
+        " side"
+    )
+
+
 def comparison_notes(comparison: Comparison) -> list[str]:
-    """Return the sentence on the closure gap of the nominal run that gapes most, if any does."""
+    """Return the sentences on contacts that act, and on the closure gap of the nominal run that gapes most, if any does."""
     runs = sorted(comparison.nominal.items(), key=lambda item: -float(item[1].gap_m.max()))
+    pushed = [note for _, run in runs if (note := contact_note(comparison.plan, run)) is not None]
     found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
-    return [f"{found[0][0]}, {found[0][1]}"] if found else []
+    return [*pushed[:1], *([f"{found[0][0]}, {found[0][1]}"] if found else [])]
 
 
 def comparison_record(comparison: Comparison) -> dict:

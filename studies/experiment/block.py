@@ -3,8 +3,8 @@
 import numpy as np
 
 from linkplan.controllers.ensemble import bytes_each, run_ensemble
-from linkplan.studies.compare.compare import build_tracker
 from linkplan.studies.experiment.experiment import Experiment
+from linkplan.studies.experiment.laws import law_of
 from linkplan.studies.experiment.metrics import measured, metrics_of, within_tube
 
 # Samples of a block: what a kill loses at the most, and what a worker takes at a time.
@@ -37,7 +37,7 @@ def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int |
     together = max(1, min(batch or BLOCK, _MOST_BYTES // bytes_each(mechanism, reference.n)))
     found: dict[tuple[int, str], dict] = {}
     for name in experiment.settings.trackers:
-        tracker = build_tracker(name, experiment.plan, reference)
+        tracker = law_of(name, experiment)
         for first in range(samples.start, samples.stop, together):
             part = range(first, min(samples.stop, first + together))
             machines = [experiment.machine(sample) for sample in part]

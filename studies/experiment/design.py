@@ -7,8 +7,10 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread
+from linkplan.studies.sensitivity.scheme import SENSITIVE
 
-DESIGNS = ("latin-hypercube", "grid")
+# The first two show what trackers make of the machines, the others which imperfection they owe it to.
+DESIGNS = ("latin-hypercube", "grid", *SENSITIVE)
 # More simulations than this in one experiment are a slip of the hand.
 MOST_SAMPLES = 1_000_000
 
@@ -41,11 +43,12 @@ def values_of(factors: Sequence[Factor], design: str, samples: int, levels: int,
     values = np.tile([factor.spread.first for factor in factors], (len(chances), 1)).reshape(len(chances), len(factors))
     for column, i in enumerate(random):
         quantity = factors[i].quantity
-        values[:, i] = np.clip(_at(factors[i].spread, chances[:, column]), quantity.low, quantity.high)
+        values[:, i] = np.clip(at_chance(factors[i].spread, chances[:, column]), quantity.low, quantity.high)
     return values
 
 
-def _at(spread: Spread, chance: np.ndarray) -> np.ndarray:
+def at_chance(spread: Spread, chance: np.ndarray) -> np.ndarray:
+    """Return the values than which smaller ones have these chances, between 0 and 1."""
     from scipy.stats import norm
 
     if spread.kind == "uniform":

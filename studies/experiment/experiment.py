@@ -21,10 +21,14 @@ from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.values import number, whole
 from linkplan.studies.compare.compare import tracking_reference
+from linkplan.studies.compare.user_tracker import known_tracker
 from linkplan.studies.experiment.defaults import default_imperfections
-from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES, values_of
+from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES
+from linkplan.studies.experiment.layout import layout_of
 from linkplan.studies.experiment.machines import machine_of
 from linkplan.studies.experiment.metrics import Yardstick
+from linkplan.studies.sensitivity.salib import salib_version
+from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme
 
 FORMAT = 1
 # A motion that ends is held for this share of its duration after it, where the problem does not say: errors settle there.
@@ -35,7 +39,8 @@ _REST = 0.25
 class Settings:
     """What is asked of an experiment beside its plan: trackers, samples, design and seed, and the tube of success.
 
-    A grid's number of samples follows from its levels.
+    A grid's number of samples follows from its levels; a design that tells influences apart has as many whole groups as fit
+    into `samples`.
     """
 
     trackers: tuple[str, ...] = TRACKERS
@@ -51,7 +56,7 @@ class Settings:
         if not names or len(set(names)) < len(names):
             raise ProblemError(f"trackers of an experiment are one or more, each once, got {', '.join(names) or 'none'}")
         for name in names:
-            choose("tracker", name, TRACKERS, ProblemError)
+            known_tracker(name)
         whole(self.samples, "samples", 1, MOST_SAMPLES)
         whole(self.seed, "seed", 0, 2**63 - 1)
         whole(self.levels, "levels", 1, 1000)
@@ -62,12 +67,17 @@ class Settings:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Experiment:
-    """Trackers of one plan on many machines: `values` (n, d) of the section's factors, in a problem file's units."""
+    """Trackers of one plan on many machines: `values` (n, d) of the section's factors, in a problem file's units.
+
+    `draws` (n,) tells which noise a machine has, `scheme` what its design tells apart, if anything.
+    """
 
     plan: Plan
     settings: Settings
     section: ImperfectionsSection
     values: np.ndarray
+    draws: np.ndarray
+    scheme: Scheme | None
     reference: SampledReference
     loop: ControlLoop
     yardstick: Yardstick
@@ -79,8 +89,8 @@ class Experiment:
 
     def machine(self, sample: int) -> Imperfections:
         """Return a sample's machine: the same for every tracker, in any experiment with these settings."""
-        mechanism = self.plan.problem.mechanism
-        return machine_of(self.section, self.values[sample], mechanism, (self.settings.seed, 1, sample))
+        mechanism, noise = self.plan.problem.mechanism, (self.settings.seed, 1, int(self.draws[sample]))
+        return machine_of(self.section, self.values[sample], mechanism, noise)
 
 
 def experiment_of(plan: Plan, settings: Settings) -> Experiment:
@@ -94,7 +104,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     mechanism = problem.mechanism
     refuse_unfit(mechanism)
     section = imperfections_of(imperfections_asked(plan), mechanism)
-    values = values_of(section.factors, settings.design, settings.samples, settings.levels, settings.seed)
+    layout = layout_of(section.factors, settings.design, settings.samples, settings.levels, settings.seed)
     trajectory, tracking = plan.trajectory, problem.tracking
     ends = not trajectory.periodic
     if tracking.duration_s is None and ends:
@@ -102,7 +112,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
     loop = ControlLoop(effort_limit=np.array(problem.limits.effort), delay_periods=int(problem.tracking.delay_periods))
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    middle = np.median(values, axis=0)
+    middle = np.median(layout.values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # refused now, in one line
     yardstick = Yardstick(
         mechanism=mechanism,
@@ -115,7 +125,9 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
         plan=plan,
         settings=settings,
         section=section,
-        values=values,
+        values=layout.values,
+        draws=layout.draws,
+        scheme=layout.scheme,
         reference=reference,
         loop=loop,
         yardstick=yardstick,
@@ -137,21 +149,21 @@ def settings_from(record: Mapping) -> Settings:
     return Settings(**{**record, "trackers": tuple(record["trackers"])})
 
 
-def asked_record(source: Mapping, digest: str | None, settings: Settings) -> dict:
-    """Return all that an experiment's results depend on: the problem's tables, or a saved plan's digest, and versions."""
+def asked_record(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> dict:
+    """Return all that an experiment's results depend on: the problem's tables, or a saved plan's digest, and versions.
+
+    `trackers` has the hashes of what the user's own are written in.
+    """
     said = {
         "format": FORMAT,
         "problem": source,
         "plan": digest,
         "settings": settings_record(settings),
-        "versions": versions(),
+        "versions": versions() | ({"salib": salib_version()} if settings.design in (MORRIS, SOBOL) else {}),
     }
+    if trackers:
+        said["tracker_sources"] = dict(trackers)
     return json.loads(json.dumps(plain_record(said)))
-
-
-def hash_of(record: Mapping) -> str:
-    """Return the hash of a record: whether results are of the same experiment."""
-    return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def plan_digest(plan: Plan) -> str:

@@ -7,8 +7,9 @@ from linkplan.controllers.ensemble import Ensemble, run_ensemble
 from linkplan.controllers.reference import state_at
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.errors import ProblemError
-from linkplan.studies.compare.compare import build_tracker
+from linkplan.studies.compare.user_tracker import known_tracker
 from linkplan.studies.experiment.experiment import Experiment
+from linkplan.studies.experiment.laws import law_of
 from linkplan.studies.experiment.metrics import measured, within_tube
 
 
@@ -22,7 +23,7 @@ def replay(experiment: Experiment, tracker: str, sample: int) -> tuple[Rollout, 
     if not 0 <= sample < experiment.n:
         raise ProblemError(f"samples of this experiment are from 0 to {experiment.n - 1}, got {sample}")
     mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
-    law = build_tracker(tracker, experiment.plan, reference)
+    law = law_of(known_tracker(tracker), experiment)
     ensemble = run_ensemble(mechanism, reference, law, experiment.loop, [experiment.machine(sample)])
     if ensemble.done[0] == 0:
         raise ProblemError(f"sample {sample} has no run: {ensemble.failure[0]}")

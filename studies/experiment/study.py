@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import check_target, plain_record, write_json, write_whole
 from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.plan import Plan
+from linkplan.studies.compare.tracker_source import refuse_other_sources, source_hash
 from linkplan.studies.experiment.block import block_count
-from linkplan.studies.experiment.conduct import Say, conduct
+from linkplan.studies.experiment.conduct import conduct
 from linkplan.studies.experiment.experiment import (
     Experiment,
     Settings,
@@ -23,28 +25,39 @@ from linkplan.studies.experiment.experiment import (
     settings_from,
 )
 from linkplan.studies.experiment.metrics import metrics_of
-from linkplan.studies.experiment.parts import (
-    PLAN,
-    read_results,
-    refuse_other,
-    remove,
-    unfinished,
-    working,
-    write_results,
-)
+from linkplan.studies.experiment.parts import read_results, write_results
+from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_of, sensitivity_record
 from linkplan.studies.experiment.summary import Summary, summarise, summary_record
+from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
+from linkplan.studies.tasks.engine import Engine, Say, here
+from linkplan.studies.tasks.unfinished import PLAN, refuse_other, remove, remove_left, unfinished, working
 
 RECORD, RESULTS = "experiment.json", "results.parquet"
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Outcome:
-    """An experiment's results: their columns, what they say, and the record of both."""
+    """An experiment's results: their columns, what they say, and the record of both.
+
+    `sensitivity` is there where the design tells imperfections' influences apart; the summary is then of those machines
+    alone that are independent of one another.
+    """
 
     experiment: Experiment
     results: Mapping[str, np.ndarray]
     summary: Summary
     record: dict
+    sensitivity: Sensitivity | None = None
+
+    @property
+    def population(self) -> Mapping[str, np.ndarray]:
+        """The results of machines that are independent of one another: of all, but where the design ties some to others."""
+        return _independent(self.experiment, self.results)
+
+    @property
+    def distributed(self) -> bool:
+        """Whether these machines lie as the imperfections' distributions say, so that means are worth a word."""
+        return self.experiment.settings.design not in (ONE_AT_A_TIME, MORRIS)
 
 
 def run_experiment(
@@ -55,7 +68,7 @@ def run_experiment(
     target: Path | None,
     say: Say,
     *,
-    workers: int = 1,
+    engine: Engine = here,
     threads: int = 0,
     batch: int | None = None,
 ) -> Outcome:
@@ -68,64 +81,67 @@ def run_experiment(
         settings: of the experiment.
         target: the folder, written whole when all is done; its parts stand beside it until then.
         say: is told of the progress.
-        workers: processes.
-        threads: of the simulator in each.
+        engine: what runs its blocks.
+        threads: of the simulator for each block; 0 for the engine's own share.
         batch: simulations stepped together, at the most.
 
     Raises:
         PlanFileError: when the folder holds something else, or the disk refuses.
         LinkplanError: for what cannot be simulated.
     """
-    asked = asked_record(source, digest, settings)
+    sources = {name: source_hash(name) for name in settings.trackers if name not in TRACKERS}
+    asked = asked_record(source, digest, settings, sources)
+
+    def carried_out(folder: Path) -> Outcome:
+        with working(folder, asked, "an experiment"):
+            experiment = conduct(folder, settings, sources, plan, engine, say, threads, batch)
+            blocks = block_count(experiment.n)
+            write_results(folder, folder / RESULTS, blocks)
+            outcome = _outcome(experiment, read_results(folder / RESULTS), asked)
+            (folder / RESULTS).unlink()
+            if target is not None:
+                write_whole(target, lambda place: _save(outcome, folder, place, blocks), RECORD)
+                remove(folder)
+        return outcome
+
     if target is None:
         with tempfile.TemporaryDirectory(prefix="linkplan-") as place:
-            return _carried_out(Path(place) / "run", asked, plan, settings, None, say, workers, threads, batch)
+            return carried_out(Path(place) / "run")
     check_target(target, RECORD)
     if (target / RECORD).is_file():
         refuse_other(target / RECORD, asked, f"'{target}' holds another experiment's results")
         say(f"'{target}' holds these results already")
+        remove_left(unfinished(target), asked)
         return saved_outcome(target)
-    return _carried_out(unfinished(target), asked, plan, settings, target, say, workers, threads, batch)
-
-
-def _carried_out(
-    folder: Path,
-    asked: dict,
-    plan: Callable[[], Plan],
-    settings: Settings,
-    target: Path | None,
-    say: Say,
-    workers: int,
-    threads: int,
-    batch: int | None,
-) -> Outcome:
-    with working(folder, asked):
-        experiment = conduct(folder, settings, plan, workers, threads, say, batch)
-        blocks = block_count(experiment.n)
-        write_results(folder, folder / RESULTS, blocks)
-        outcome = _outcome(experiment, read_results(folder / RESULTS), asked)
-        (folder / RESULTS).unlink()
-        if target is not None:
-            write_whole(target, lambda place: _save(outcome, folder, place, blocks), RECORD)
-            remove(folder)
-    return outcome
+    return carried_out(unfinished(target))
 
 
 def _save(outcome: Outcome, folder: Path, place: Path, blocks: int) -> None:
     from linkplan.studies.experiment.draw_experiment import experiment_figure
+    from linkplan.studies.experiment.draw_tornado import save_tornados
 
     write_results(folder, place / RESULTS, blocks)
     write_json(place / RECORD, outcome.record)
     (place / PLAN).mkdir()
     write_plan(outcome.experiment.plan, place / PLAN)
-    settings, summary = outcome.experiment.settings, outcome.summary
-    title = f"{outcome.experiment.plan.problem.name}: {summary.samples} machines"
-    experiment_figure(outcome.results, settings.trackers, summary.metrics, title, place / "experiment.png")
+    settings, summary, sensitivity = outcome.experiment.settings, outcome.summary, outcome.sensitivity
+    name = outcome.experiment.plan.problem.name
+    if sensitivity is not None:
+        save_tornados(sensitivity, name, place)
+    if outcome.distributed:
+        title = f"{name}: {summary.samples} machines"
+        experiment_figure(outcome.population, settings.trackers, summary.metrics, title, place / "experiment.png")
 
 
 def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: dict) -> Outcome:
-    metrics = metrics_of(experiment.plan.problem.mechanism)
-    summary = summarise(results, experiment.settings.trackers, metrics)
+    mechanism = experiment.plan.problem.mechanism
+    metrics = metrics_of(mechanism)
+    settings, scheme = experiment.settings, experiment.scheme
+    summary, sensitivity, found = summarise(_independent(experiment, results), settings.trackers, metrics), None, {}
+    if scheme is not None:
+        factors = experiment.section.factors
+        sensitivity = sensitivity_of(scheme, factors, results, settings.trackers, mechanism, settings.seed)
+        found = {"machines": experiment.n, "sensitivity": sensitivity_record(sensitivity)}
     record = {
         "experiment": experiment.plan.problem.name,
         "asked": asked,
@@ -133,8 +149,18 @@ def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: d
         "control_period_s": experiment.reference.period_s,
         "duration_s": experiment.reference.period_s * experiment.reference.n,
         **summary_record(summary),
+        **found,
     }
-    return Outcome(experiment=experiment, results=results, summary=summary, record=plain_record(record))
+    return Outcome(
+        experiment=experiment, results=results, summary=summary, record=plain_record(record), sensitivity=sensitivity
+    )
+
+
+def _independent(experiment: Experiment, results: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    if experiment.scheme is None:
+        return results
+    among = experiment.scheme.independent[results["sample"]]
+    return {name: column[among] for name, column in results.items()}
 
 
 def saved_experiment(folder: Path) -> Experiment:
@@ -146,6 +172,16 @@ def saved_experiment(folder: Path) -> Experiment:
     from linkplan.planner.files.plan_folder import read_plan
 
     return experiment_of(read_plan(folder / PLAN, anyway=True), settings_from(_asked(folder)["settings"]))
+
+
+def refuse_changed_tracker(folder: Path, tracker: str) -> None:
+    """Refuse a tracker of the user's own that is not written any more as it was in the experiment of a folder.
+
+    Raises:
+        LinkplanError: when it is not.
+    """
+    sources = _asked(folder).get("tracker_sources", {})
+    refuse_other_sources({name: known for name, known in sources.items() if name == tracker.strip()})
 
 
 def saved_outcome(folder: Path) -> Outcome:

@@ -3,7 +3,7 @@
 import itertools
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,13 +18,17 @@ from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.tree.joints import Joint
+from linkplan.planner.certificate.collisions import noted
 from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
 from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.search.ladder import PATIENT, Rung
 from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.search.starts import from_a_smooth_path
+from linkplan.planner.solvers.outcome import OUT_OF_TIME
 
 Say = Callable[[str], None]
 # The largest first motion of a hinge [rad], and of a slide as a share of the mechanism's extent; then the shares of it that
@@ -39,11 +43,16 @@ _BETWEEN = 61
 # What assembly leaves of a range [rad or m].
 _SLACK = 1e-8
 # The duration: so many times the shortest one on a smooth path, so that a plan is well within the efforts, and no less than
-# people see [s]; with fewer actuators than freedoms so many swings of a pendulum of the mechanism's size.
+# people see [s]; where freedoms hang free, without actuator or spring, so many swings of a pendulum of the mechanism's size.
 _EASE, _LEAST_S, _SWINGS = 2.0, 0.1, 2.0
 _GRAVITY = 9.81
-# How long motions are planned for [s], one after the other.
-_PATIENCE_S = 30.0
+# How long motions are planned for [s of this process's own work], one after the other: each has a share of what is left,
+# and no less than a solve takes. Where others are at work too, a clock on the wall goes so many times faster at the most.
+_PATIENCE_S, _SHARE_OF_TIME, _LEAST_LEFT_S, _BUSIEST = 40.0, 0.5, 1.0, 10.0
+# Motions of many joints are moved together by less: the whole of it is that of so many.
+_AT_ONCE = 2
+_SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_a_smooth_path, budget=PATIENT),)
+_SHUT = "every straight way from home is shut: by a singular pose, a joint's range, a contact or too great a weight"
 # A feedback loop's natural frequency times the motion's duration.
 _CYCLES = 8.0
 # A coordinate that actuators move by less than this share of the one that they move best is not driven.
@@ -68,14 +77,18 @@ class FirstMotion:
     @property
     def description(self) -> str:
         """The problem in a few words."""
-        motion, moves = self.tables["motion"], []
-        for unit in ("deg", "m"):
-            start, goal = (motion.get(f"{end}_{unit}", {}) for end in ("start", "goal"))
-            moves += [f"{j} from {x:g} to {goal[j]:g} {unit}" for j, x in start.items() if goal[j] != x]
+        motion = self.tables["motion"]
+        moves = moves_of(motion)
         some = moves if len(moves) <= _NAMED else [*moves[:_NAMED], f"{len(moves) - _NAMED} more"]
         duration = motion["duration_s"]
         within = f" in {duration:g} s" if duration != "free" else ""
         return f"{self.mechanism.name}: {', '.join(some) or 'no motion'}{within}, from rest to rest with least effort"
+
+    @property
+    def notes(self) -> list[str]:
+        """What the motion leaves out: contacts that there are by construction, a sentence each."""
+        certificate = None if self.plan is None else self.plan.certificate
+        return [] if certificate is None else [noted(meeting) for meeting in certificate.contacts]
 
     @property
     def planned(self) -> bool:
@@ -94,33 +107,64 @@ def first_motion(model: str, say: Say) -> FirstMotion:
         ModelError: when the model cannot be used.
         ProblemError: when nothing drives it, or no coordinate that is driven can move, saying what to add.
     """
+    clock, worked = time.monotonic(), time.process_time()
     mechanism = _assembled(model)
     _refuse_undriven(mechanism)
-    answer: Plan | None = None
-    why = "every straight way from home is shut: by a singular pose, a joint's range, a contact or too great a weight"
-    tables = _tables(mechanism, *_ends(mechanism, 0.0, 1))
-    end = time.monotonic() + _PATIENCE_S
-    for share, side in itertools.product(_SHARES, (1, -1)):
-        start, goal = _ends(mechanism, share, side)
-        tables = _tables(mechanism, start, goal)
-        try:
-            problem = problem_from_tables(mechanism.name, tables, mechanism=mechanism)
-            if np.array_equal(start, goal) or not _is_clear(problem):
-                continue
-            duration = _duration_s(problem)
-            tables["motion"]["duration_s"] = duration
-            tables["tracking"] = _gains(mechanism, problem, duration)
-            say(f"{', '.join(_moved(mechanism, start, goal))} in {duration:g} s")
-            answer = plan_motion(_hurried(mechanism, tables, end), say)
-        except LinkplanError as error:
-            why = str(error)
-            continue
-        if answer.status == "optimal":
-            return FirstMotion(mechanism=mechanism, tables=tables, plan=answer, why="")
-        why = answer.message
-        if time.monotonic() > end:
-            break
-    return FirstMotion(mechanism=mechanism, tables=tables, plan=answer, why=why)
+    found = FirstMotion(mechanism=mechanism, tables=_tables(mechanism, *_ends(mechanism, 0.0, 1)), plan=None, why=_SHUT)
+    ends = time.process_time() + _PATIENCE_S
+    tried: list[dict[str, dict]] = []
+    for rungs in (_SMOOTH, RUNGS):  # a smooth path leads to most motions at once; what else there is takes its time
+        for tables in tried if rungs is RUNGS else _candidates(mechanism, say):
+            left = ends - time.process_time()
+            if left < _LEAST_LEFT_S:
+                return found
+            if rungs is _SMOOTH:
+                tried.append(tables)
+            pace = np.clip((time.monotonic() - clock) / (time.process_time() - worked), 1.0, _BUSIEST)
+            hurried = tables | {"solver": {"max_time_s": float(pace * max(_LEAST_LEFT_S, _SHARE_OF_TIME * left))}}
+            answer = plan_motion(problem_from_tables(mechanism.name, hurried, mechanism=mechanism), say, rungs)
+            why = "" if answer.status == "optimal" else answer.message
+            if answer.history and answer.history[-1].solver_status == OUT_OF_TIME and why:
+                why = f"no motion was found within {_PATIENCE_S:g} s of work; planning it without that bound may find one"
+            found = FirstMotion(mechanism=mechanism, tables=tables, plan=answer, why=why)
+            if found.planned:
+                return found
+    return found
+
+
+def _candidates(mechanism: Mechanism, say: Say) -> Iterator[dict[str, dict]]:
+    """Yield the tables of motions whose straight way is clear, the larger first: all that is driven, then one of it alone.
+
+    Of each kind and size one: what forbids it mostly forbids its mirror image, too.
+    """
+    driven = _driven(mechanism).tolist()
+    alone = [[column] for column in driven] if len(driven) > 1 else []
+    for share in _SHARES:
+        for kind in ([driven], alone):
+            for moved, side in itertools.product(kind, (1, -1)):
+                tables = _clear_motion(mechanism, moved, share, side)
+                if tables is not None:
+                    say(f"{', '.join(moves_of(tables['motion']))} in {tables['motion']['duration_s']:g} s")
+                    yield tables
+                    break
+
+
+def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: int) -> dict[str, dict] | None:
+    """Return the tables of a motion of some columns, by a share of their room to one side; None where it is not clear."""
+    start, goal = _ends(mechanism, share * min(1.0, _AT_ONCE / len(moved)), side)
+    rest = np.setdiff1d(np.arange(mechanism.dof), moved)
+    goal[rest] = start[rest]
+    tables = _tables(mechanism, start, goal)
+    try:
+        problem = problem_from_tables(mechanism.name, tables, mechanism=mechanism)
+        if np.array_equal(start, goal) or not _is_clear(problem):
+            return None
+        duration = _duration_s(problem)
+    except LinkplanError:
+        return None
+    tables["motion"]["duration_s"] = duration
+    tables["tracking"] = _gains(mechanism, problem, duration)
+    return tables
 
 
 def _assembled(model: str) -> Mechanism:
@@ -258,7 +302,9 @@ def _duration_s(problem: PlanningProblem) -> float:
     mechanism = problem.mechanism
     shortest = first_guess(problem, start_pose_of(problem)).duration_s
     swing = 2 * np.pi * np.sqrt(mechanism.extent_m / _GRAVITY)
-    least = _SWINGS * swing if len(_driven(mechanism)) < mechanism.dof - len(mechanism.passive_dofs) else _LEAST_S
+    driven = _driven(mechanism)
+    hangs = any(k not in driven and not _rests(mechanism, k) for k in range(mechanism.dof))
+    least = _SWINGS * swing if hangs else _LEAST_S
     return float(f"{max(_EASE * shortest, least):.2g}")
 
 
@@ -273,15 +319,10 @@ def _gains(mechanism: Mechanism, problem: PlanningProblem, duration: float) -> d
     return {key: v[0] if len(v) == 1 else dict(zip(names, v, strict=True)) for key, v in found.items()}
 
 
-def _hurried(mechanism: Mechanism, tables: dict[str, dict], end: float) -> PlanningProblem:
-    hurried = tables | {"solver": {"max_time_s": max(1.0, end - time.monotonic())}}
-    return problem_from_tables(mechanism.name, hurried, mechanism=mechanism)
-
-
-def _moved(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> Iterator[str]:
-    for joint, a, b in zip(mechanism.independent_joints, start, goal, strict=True):
-        if a != b:
-            yield f"{joint.name} from {joint.said(a)} to {joint.said(b)} {joint.unit}"
+def moves_of(motion: Mapping) -> list[str]:
+    """Return what moves in a motion's table from where to where, a phrase each."""
+    ends = [(unit, *(motion.get(f"{end}_{unit}", {}) for end in ("start", "goal"))) for unit in ("deg", "m")]
+    return [f"{j} from {x:g} to {goal[j]:g} {unit}" for unit, start, goal in ends for j, x in start.items() if goal[j] != x]
 
 
 def model_beside(model: str, place: Path | None) -> str:

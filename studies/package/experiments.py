@@ -13,15 +13,21 @@ import numpy as np
 from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.names import choose
 from linkplan.plain import plain
 from linkplan.planner.files.imperfections_file import imperfections_of
 from linkplan.planner.problem.values import whole
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
 from linkplan.studies.experiment.experiment import Settings, plan_digest
-from linkplan.studies.experiment.experiment_text import experiment_text, tube_said
+from linkplan.studies.experiment.outcome_text import outcome_text
 from linkplan.studies.experiment.replay import replay
+from linkplan.studies.experiment.sensitivity import Sensitivity
+from linkplan.studies.experiment.sensitivity_text import sensitivity_text
+from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, run_experiment
+from linkplan.studies.tasks.cluster import cluster as at_address
+from linkplan.studies.tasks.engine import MOST_WORKERS, processes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,6 +46,7 @@ def experiment(
     tube_m: float = 0.01,
     folder: str | Path | None = None,
     workers: int = 1,
+    cluster: str | None = None,
     threads: int = 0,
     progress: Progress | None = None,
 ) -> ExperimentResult:
@@ -47,18 +54,20 @@ def experiment(
 
     Args:
         plan: with a motion.
-        trackers: built-in names.
+        trackers: built-in names, and your own as "module:object" or by an installed package's name for it.
         samples: machines; a grid has as many as its levels make.
         imperfections: the table [imperfections] of a problem file, in place of the problem's; the default one where neither
             has any (docs/experiments.md).
         seed: of all random numbers.
-        design: "latin-hypercube" or "grid".
+        design: "latin-hypercube" or "grid"; "one-at-a-time", "morris" or "sobol" tell which imperfection matters most, with
+            as many whole groups of machines as fit into `samples`.
         levels: of each random imperfection in a grid.
         tube_deg: success is to stay so near to the path all the way, on every hinge.
         tube_m: the same on every slide.
         folder: where the results go, whole; what is done stands beside it until then, and the same call goes on from there.
         workers: processes; more than one needs the caller's `if __name__ == "__main__":`.
-        threads: of the simulator in each; 0 for an equal share of the cores.
+        cluster: the address of a Dask scheduler, whose workers share the work.
+        threads: of the simulator for each worker; 0 for an equal share of the cores.
         progress: called with a line of text now and then.
 
     Raises:
@@ -70,8 +79,10 @@ def experiment(
         raise LinkplanError(f"nothing to track, the plan has no motion: {plan.message}")
     if isinstance(trackers, str) or not isinstance(trackers, Sequence):
         raise ProblemError(f"trackers are a list of names, got {trackers!r}")
-    whole(workers, "workers", 1, 10_000)
+    whole(workers, "workers", 1, MOST_WORKERS)
     whole(threads, "threads", 0, 10_000)
+    if cluster is not None and workers != 1:
+        raise ProblemError(f"workers are processes of this machine and a cluster has its own; got workers={workers} too")
     answer, problem = plan.answer, plan.answer.problem
     if imperfections is not None:
         table = plain(imperfections)
@@ -89,8 +100,9 @@ def experiment(
     source = {"name": problem.name, **answer.problem.source}
     target = None if folder is None else Path(folder)
     say = listener(progress)
+    engine = processes(workers) if cluster is None else at_address(cluster)
     outcome = run_experiment(
-        source, plan_digest(answer), lambda: answer, settings, target, say, workers=workers, threads=threads
+        source, plan_digest(answer), lambda: answer, settings, target, say, engine=engine, threads=threads
     )
     return ExperimentResult(outcome=outcome)
 
@@ -105,6 +117,12 @@ class ExperimentResult:
     def results(self) -> dict[str, np.ndarray]:
         """Every run as a row: columns by name, sample by sample and tracker by tracker."""
         return dict(self.outcome.results)
+
+    @property
+    def sensitivity(self) -> SensitivityResult | None:
+        """Which imperfection matters most for which tracker; None where the design does not tell."""
+        found = self.outcome.sensitivity
+        return None if found is None else SensitivityResult(outcome=self.outcome, found=found)
 
     def replay(self, tracker: str, sample: int) -> Rollout:
         """Return one sample's run again, with its log in SI units."""
@@ -121,13 +139,55 @@ class ExperimentResult:
         one, summary = self.outcome.experiment, self.outcome.summary
         title = f"{one.plan.problem.name}: {summary.samples} machines"
         place = None if path is None else Path(path)
-        return experiment_figure(self.outcome.results, one.settings.trackers, summary.metrics, title, place)
+        return experiment_figure(self.outcome.population, one.settings.trackers, summary.metrics, title, place)
 
     def __str__(self) -> str:
-        one = self.outcome.experiment
-        tube = tube_said(one)
-        return experiment_text(one.plan.problem.name, self.outcome.summary, one.settings.design, one.settings.seed, tube)
+        return outcome_text(self.outcome)
 
     def __repr__(self) -> str:
         one = self.outcome.experiment
         return f"ExperimentResult({one.plan.problem.name!r}: {one.n} machines, {', '.join(one.settings.trackers)})"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class SensitivityResult:
+    """Which imperfection matters most for which tracker and metric. `str(result)` is the table.
+
+    A metric is a name of `ExperimentResult.results`; the rms error where none is given.
+    """
+
+    outcome: Outcome
+    found: Sensitivity
+
+    def ranking(self, tracker: str, metric: str | None = None) -> tuple[str, ...]:
+        """Return the imperfections' labels from the most important on."""
+        return self.found.ranking(*self._asked(tracker, metric))
+
+    def importance(self, tracker: str, metric: str | None = None) -> dict[str, Estimate]:
+        """Return each imperfection's importance with its 95 % interval, by label: docs/experiments.md says what it is."""
+        asked = self._asked(tracker, metric)
+        return {factor.label: self.found.importance(*asked, i) for i, factor in enumerate(self.found.factors)}
+
+    def to_dict(self) -> dict:
+        """Return every figure, in JSON's own types."""
+        return json.loads(json.dumps(self.outcome.record["sensitivity"]))
+
+    def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
+        """Return the tornado chart of a metric, a panel for each tracker; it is saved at `path` where one is given."""
+        from linkplan.studies.experiment.draw_tornado import tornado_figure, tornado_title
+
+        _, name = self._asked(next(iter(self.found.influences)), metric)
+        title = tornado_title(self.found, self.outcome.experiment.plan.problem.name, name)
+        return tornado_figure(self.found, name, title, None if path is None else Path(path))
+
+    def _asked(self, tracker: str, metric: str | None) -> tuple[str, str]:
+        choose("tracker", tracker, tuple(self.found.influences), ProblemError)
+        return tracker, choose("metric", metric or self.found.mains[0], tuple(self.found.metrics), ProblemError)
+
+    def __str__(self) -> str:
+        one = self.outcome.experiment
+        return sensitivity_text(one.plan.problem.name, self.found, one.settings.seed)
+
+    def __repr__(self) -> str:
+        one = self.outcome.experiment
+        return f"SensitivityResult({one.plan.problem.name!r}: {self.found.design}, {one.n} machines)"

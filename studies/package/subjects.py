@@ -10,8 +10,8 @@ from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.problem_file import mechanism_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.keys.kinds import Angles, Numbers
+from linkplan.planner.keys.motion_section import WaypointSection
 from linkplan.planner.keys.reading import read
-from linkplan.planner.keys.sections import WaypointSection
 from linkplan.problems import Problem
 
 # What poses are stated by: a table of joint = value in degrees, one in metres.

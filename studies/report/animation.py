@@ -1,6 +1,7 @@
 """A mechanism in motion as a block: its bodies as sticks, flat where all of them move in parallel planes."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,8 +10,8 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.joint_frames import joint_frames
 from linkplan.models.poses.skeleton import Stick, sticks, view
 from linkplan.models.tree.coordinates import joint_label
-from linkplan.models.tree.joints import Joint
-from linkplan.studies.report.document import Animation, Body, Drive, Ghost
+from linkplan.studies.report.document import Animation, Body, Ghost
+from linkplan.studies.report.drives import drives_of
 from linkplan.studies.report.numbers import rounded, times
 
 # Frames of an animation: between them the page goes in straight lines.
@@ -20,6 +21,14 @@ _NUMBERS, _FEWEST_FRAMES = 120_000, 41
 # Depths that change by less than this share of the mechanism's extent do not change: a motion in a plane.
 _FLAT = 1e-6
 _AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Run:
+    """A motion as it was tracked: poses (n, n_q), and the efforts (n, n_u) [N.m or N] that acted."""
+
+    poses: np.ndarray
+    effort: np.ndarray
 
 
 def frames_of(mechanism: Mechanism, runs: int = 1) -> int:
@@ -37,7 +46,7 @@ def animation(
     *,
     effort: np.ndarray | None = None,
     effort_limit: np.ndarray | None = None,
-    ghosts: Mapping[str, np.ndarray] | None = None,
+    ghosts: Mapping[str, Run] | None = None,
     sites: Mapping[str, int] | None = None,
     period: float | None = None,
     planned: str = "planned",
@@ -53,7 +62,7 @@ def animation(
         poses: (n, n_q), closed.
         effort: (n, n_u) [N.m or N] of the actuators.
         effort_limit: (n_u, 2) of them.
-        ghosts: other poses (n, n_q) at the same instants, by name.
+        ghosts: other runs at the same instants, by name.
         sites: MuJoCo's sites by name, whose paths are drawn.
         period: of a motion that repeats [s].
         planned: what the solid drawing is called beside ghosts.
@@ -68,7 +77,7 @@ def animation(
     places = {name: places_of(mechanism, index, poses) @ frame.T for name, index in (sites or {}).items()}
     labels = [(name, rounded(joints.anchors[:, k] @ frame.T)) for k, name in enumerate(names)]
     labels += [(name, rounded(place)) for name, place in places.items()]
-    drives = [] if effort is None else _drives(mechanism, effort, effort_limit, joints, frame, flat)
+    drives = [] if effort is None else drives_of(mechanism, poses, effort, effort_limit, frame)
     return Animation(
         title=title,
         group=group,
@@ -76,7 +85,14 @@ def animation(
         axes=(_direction(right), _direction(up)),
         times=times(time_s),
         bodies=_bodies(drawn, frame),
-        ghosts=[Ghost(name=name, bodies=_bodies(sticks(mechanism, other), frame)) for name, other in (ghosts or {}).items()],
+        ghosts=[
+            Ghost(
+                name=name,
+                bodies=_bodies(sticks(mechanism, run.poses), frame),
+                drives=drives_of(mechanism, run.poses, run.effort, effort_limit, frame),
+            )
+            for name, run in (ghosts or {}).items()
+        ],
         drives=drives,
         labels=labels,
         paths=[(name, rounded(place)) for name, place in places.items()],
@@ -97,37 +113,6 @@ def _bodies(drawn: tuple[Stick, ...], frame: np.ndarray) -> list[Body]:
         points = stick.places @ frame.T
         flat = points.reshape(len(points), -1)
         found.append(Body(name=stick.body, fixed=stick.fixed, n_pins=points.shape[1], points=rounded(flat)))
-    return found
-
-
-def _drives(mechanism: Mechanism, effort, limit, joints, frame: np.ndarray, flat: bool) -> list[Drive]:
-    """Return the actuators that drive a hinge or a slide; the others act at no one place."""
-    found = []
-    for j, actuator in enumerate(mechanism.actuators):
-        if actuator.joint is None:
-            continue
-        joint: Joint = mechanism.joints[actuator.joint]
-        index = int(mechanism.model.actuator_trnid[actuator.index, 0])
-        axis = np.sign(actuator.gear) * joints.axes[:, index]
-        turns = joint.kind == "hinge"
-        if not flat:
-            shown = axis
-        elif turns:
-            shown = axis @ np.cross(frame[0], frame[1])[:, None]
-        else:
-            shown = axis @ frame.T
-        ends = mechanism.effort_limit[j] if limit is None else limit[j]
-        found.append(
-            Drive(
-                name=actuator.name,
-                turns=turns,
-                unit=actuator.unit,
-                at=rounded(joints.anchors[:, index] @ frame.T),
-                axis=rounded(shown),
-                effort=rounded(effort[:, j]),
-                limits=tuple(float(end) if np.isfinite(end) else None for end in ends),
-            )
-        )
     return found
 
 

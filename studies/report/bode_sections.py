@@ -100,7 +100,7 @@ def _margins(study: BodeStudy) -> Table:
     return Table(title="Margins at every pose", columns=columns(*heads), rows=rows)
 
 
-def known(value: float | None, digits: int = 5) -> float | None:
+def known(value: float | None, digits: int = 4) -> float | None:
     """Return a number to so many digits, None where it is none."""
     return float(f"{value:.{digits}g}") if value is not None and np.isfinite(value) else None
 
@@ -139,8 +139,8 @@ def _responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> li
         blocks.append(_plot(f"{title}: gain", "gain", "dB", gain, group, limits["gain"], ends))
         blocks.append(_plot(f"{title}: phase", "phase", "deg", phase, group, limits["phase"]))
         if off_db:
-            blocks.append(_plot(f"{title}: measured less predicted", "difference", "dB", off_db, group))
-            blocks.append(_plot(f"{title}: measured less predicted", "difference", "deg", off_deg, group))
+            blocks.append(_plot(f"{title}: gain, measured less predicted", "difference", "dB", off_db, group))
+            blocks.append(_plot(f"{title}: phase, measured less predicted", "difference", "deg", off_deg, group))
     return blocks
 
 

@@ -1,5 +1,7 @@
 """A certificate as a checklist: every limit with its worst number and the instant at which it is worst."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from linkplan.models.tree.joints import Joint
@@ -18,6 +20,8 @@ from linkplan.planner.plan import Plan
 from linkplan.studies.report.document import Checklist, Item
 from linkplan.studies.report.motion import Motion
 
+# Digits of a residual: its size is what is known of it.
+_RESIDUAL = 2
 # What a certificate's sentence on the velocity begins with: its verdict looks at the integrated velocity, too.
 _NOT_ITS_VELOCITY = "the planned velocity is not"
 
@@ -133,6 +137,7 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
         if kind in kinds:
             what = "state integrated under the planned effort, off the planned one"
             items.append(_item(what, bool(error <= allowed), error, allowed, unit, None))
+    items = [replace(item, worst=_known(item.worst, _RESIDUAL), limit=_known(item.limit, _RESIDUAL)) for item in items]
     if mechanism.closures:
         what = "least det J_z, relative to home (0 at a singular pose)"
         items.append(_item(what, True, certificate.singularity_ratio, None, "", None))
@@ -153,19 +158,19 @@ def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
     ]
 
 
-def _item(label: str, passed: bool, worst: float, limit: float | None, unit: str, instant: float | None) -> Item:
+def _item(label: str, passed: bool, worst: float, limit: float | None, unit: str, at: float | None) -> Item:
     return Item(
         label=label,
         passed=bool(passed),
-        worst=_known(worst),
+        worst=_known(worst, 5),
         limit=_known(limit),
         unit=unit,
-        instant_s=None if instant is None else _instant(instant),
+        instant_s=None if at is None else _instant(at),
     )
 
 
-def _known(value: float | None) -> float | None:
-    return float(f"{value:.6g}") if value is not None and np.isfinite(value) else None
+def _known(value: float | None, digits: int = 6) -> float | None:
+    return float(f"{value:.{digits}g}") if value is not None and np.isfinite(value) else None
 
 
 def _instant(time: float) -> float:

@@ -14,7 +14,7 @@ from linkplan.studies.report.bode_sections import known
 from linkplan.studies.report.document import Axis, Block, Code, Facts, Plot, Section, Table, Text
 from linkplan.studies.report.lines import TIME, Line, plots
 
-# Paths of more coordinates than this are not drawn: the record has them all.
+# Of more coordinates than this the paths are folded, and a path's plots are of its own coordinate.
 _DRAWN = 6
 # Of what grows without bound next to a singular pose, what lies between these shares of the samples is shown, where the
 # whole would be so many times as high.
@@ -29,11 +29,8 @@ def check_sections(whole: WholeCheck, *, depth: int = 1) -> list[Section]:
     """Return the sections of all that a check finds."""
     found = whole.found
     first = Section(title=f"Mechanism: {whole.name}", blocks=inspection_blocks(found), depth=depth)
-    paths = [path_section(path, whole.name, depth=depth + 1) for path in whole.paths[:_DRAWN]]
-    if len(whole.paths) > _DRAWN:
-        said = f"Drawn are {_DRAWN} of {len(whole.paths)} coordinates; check.json in the same folder has all of them."
-        paths.append(Section(title="Other coordinates", blocks=[Text(text=said, tone="note")], depth=depth + 1))
-    return [first, *paths]
+    several = len(whole.paths) > _DRAWN  # then each is opened by its title
+    return [first, *(path_section(path, whole.name, depth=depth + 1, folded=several) for path in whole.paths)]
 
 
 def inspection_blocks(found: Inspection) -> list[Block]:
@@ -42,14 +39,15 @@ def inspection_blocks(found: Inspection) -> list[Block]:
     verdict = [Text(text=problem, tone="bad") for problem in found.problems] or [
         Text(text="No problems found.", tone="good")
     ]
-    rank = f"{mechanism.n_closure_rows} rows, rank {len(mechanism.closure_rows)}"
+    n_rows = mechanism.n_closure_rows
+    rank = f"{n_rows} row{'s' if n_rows != 1 else ''}, rank {len(mechanism.closure_rows)}"
     rows = [
         ("degrees of freedom", f"{mechanism.dof} ({', '.join(j.name for j in mechanism.independent_joints)} independent)"),
         ("joints", ", ".join(joint.name for joint in mechanism.joints)),
         ("closure", f"{', '.join(mechanism.closure_names) or 'none'}: {rank}, gap {found.closure_gap_m:.3g} m"),
     ]
     if mechanism.closures:
-        rows.append(("det J_z at home", ", ".join(f"{x:.4g}" for x in branch(mechanism))))
+        rows.append(("det J_z at home, in SI units", ", ".join(f"{x:.4g}" for x in branch(mechanism))))
     reaches = Table(
         title="Reach, the other coordinates at home",
         columns=[
@@ -64,9 +62,9 @@ def inspection_blocks(found: Inspection) -> list[Block]:
         rows=[
             [
                 joint.name,
-                joint.said(float(mechanism.home[index]), 5),
-                joint.said(can.lower.position, 5),
-                joint.said(can.upper.position, 5),
+                known(joint.shown(float(mechanism.home[index]))),
+                known(joint.shown(can.lower.position)),
+                known(joint.shown(can.upper.position)),
                 joint.unit,
                 can.lower.reason,
                 can.upper.reason,
@@ -107,7 +105,7 @@ def _poses(found: Inspection) -> list[Table]:
     return [Table(title="At the poses asked for", columns=columns, rows=rows)]
 
 
-def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2) -> Section:
+def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2, folded: bool = False) -> Section:
     """Return the section of a mechanism along a path: animated, with its ratios, inertias, efforts and forces."""
     axis, x = _over(path)
     group = f"path:{name}:{path.title}"
@@ -129,6 +127,7 @@ def path_section(path: KinematicLoopPath, name: str, *, depth: int = 2) -> Secti
         title=f"Along {path.title}, at rest",
         blocks=[moving, *said, *_path_plots(path, axis, x[order], order, group)],
         depth=depth,
+        folded=folded,
     )
 
 

@@ -177,6 +177,39 @@ class Plane:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Span:
+    """A part of a bar, from `start` to `end`; `low` and `high` are the ends of an interval about its end, if it has one."""
+
+    name: str
+    start: float
+    end: float
+    colour: int | None = 0
+    low: float | None = None
+    high: float | None = None
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Bar:
+    """A line of a bar chart: its name, its parts below one another, and a word beside it."""
+
+    label: str
+    spans: Sequence[Span]
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Bars:
+    """Bars beside their names, on one axis; they stand on `line`, which has a name where it is not zero."""
+
+    title: str
+    axis: Axis
+    rows: Sequence[Bar]
+    line: float = 0.0
+    line_name: str = ""
+    kind: str = field(default="bars", init=False)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Body:
     """A body of an animation: its pins at every frame, flat: (n_frames, n_pins * dimension) [m]."""
 
@@ -187,28 +220,36 @@ class Body:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Drive:
-    """An actuator of an animation: where it acts, about or along which axis, and its effort against its limits.
+class Mark:
+    """Where and how an actuator's effort is drawn: an "arc" about an axis, an "arrow" along one, or a "line" (a tendon).
 
-    `at` (n_frames, dimension) [m]; `axis` the same, a unit vector (of a hinge seen along its axis: its third component
-    alone). `turns` says whether the effort is a torque, drawn as an arc, or a force, drawn as an arrow.
+    `at` (n_frames, dimension) [m], of a line its points one after another; `axis` the same, unit vectors (of an arc in a
+    plane its third component alone), empty of a line.
     """
 
-    name: str
-    turns: bool
-    unit: str
+    shape: str
     at: Sequence[Numbers]
     axis: Sequence[Numbers]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Drive:
+    """An actuator of an animation: its effort (n_frames,) [`unit`] against its limits, and its marks, if it has any."""
+
+    name: str
+    unit: str
+    marks: Sequence[Mark]
     effort: Numbers
     limits: tuple[float | None, float | None]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Ghost:
-    """The same bodies as they moved otherwise, as a tracker moved them, on the same frames."""
+    """The same bodies as they moved otherwise, as a tracker moved them, on the same frames, and what then drove them."""
 
     name: str
     bodies: Sequence[Body]
+    drives: Sequence[Drive] = ()
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -244,16 +285,17 @@ class Code:
     kind: str = field(default="code", init=False)
 
 
-Block = Text | Facts | Table | Checklist | Plot | Plane | Animation | Code
+Block = Text | Facts | Table | Checklist | Plot | Plane | Bars | Animation | Code
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Section:
-    """Blocks under a title. One of `depth` 2 belongs to the one of depth 1 before it."""
+    """Blocks under a title. One of `depth` 2 belongs to the one of depth 1 before it; one that is folded opens on demand."""
 
     title: str
     blocks: Sequence[Block]
     depth: int = 1
+    folded: bool = False
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
 """Lines over time or another common axis, a plot for each unit."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,8 @@ from linkplan.studies.report.numbers import kept, rounded, times
 _NEAR = 2.0
 LOOKS = ("line", "dash", "dashdot")
 _COLOURS = 6
+# Lines in one plot: of more there are several plots.
+_MOST_LINES = 9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -39,10 +41,9 @@ def plots(
     period: float | None = None,
     ends: tuple[float, float] | None = None,
 ) -> list[Plot]:
-    """Return a plot for each unit among lines over x (n,), thinned and rounded; none where there are no lines."""
+    """Return a plot for each unit among lines over x (n,), thinned and rounded, several of many lines; none of no lines."""
     found, units = [], list(dict.fromkeys(line.unit for line in lines))
-    for unit in units:
-        of_it = [line for line in lines if line.unit == unit]
+    for unit, of_it in _readable(units, lines):
         columns = np.column_stack([line.values for line in of_it])
         rows = kept(np.log10(np.where(columns > 0, columns, np.nan)) if log else columns)
         values = np.column_stack([line.values[rows] for line in of_it])
@@ -59,7 +60,7 @@ def plots(
         ]
         found.append(
             Plot(
-                title=title if len(units) == 1 else f"{title} [{unit}]",
+                title=_title(title, units, of_it, lines),
                 group=group,
                 x_axis=x_axis,
                 y_axis=Axis(label=what, unit=unit, log=log, ends=ends),
@@ -70,6 +71,21 @@ def plots(
             )
         )
     return found
+
+
+def _readable(units: Sequence[str], lines: Sequence[Line]) -> Iterator[tuple[str, list[Line]]]:
+    """Yield the lines of each unit, as many at a time as can be told apart."""
+    for unit in units:
+        of_it = [line for line in lines if line.unit == unit]
+        parts = -(-len(of_it) // _MOST_LINES)
+        for k in range(parts):
+            yield unit, of_it[k * len(of_it) // parts : (k + 1) * len(of_it) // parts]
+
+
+def _title(title: str, units: Sequence[str], drawn: Sequence[Line], lines: Sequence[Line]) -> str:
+    unit = drawn[0].unit
+    whole = len(drawn) == sum(line.unit == unit for line in lines)
+    return title + (f" [{unit}]" if len(units) > 1 else "") + ("" if whole else f": {drawn[0].name} to {drawn[-1].name}")
 
 
 def _limits(lines: Sequence[Line], values: np.ndarray) -> list[Limit]:

@@ -17,6 +17,7 @@ from linkplan.studies.report.document import Block, Code, Facts, Plot, Section, 
 from linkplan.studies.report.lines import TIME, Line, plots
 from linkplan.studies.report.motion import Motion, motion_of
 from linkplan.studies.report.phase import phase_plane
+from linkplan.studies.report.robust_sections import robust_section
 
 # Dependent joints are drawn in plots of their own up to so many coordinates in all.
 _SEVERAL = 12
@@ -59,10 +60,12 @@ def plan_sections(plan: Plan, *, depth: int = 1, animated: bool = True, verdict:
     seen: list[Block] = [_animation(plan, group, period)] if animated else []
     phase = phase_plane(plan, motion, group, period)
     below = depth + 1
+    robust = robust_section(plan, motion, group, period, depth=below)
     return [
         Section(title=f"Plan: {plan.problem.name}", blocks=[*_verdict(plan, said=verdict), *seen], depth=depth),
         Section(title="Motion and effort", blocks=_time_plots(plan, motion, group, period), depth=below),
         *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=below)]),
+        *([] if robust is None else [robust]),
         Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=below),
         Section(title="Solves and mesh", blocks=[*_solves(plan), _mesh(plan, group, period)], depth=below),
         Section(title="Problem", blocks=_problem(plan), depth=below),
@@ -78,16 +81,16 @@ def _verdict(plan: Plan, *, said: bool) -> list[Block]:
     if plan.objective is not None:
         terms = list(problem.objective.weights)
         unit = f" {TERMS[terms[0]][1]}" if len(terms) == 1 else ""
-        rows.append(("value of the objective", f"{plan.objective:.9g}{unit}"))
+        rows.append(("value of the objective", f"{plan.objective:.6g}{unit}"))
     if certificate is not None:
         rows += [
-            (f"largest effort of {actuator.name}", f"{peak:.5g} {actuator.unit}, limit {low:g} to {high:g} {actuator.unit}")
+            (f"largest effort of {actuator.name}", f"{peak:.4g} {actuator.unit}, limit {low:g} to {high:g} {actuator.unit}")
             for actuator, peak, (low, high) in zip(
                 problem.mechanism.actuators[:_SEVERAL], certificate.peak_effort, problem.limits.effort, strict=False
             )
         ]
     notes = [Text(text=text, tone="note") for text in (*problem.notes, *not_honoured(plan))]
-    message_too = [Text(text=message, tone="good" if plan.status == "optimal" else "bad")] if said else []
+    message_too = [Text(text=message, tone="good" if plan.passed else "bad")] if said else []
     return [*message_too, Facts(rows=rows), *notes]
 
 

@@ -11,8 +11,10 @@ from linkplan.planner.files.folders import RECORDS
 from linkplan.planner.files.plan_folder import MOST_JSON_BYTES, read_plan, unchecked
 from linkplan.planner.plan import Plan
 from linkplan.planner.refinement.history import Step
+from linkplan.studies.experiment.study import RECORD as EXPERIMENT
+from linkplan.studies.experiment.study import saved_outcome
 from linkplan.studies.report.document import Block, Facts, Report, Section, Table, Text
-from linkplan.studies.report.reports import plan_report, report_of
+from linkplan.studies.report.reports import experiment_report, plan_report, report_of
 from linkplan.studies.report.saving import DOCUMENT, read_document
 
 # Rows of a record's table that are shown, and letters of a fact.
@@ -20,7 +22,7 @@ _ROWS, _LETTERS = 500, 300
 
 
 def folder_report(folder: Path) -> Report | Mapping:
-    """Return the report of a saved folder: of a plan, a check, a comparison, a feedback loop, gains, a batch, the demo.
+    """Return the report of a saved folder: of a plan, a check, a comparison, an experiment, a feedback loop, gains, a batch.
 
     Raises:
         PlanFileError: when it is none, or damaged.
@@ -31,6 +33,8 @@ def folder_report(folder: Path) -> Report | Mapping:
         return read_document(folder / DOCUMENT)
     if (folder / "plan.json").is_file():
         return plan_report(saved_plan(folder))
+    if (folder / EXPERIMENT).is_file():
+        return experiment_report(saved_outcome(folder), folder)
     record = next((name for name in RECORDS if (folder / name).is_file()), None)
     if record is None:
         raise PlanFileError(f"'{folder}' holds no result of linkplan's: none of {', '.join(RECORDS)} is in it")

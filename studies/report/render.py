@@ -16,7 +16,7 @@ from linkplan.models.errors import PlanFileError
 from linkplan.studies.report.document import Report
 
 # In the order in which they build on one another.
-_PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "animation", "player", "blocks", "main")
+_PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "animation", "player", "blocks", "main")
 # By these words an earlier report is known, which a new one may replace.
 _OURS = '<meta name="generator" content="linkplan">'
 _HEAD = 1000

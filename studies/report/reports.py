@@ -1,6 +1,7 @@
 """Whole reports: of a plan, a comparison, a decomposition, a feedback loop, gains, a check."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.plan import Plan
@@ -12,10 +13,13 @@ from linkplan.studies.check.refused_model import RefusedModel
 from linkplan.studies.check.whole_check import WholeCheck
 from linkplan.studies.compare.compare import Comparison
 from linkplan.studies.decompose.decompose import Decomposition
+from linkplan.studies.experiment.experiment_text import tube_said
+from linkplan.studies.experiment.study import Outcome
 from linkplan.studies.report.bode_sections import bode_sections
 from linkplan.studies.report.check_sections import check_sections, refused_section
 from linkplan.studies.report.decomposition_section import decomposition_section
 from linkplan.studies.report.document import Report, Section
+from linkplan.studies.report.experiment_sections import experiment_sections, machine_section
 from linkplan.studies.report.loop_sections import along_section, large_section, map_section, tune_sections
 from linkplan.studies.report.plan_sections import plan_sections
 from linkplan.studies.report.tracking_sections import whole_comparison
@@ -32,7 +36,7 @@ def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[
 
 def plan_report(plan: Plan) -> Report:
     """Return the report of a plan."""
-    return report_of(f"Plan {plan.problem.name}", plan.message, plan.status == "optimal", plan_sections(plan, verdict=False))
+    return report_of(f"Plan {plan.problem.name}", plan.message, plan.passed, plan_sections(plan, verdict=False))
 
 
 def comparison_report(comparison: Comparison, document: Section | None = None) -> Report:
@@ -43,6 +47,28 @@ def comparison_report(comparison: Comparison, document: Section | None = None) -
     verdict += f", {', '.join(lost)} NOT" if lost else ""
     sections = [*whole_comparison(comparison), *([] if document is None else [document])]
     return report_of(f"Trackers on {comparison.plan.problem.name}", verdict, bool(stable), sections)
+
+
+def replay_report(comparison: Comparison, sample: Mapping) -> Report:
+    """Return the report of one sample of an experiment that was run again; `sample` is its record."""
+    (tracker,) = comparison.nominal
+    failure = sample["failure"]
+    came_out = failure or ("success" if sample["success"] else "outside the tube")
+    verdict = f"{tracker} on machine {sample['sample']}: {came_out}"
+    sections = [machine_section(sample), *whole_comparison(comparison)]
+    passed = bool(sample["success"]) and failure is None
+    return report_of(f"A machine of the experiment on {comparison.plan.problem.name}", verdict, passed, sections)
+
+
+def experiment_report(outcome: Outcome, folder: Path | None = None) -> Report:
+    """Return the report of an experiment, and of its plan; `folder` is where its samples can be run again from."""
+    plan, summary = outcome.experiment.plan, outcome.summary
+    best = max(summary.trackers, key=lambda one: one.success.value)
+    shares = ", ".join(f"{one.name} {100 * one.success.value:.3g} %" for one in summary.trackers)
+    verdict = f"success on {summary.samples} machines within {tube_said(outcome.experiment)}: {shares}"
+    sections = [*experiment_sections(outcome, folder), *plan_sections(plan)]
+    title = f"Trackers of {plan.problem.name} on many machines"
+    return report_of(title, verdict, None if best.success.value > 0 else False, sections)
 
 
 def decomposition_report(found: Decomposition) -> Report:

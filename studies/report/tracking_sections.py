@@ -1,6 +1,6 @@
 """A comparison's part of a report: the motion with its ghosts, trackers side by side, their errors and efforts over time."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -8,14 +8,17 @@ from linkplan.controllers.rollout import Rollout
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record, tracking_reference
 from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS
-from linkplan.studies.report.animation import animation, frames_of
+from linkplan.studies.report.animation import Run, animation, frames_of
 from linkplan.studies.report.columns import columns
 from linkplan.studies.report.document import Block, Plot, Section, Table, Text
 from linkplan.studies.report.lines import TIME, Line, plots
 from linkplan.studies.report.plan_sections import group_of, plan_sections
 
-# Joints, and actuators, whose lines are drawn: of more, those with the largest errors and efforts.
+# Joints, and actuators, whose lines are drawn at once: of more, those with the largest errors and efforts; the others on
+# demand.
 _DRAWN = 6
+# Peak efforts of more actuators have a table of their own.
+_PEAKS_BESIDE = 3
 # An error below this is drawn as this: the simulator's rounding [deg or m].
 _LEAST_ERROR = 1e-7
 # Widths of the first tracker's lines and of the last one's [px].
@@ -29,14 +32,11 @@ def comparison_sections(comparison: Comparison, *, depth: int = 1) -> list[Secti
     if comparison.mismatch is not None:
         cases.append((comparison.mismatch.name, comparison.mismatched))
     notes = [Text(text=note, tone="note") for note in comparison_notes(comparison)]
-    tables = [_table(comparison, title, runs) for title, runs in cases]
+    tables = [table for title, runs in cases for table in _tables(comparison, title, runs)]
     first = Section(
         title=f"Tracking: {plan.problem.name}", blocks=[_animation(comparison, cases), *tables, *notes], depth=depth
     )
-    over_time = [
-        Section(title=f"Over time: {title}", blocks=_over_time(comparison, runs), depth=below) for title, runs in cases
-    ]
-    return [first, *over_time]
+    return [first, *(section for title, runs in cases for section in _over_time(comparison, title, runs, depth=below))]
 
 
 def whole_comparison(comparison: Comparison) -> list[Section]:
@@ -44,14 +44,16 @@ def whole_comparison(comparison: Comparison) -> list[Section]:
     return [*comparison_sections(comparison), *plan_sections(comparison.plan, animated=False)]
 
 
-def _table(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> Table:
+def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Table]:
+    """Return the table of trackers side by side, and one of peak efforts where there are many actuators."""
     plan, conditions = comparison.plan, next(iter(runs.values())).conditions
     units = list(dict.fromkeys(joint.unit for joint in plan.problem.mechanism.independent_joints))
     actuators = plan.problem.mechanism.actuators
+    few = actuators if len(actuators) <= _PEAKS_BESIDE else []
     heads = [
         ("tracker", ""),
         *((f"{which} error", unit) for unit in units for which in ("rms", "largest", "final")),
-        *((f"peak of {actuator.name}", actuator.unit) for actuator in actuators),
+        *((f"peak of {actuator.name}", actuator.unit) for actuator in few),
         ("saturated", "%"),
         ("closure gap", "um"),
         ("contacts", ""),
@@ -62,17 +64,24 @@ def _table(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> T
         said = rollout_record(plan, run)
         errors = [said.get(f"{which}_error_{unit}") for unit in units for which in ("rms", "max", "final")]
         gap = 1e6 * said["loop_gap_max_m"]
-        numbers = [*errors, *said["peak_effort"].values(), 100 * said["saturated_fraction"], gap]
+        numbers = [*errors, *(said["peak_effort"][actuator.name] for actuator in few), 100 * said["saturated_fraction"], gap]
         rows.append([name, *(_known(x) for x in numbers), said["contacts"], said["stable"]])
+    delay = conditions["delay_periods"]
     how = (
         f"MuJoCo {conditions['mujoco']}, {conditions.get('integrator', '')}, step {conditions['timestep_s']:g} s,"
-        f" control period {conditions['control_period_s']:g} s, delay {conditions['delay_periods']} period(s)"
+        f" control period {conditions['control_period_s']:g} s, delay {delay} period{'' if delay == 1 else 's'}"
     )
-    return Table(title=f"{title[:1].upper()}{title[1:]}: {how}", columns=heads, rows=rows)
+    found = [Table(title=f"{title[:1].upper()}{title[1:]}: {how}", columns=heads, rows=rows)]
+    if not few:
+        records = [rollout_record(plan, run)["peak_effort"] for run in runs.values()]
+        rows = [[a.name, *(_known(peaks[a.name]) for peaks in records), a.unit] for a in actuators]
+        columns = [("actuator", ""), *((name, "") for name in runs), ("unit", "")]
+        found.append(Table(title=f"Peak efforts, {title}", columns=columns, rows=rows))
+    return found
 
 
 def _known(value: float | None) -> float | None:
-    return float(f"{value:.5g}") if value is not None and np.isfinite(value) else None
+    return float(f"{value:.4g}") if value is not None and np.isfinite(value) else None
 
 
 def _animation(comparison: Comparison, cases) -> Block:
@@ -84,7 +93,7 @@ def _animation(comparison: Comparison, cases) -> Block:
     ghosts = {}
     for k, (_, runs) in enumerate(cases):
         for name, run in runs.items():
-            ghosts[name if k == 0 else f"{name}, with the mismatch"] = _poses(run, frames)
+            ghosts[name if k == 0 else f"{name}, with the mismatch"] = _run(run, frames)
     return animation(
         mechanism,
         f"{mechanism.name} along {plan.problem.name}, planned and as tracked",
@@ -98,68 +107,98 @@ def _animation(comparison: Comparison, cases) -> Block:
     )
 
 
-def _poses(run: Rollout, frames: np.ndarray) -> np.ndarray:
-    """Return a run's poses at control instants; one that blew up stays where it was last seen."""
+def _run(run: Rollout, frames: np.ndarray) -> Run:
+    """Return a run at control instants; one that blew up stays where it was last seen, without any effort."""
     seen = np.flatnonzero(np.isfinite(run.pose).all(axis=1))
     last = int(seen[-1]) if len(seen) else 0
-    return np.nan_to_num(run.pose[np.minimum(frames, last)])
+    at = np.minimum(frames, last)
+    return Run(poses=np.nan_to_num(run.pose[at]), effort=np.where((frames <= last)[:, None], run.applied[at], 0.0))
 
 
-def _over_time(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Block]:
-    mechanism, group = comparison.plan.problem.mechanism, group_of(comparison.plan)
-    longest = max(runs.values(), key=lambda run: len(run.time_s))
-    time, found = longest.time_s, []
-
-    def add(title: str, what: str, unit: str, column, *, log: bool = False, extra: list[Line] | None = None, **options):
-        lines = [
-            Line(
-                name=name,
-                values=_padded(column(run), len(time)),
-                unit=unit,
-                colour=_colour(runs, name),
-                look="line",
-                width=_width(runs, name),
-                **options,
-            )
-            for name, run in runs.items()
-        ]
-        found.extend(plots(title, what, TIME, time, [*lines, *(extra or [])], group=group, log=log))
-
-    joints = mechanism.independent_joints
+def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout], *, depth: int) -> list[Section]:
+    """Return what happens over time: of many joints and actuators those with the largest figures, the others folded."""
+    mechanism = comparison.plan.problem.mechanism
     chosen = _largest(np.max([np.abs(run.error).max(axis=0) for run in runs.values()], axis=0))
+    pushed = _largest(np.max([np.abs(run.applied).max(axis=0) for run in runs.values()], axis=0))
+    others = [k for k in range(mechanism.dof) if k not in chosen], [j for j in range(mechanism.n_u) if j not in pushed]
+    blocks = [*_joint_plots(comparison, runs, chosen), *_effort_plots(comparison, runs, pushed), *_gap(comparison, runs)]
+    found = [Section(title=f"Over time: {title}", blocks=[*_left_out(mechanism, *others), *blocks], depth=depth)]
+    if any(others):
+        blocks = [*_joint_plots(comparison, runs, others[0]), *_effort_plots(comparison, runs, others[1])]
+        found.append(Section(title=f"Other joints: {title}", blocks=blocks, depth=depth, folded=True))
+    return found
+
+
+def _joint_plots(comparison: Comparison, runs: Mapping[str, Rollout], chosen: list[int]) -> list[Plot]:
+    joints, longest, found = comparison.plan.problem.mechanism.independent_joints, _longest(runs), []
     for k in chosen:
         joint, factor = joints[k], joints[k].shown(1.0)
         desired = Line(name="desired", values=factor * longest.reference[:, k], unit=joint.unit, look="dash", colour=None)
-        add(
-            f"{joint.name}, desired and tracked",
-            "position",
-            joint.unit,
-            lambda run, k=k, f=factor: f * run.position[:, k],
-            extra=[desired],
-        )
-        add(
-            f"Size of the error of {joint.name}",
-            "error",
-            joint.unit,
-            lambda run, k=k, f=factor: np.maximum(np.abs(f * run.error[:, k]), _LEAST_ERROR),
-            log=True,
-        )
-    pushed = _largest(np.max([np.abs(run.applied).max(axis=0) for run in runs.values()], axis=0))
+        positions = {name: factor * run.position[:, k] for name, run in runs.items()}
+        errors = {name: np.maximum(np.abs(factor * run.error[:, k]), _LEAST_ERROR) for name, run in runs.items()}
+        title = f"{joint.name}, desired and tracked"
+        found += _plots(comparison, runs, title, "position", joint.unit, positions, extra=[desired])
+        found += _plots(comparison, runs, f"Size of the error of {joint.name}", "error", joint.unit, errors, log=True)
+    return found
+
+
+def _effort_plots(comparison: Comparison, runs: Mapping[str, Rollout], pushed: list[int]) -> list[Plot]:
+    actuators, limits, found = comparison.plan.problem.mechanism.actuators, _longest(runs).effort_limit, []
     for j in pushed:
-        actuator = mechanism.actuators[j]
-        limits = tuple(float(x) for x in longest.effort_limit[j])
-        add(f"Effort of {actuator.name}", "effort", actuator.unit, lambda run, j=j: run.applied[:, j], limits=limits)
-    if mechanism.closures:
-        add("Gap of the kinematic loops", "gap", "um", lambda run: 1e6 * run.gap_m)
-    return [*_left_out(mechanism, len(chosen), len(pushed)), *found]
+        ends = (float(limits[j][0]), float(limits[j][1]))
+        efforts = {name: run.applied[:, j] for name, run in runs.items()}
+        title = f"Effort of {actuators[j].name}"
+        found += _plots(comparison, runs, title, "effort", actuators[j].unit, efforts, limits=ends)
+    return found
 
 
-def _left_out(mechanism: Mechanism, n_joints: int, n_actuators: int) -> list[Text]:
-    if n_joints == mechanism.dof and n_actuators == mechanism.n_u:
+def _gap(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Plot]:
+    if not comparison.plan.problem.mechanism.closures:
+        return []
+    gaps = {name: 1e6 * run.gap_m for name, run in runs.items()}
+    return _plots(comparison, runs, "Gap of the kinematic loops", "gap", "um", gaps)
+
+
+def _longest(runs: Mapping[str, Rollout]) -> Rollout:
+    return max(runs.values(), key=lambda run: len(run.time_s))
+
+
+def _plots(
+    comparison: Comparison,
+    runs: Mapping[str, Rollout],
+    title: str,
+    what: str,
+    unit: str,
+    values: Mapping[str, np.ndarray],
+    *,
+    log: bool = False,
+    extra: Sequence[Line] = (),
+    limits: tuple[float, float] = (-np.inf, np.inf),
+) -> list[Plot]:
+    """Return the plots of a quantity of every run over time."""
+    time = _longest(runs).time_s
+    lines = [
+        Line(
+            name=name,
+            values=_padded(column, len(time)),
+            unit=unit,
+            colour=_colour(runs, name),
+            look="line",
+            width=_width(runs, name),
+            limits=limits,
+        )
+        for name, column in values.items()
+    ]
+    return plots(title, what, TIME, time, [*lines, *extra], group=group_of(comparison.plan), log=log)
+
+
+def _left_out(mechanism: Mechanism, joints: list[int], actuators: list[int]) -> list[Text]:
+    if not joints and not actuators:
         return []
     said = (
-        f"Drawn are the {n_joints} of {mechanism.dof} joints with the largest errors and the {n_actuators} of"
-        f" {mechanism.n_u} actuators with the largest efforts; the folder of the comparison has all of them."
+        f"Drawn are the {mechanism.dof - len(joints)} of {mechanism.dof} joints with the largest errors and the"
+        f" {mechanism.n_u - len(actuators)} of {mechanism.n_u} actuators with the largest efforts; the others are in the"
+        " folded section below."
     )
     return [Text(text=said, tone="note")]
 

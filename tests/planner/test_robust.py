@@ -50,7 +50,7 @@ def test_a_corner_s_efforts_are_the_inverse_dynamics_of_its_own_machine():
     plan = optimal("knee-reach")
     _, q, v, a = samples(plan)
     corner = Corner(payload_factor=0.7, torque_factor=0.9, friction=((0, 0.05, 0.0),))
-    found = corner_efforts_along(plan.problem.mechanism, (corner,), q, v, a)[:, 0]
+    found = corner_efforts_along(plan.problem.mechanism, (corner,), q, v, a, np.zeros_like(v))[:, 0]
     other = load_mechanism("optimus-knee", payload=SHANK.scaled(0.7))
     wanted = (needed_effort(other, q, v, a)[0] + 0.05 * v) / 0.9
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
@@ -60,8 +60,8 @@ def test_corners_of_several_freedoms_are_solved_for_together():
     mechanism = load_mechanism(FIVE_BAR)
     rng = np.random.default_rng(2)
     q = np.tile(mechanism.home, (4, 1))
-    v, a = rng.normal(size=(4, mechanism.dof)), rng.normal(size=(4, mechanism.dof))
-    found = corner_efforts_along(mechanism, (Corner(torque_factor=0.5),), q, v, a)[:, 0]
+    v, a, u = rng.normal(size=(3, 4, mechanism.dof))
+    found = corner_efforts_along(mechanism, (Corner(torque_factor=0.5),), q, v, a, u)[:, 0]
     np.testing.assert_allclose(found, 2 * needed_effort(mechanism, q, v, a)[0], rtol=1e-9)
 
 
@@ -129,6 +129,11 @@ def test_ranges_that_mean_nothing_are_refused_in_one_line(asked, said):
         load_problem("knee-reach", [asked])
     assert said in str(refused.value)
     assert "\n" not in str(refused.value)
+
+
+def test_freedoms_that_no_actuator_moves_are_refused_with_the_reason():
+    with pytest.raises(LinkplanError, match="'cart-pole' move 1 of 2, and how the rest moves depends on the machine"):
+        load_problem("cart-pole-swing-up", ["robust.torque_constant_factor=[0.9, 1.0]"])
 
 
 def test_a_range_of_payloads_needs_a_payload():

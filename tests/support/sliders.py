@@ -7,9 +7,9 @@ Pontryagin's conditions. Geometry and loads are other than those of the random f
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import solve_bvp
 from scipy.interpolate import CubicSpline
 
+from tests.support.least_effort import least_effort_of
 from tests.support.least_time import Curves, least_time_of
 
 _POSES = 6001
@@ -125,7 +125,7 @@ def drawn(seed: int, number: int) -> Drawn:
             return Drawn(tables=tables, minimize="time", best=least_time_of(curves, start, goal, (-limit, limit), power))
         tables["limits"]["effort"] = {"act": [-100.0 * limit, 100.0 * limit]}
         tables["motion"]["duration_s"] = duration = quickest * float(rng.uniform(0.8, 2.0))
-        best = _least_effort(curves, start, goal, duration)
+        best = least_effort_of(curves, start, goal, duration)
         if best is not None:
             return Drawn(tables=tables, minimize="effort", best=best)
 
@@ -164,31 +164,3 @@ def _curves(slider: Slider, start: float, goal: float) -> Curves:
         square=CubicSpline(angle, -0.5 * slope(angle)),
         linear=drag,
     )
-
-
-def _least_effort(curves: Curves, start: float, goal: float, duration: float) -> float | None:
-    """Return the least integral of u^2 from rest to rest in a duration; None where the conditions were not solved."""
-    M, h, d, c = curves.inertia, curves.still, curves.square, curves.linear
-    dM, dh, dd, dc = (curve.derivative() for curve in (M, h, d, c))
-
-    def rates(_t: np.ndarray, y: np.ndarray) -> np.ndarray:
-        s, v, p, q = y[:4]
-        u = -q / (2 * M(s))
-        a = (h(s) + d(s) * v**2 + c(s) * v + u) / M(s)
-        by_place = (dh(s) + dd(s) * v**2 + dc(s) * v - a * dM(s)) / M(s)
-        by_speed = (2 * d(s) * v + c(s)) / M(s)
-        return np.array([v, a, -q * by_place, -p - q * by_speed, u**2])
-
-    def ends(before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        return np.array([before[0] - start, before[1], after[0] - goal, after[1], before[4]])
-
-    t = np.linspace(0.0, duration, 201)
-    x, span = t / duration, goal - start
-    s = start + span * x**3 * (10 - 15 * x + 6 * x**2)
-    v = span * 30 * x**2 * (1 - x) ** 2 / duration
-    a = span * 60 * x * (1 - x) * (1 - 2 * x) / duration**2
-    u = M(s) * a - h(s) - d(s) * v**2 - c(s) * v
-    guess = np.array([s, v, np.zeros_like(s), -2 * M(s) * u, np.cumsum(u**2) * duration / len(t)])
-    with np.errstate(all="ignore"):  # a guess too far away
-        found = solve_bvp(rates, ends, t, guess, tol=1e-9, max_nodes=20000)
-    return float(found.y[4, -1]) if found.success else None

@@ -126,37 +126,59 @@ function drawArc(ctx, view, at, axis, from, to) {
   ctx.stroke();
 }
 
-/** Draw an actuator's effort: an arc about its hinge or an arrow along its slide, its limits behind it in grey. */
-function drawDrive(ctx, view, drive, frame, dimension) {
-  const place = mixed(drive.at, frame);
-  const at = [place[0], place[1], dimension === 3 ? place[2] : 0];
-  const row = mixed(drive.axis, frame);
-  const axis = dimension === 3 ? row : drive.turns ? [0, 0, row[0]] : [row[0], row[1], 0];
-  const effort = mixed(drive.effort, frame);
+/** Return an effort's share of its limit, of its peak where it has none, signed, and whether it is at the limit. */
+function shareOf(drive, effort) {
   const limits = drive.limits.map((limit) => (limit === null ? null : Math.abs(limit)));
   const full = Math.max(...limits.map((limit) => limit || 0)) || Math.max(...drive.effort.map(Math.abs)) || 1;
-  const share = effort / full;
   const limit = effort < 0 ? limits[0] : limits[1];
-  const colour = limit !== null && Math.abs(effort) >= 0.999 * limit ? theme.colour("bad") : theme.colour("effort");
-  for (const [ends, look, width] of [[[-(limits[0] ?? 0) / full, (limits[1] ?? 0) / full], theme.colour("faint"), 5], [[0, share], colour, 5]]) {
+  return { share: effort / full, ends: [-(limits[0] ?? 0) / full, (limits[1] ?? 0) / full], full: limit !== null && Math.abs(effort) >= 0.999 * limit };
+}
+
+/** Draw an actuator's effort: an arc about a hinge, an arrow along a slide or a force, its limits behind it in grey; a tendon as a line. */
+function drawDrive(ctx, view, drive, frame, dimension) {
+  const { share, ends, full } = shareOf(drive, mixed(drive.effort, frame));
+  const colour = theme.colour(full ? "bad" : "effort");
+  for (const mark of drive.marks) {
+    if (mark.shape === "line") drawLine(ctx, view, triples(mixed(mark.at, frame), dimension), Math.abs(share), colour);
+    else drawLoad(ctx, view, mark, frame, dimension, share, ends, colour);
+  }
+}
+
+/** Draw a tendon: a thin line, in the load's colour and thicker the more it pulls or pushes. */
+function drawLine(ctx, view, points, share, colour) {
+  const slack = share < 0.02;
+  ctx.strokeStyle = slack ? theme.colour("faint") : colour;
+  ctx.lineWidth = slack ? 2 : 1.5 + 3.5 * Math.min(share, 1);
+  ctx.beginPath();
+  for (const point of points) ctx.lineTo(...view.at(point));
+  ctx.stroke();
+}
+
+function drawLoad(ctx, view, mark, frame, dimension, share, ends, colour) {
+  const place = mixed(mark.at, frame);
+  const at = [place[0], place[1], dimension === 3 ? place[2] : 0];
+  const row = mixed(mark.axis, frame);
+  const turns = mark.shape === "arc";
+  const axis = dimension === 3 ? row : turns ? [0, 0, row[0]] : [row[0], row[1], 0];
+  const [x, y] = view.at(at);
+  const straight = () => view.turned(axis.map((value) => (2 * ARC * value) / view.scale));
+  for (const [part, look] of [[ends, theme.colour("faint")], [[0, share], colour]]) {
     ctx.strokeStyle = ctx.fillStyle = look;
-    ctx.lineWidth = width;
-    if (drive.turns) {
-      drawArc(ctx, view, at, axis, ends[0] * SWEEP, ends[1] * SWEEP);
+    ctx.lineWidth = 5;
+    if (turns) {
+      drawArc(ctx, view, at, axis, part[0] * SWEEP, part[1] * SWEEP);
     } else {
-      const [x, y] = view.at(at);
-      const [dx, dy] = view.turned(axis.map((value) => (2 * ARC * value) / view.scale));
+      const [dx, dy] = straight();
       ctx.beginPath();
-      ctx.moveTo(x + ends[0] * dx, y + ends[0] * dy);
-      ctx.lineTo(x + ends[1] * dx, y + ends[1] * dy);
+      ctx.moveTo(x + part[0] * dx, y + part[0] * dy);
+      ctx.lineTo(x + part[1] * dx, y + part[1] * dy);
       ctx.stroke();
     }
   }
   if (Math.abs(share) < 0.02) return;
   const tip = (k) => {
-    const [x, y] = view.at(at);
-    if (!drive.turns) {
-      const [dx, dy] = view.turned(axis.map((value) => (2 * ARC * value) / view.scale));
+    if (!turns) {
+      const [dx, dy] = straight();
       return [x + k * dx, y + k * dy];
     }
     const [e, f] = across(axis);
@@ -181,6 +203,7 @@ function drawNames(ctx, view, block, frame) {
     let [x, y] = view.at([place[0], place[1], block.dimension === 3 ? place[2] : 0]);
     [x, y] = [x + 9, y - 9];
     const width = ctx.measureText(name).width;
+    if (x + width > ctx.canvas.clientWidth - 4) x -= width + 18; // to the left of its place, at the right edge
     while (taken.some(([a, b, w]) => Math.abs(b - y) < 13 && x < a + w + 4 && a < x + width + 4)) y += 13;
     taken.push([x, y, width]);
     ctx.lineWidth = 3;
@@ -189,6 +212,12 @@ function drawNames(ctx, view, block, frame) {
     ctx.fillStyle = theme.colour("ink");
     ctx.fillText(name, x, y);
   }
+}
+
+/** Return what drives are drawn: the ghost's, of the effort that acted as it was tracked, where one is shown. */
+function drivesShown(block, shown) {
+  const ghost = block.ghosts.find((one) => one.name === shown.ghost);
+  return ghost && ghost.drives.length ? ghost.drives : block.drives;
 }
 
 /** Draw one frame of an animation on a canvas of width and height [px]. */
@@ -212,6 +241,6 @@ function drawFrame(ctx, view, block, time, shown) {
     ctx.setLineDash([]);
     ctx.globalAlpha = 1;
   }
-  for (const drive of block.drives) drawDrive(ctx, view, drive, frame, block.dimension);
+  for (const drive of drivesShown(block, shown)) drawDrive(ctx, view, drive, frame, block.dimension);
   if (shown.names) drawNames(ctx, view, block, frame);
 }

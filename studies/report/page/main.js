@@ -7,11 +7,12 @@ const SHOW = {
   checklist: showChecklist,
   plot: showPlot,
   plane: showPlane,
+  bars: showBars,
   animation: showAnimation,
   code: showCode,
 };
 
-/** Return a section's element; plots stand beside one another where there is room. */
+/** Return a section's element; plots stand beside one another where there is room. A folded one opens by its title. */
 function showSection(section, id) {
   const heading = make(section.depth > 1 ? "h3" : "h2", {}, section.title);
   const blocks = [];
@@ -23,13 +24,33 @@ function showSection(section, id) {
     }
   };
   for (const block of section.blocks) {
-    const small = block.kind === "plot" || block.kind === "plane";
+    const small = ["plot", "plane", "bars"].includes(block.kind);
     if (small && blocks.length && blocks.at(-1).classList.contains("grid")) blocks.at(-1).append(show(block));
     else if (small) blocks.push(make("div", { class: "grid" }, show(block)));
     else if (SHOW[block.kind]) blocks.push(show(block));
   }
-  return make("section", { id, class: `depth-${section.depth}` }, heading, ...blocks);
+  const attributes = { id, class: `depth-${section.depth}` };
+  if (!section.folded) return make("section", attributes, heading, ...blocks);
+  return make("section", attributes, make("details", {}, make("summary", {}, heading), ...blocks));
 }
+
+/** Return what the keyboard and the pointer do on this page. */
+function hintOf(report) {
+  const blocks = report.sections.flatMap((section) => section.blocks);
+  const moves = "the arrow keys move the cursor (with Shift by more), and so does pointing at a plot.";
+  if (blocks.some((block) => block.kind === "animation")) return `Space plays and pauses, ${moves}`;
+  return blocks.some((block) => block.kind === "plot" && block.group) ? `${moves[0].toUpperCase()}${moves.slice(1)}` : "";
+}
+
+/** Open the folded section that the address names, if it does. */
+function openNamed() {
+  const named = document.getElementById(location.hash.slice(1));
+  const folded = named ? named.querySelector("details") : null;
+  if (!folded) return;
+  folded.open = true;
+  named.scrollIntoView();
+}
+addEventListener("hashchange", openNamed);
 
 function showReport(report) {
   const ids = report.sections.map((_, k) => `section-${k + 1}`);
@@ -39,7 +60,7 @@ function showReport(report) {
   const tone = report.passed === null ? "" : report.passed ? "good" : "bad";
   const head = make("header", {}, make("div", { class: "bar" }, make("h1", {}, report.title), button));
   head.append(make("p", { class: `verdict ${tone}` }, report.verdict));
-  head.append(make("p", { class: "hint keys" }, "Space plays and pauses, the arrow keys move the cursor (with Shift by more); so does pointing at a plot over time."));
+  head.append(make("p", { class: "hint keys" }, hintOf(report)));
   const nav = make("nav", { "aria-label": "contents" }, ...links);
   const main = make("main", {}, ...report.sections.map((section, k) => showSection(section, ids[k])));
   const versions = Object.entries(report.versions).map(([name, version]) => `${name} ${version}`);
@@ -65,11 +86,18 @@ document.addEventListener("keydown", (event) => {
 });
 
 let before = null; // the theme to return to after printing
+let folded = []; // what was folded before it
 addEventListener("beforeprint", () => {
+  folded = [...document.querySelectorAll("details:not([open])")];
+  for (const one of folded) one.open = true;
   before = document.documentElement.dataset.theme ?? "";
   for (const build of whenSeen.all) build();
   theme.set("light");
 });
-addEventListener("afterprint", () => theme.set(before));
+addEventListener("afterprint", () => {
+  for (const one of folded) one.open = false;
+  theme.set(before);
+});
 
 showReport(JSON.parse(document.getElementById("document").textContent));
+openNamed();

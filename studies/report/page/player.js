@@ -51,7 +51,9 @@ function showAnimation(block) {
     drawFrame(ctx, view, block, time, shown);
     clock.textContent = `${said(Number(time.toPrecision(4)))} ${block.unit}`;
     const frame = frameAt(block.times, within(block, time));
-    efforts.textContent = block.drives.map((drive) => effortSaid(drive, mixed(drive.effort, frame))).join("; ");
+    const drives = drivesShown(block, shown);
+    const tracked = drives !== block.drives;
+    efforts.textContent = drives.map((drive, k) => effortSaid(drive, frame, tracked ? block.drives[k] : null)).join("; ");
     bar.value = 1000 * ((time - cursor.low) / (cursor.high - cursor.low || 1));
     button.textContent = cursor.playing ? "Pause" : "Play";
   }
@@ -68,11 +70,14 @@ function showAnimation(block) {
   return figure;
 }
 
-/** Return an actuator's effort in words, with the limit that it is next to. */
-function effortSaid(drive, effort) {
+/** Return an actuator's effort in words, with the limit that it is next to, and the planned effort beside a tracked one. */
+function effortSaid(drive, frame, planned) {
+  const effort = mixed(drive.effort, frame);
   const limit = effort < 0 ? drive.limits[0] : drive.limits[1];
+  const number = (value) => said(Number(value.toPrecision(3)));
   const of = limit === null ? "" : ` of ${said(limit, 4)}`;
-  return `${drive.name} ${said(Number(effort.toPrecision(3)))}${of} ${drive.unit}`;
+  const beside = planned === null ? "" : ` (planned ${number(mixed(planned.effort, frame))})`;
+  return `${drive.name} ${number(effort)}${of} ${drive.unit}${beside}`;
 }
 
 /** Return what the drawing's lines and signs mean. */
@@ -83,7 +88,10 @@ function keyOf(block) {
   if (block.ghosts.length) swatches.push(make("li", {}, make("span", { class: "sign ghost" }, "╌"), `ghost: as tracked; solid: ${block.planned}`));
   block.paths.forEach(([name], k) => swatches.push(make("li", {}, make("span", { class: `sign c${(k + 3) % 7}` }, "─"), `path of ${name}`)));
   const seen = block.dimension === 3 ? "drag to turn" : `seen with ${block.axes[0]} to the right and ${block.axes[1]} up`;
-  const drives = block.drives.length ? "; arcs and arrows: efforts against their limits, red at the limit" : "";
+  const shapes = new Set(block.drives.flatMap((drive) => drive.marks.map((mark) => mark.shape)));
+  const words = [["arc", "arcs"], ["arrow", "arrows"], ["line", "lines"]].filter(([shape]) => shapes.has(shape)).map(([, word]) => word);
+  const whose = block.ghosts.some((ghost) => ghost.drives.length) ? "efforts of the ghost that is shown" : "efforts";
+  const drives = words.length ? `; ${words.join(" and ")}: ${whose} against their limits, red at the limit` : "";
   return make("div", {}, make("ul", { class: "legend" }, ...swatches), make("p", { class: "hint" }, seen + drives));
 }
 

@@ -131,11 +131,21 @@ function showPlot(block) {
   if (cursor && known.length) cursor.reach(known[0], known[known.length - 1]);
   if (cursor) cursor.log = block.x_axis.log;
   if (block.limits.length) {
-    const names = block.limits.map((limit) => `${limit.name} ${withUnit(said(limit.value), block.y_axis.unit)}`);
-    figure.append(make("p", { class: "limits" }, make("span", { class: "swatch limit" }), names.join(", ")));
+    figure.append(make("p", { class: "limits" }, make("span", { class: "swatch limit" }), limitsSaid(block)));
   }
   whenSeen(figure, () => buildPlot(block, place, cursor));
   return figure;
+}
+
+/** Return the limits of a plot in words, those of one name together. */
+function limitsSaid(block) {
+  const named = new Map();
+  for (const limit of block.limits) named.set(limit.name, [...(named.get(limit.name) || []), said(limit.value)]);
+  const words = [...named].map(([name, values]) => {
+    const several = values.length > 1 ? name.replace(/^limit\b/, "limits") : name;
+    return `${several} ${withUnit(values.join(" and "), block.y_axis.unit)}`;
+  });
+  return words.join(", ");
 }
 
 function buildPlot(block, place, cursor) {

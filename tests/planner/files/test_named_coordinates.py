@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.batch import plan_batch
+from linkplan.planner.batch import plan_cases
 from linkplan.planner.files.batch_file import read_batch
 from linkplan.planner.files.plan_folder import record
 from linkplan.planner.files.problem_file import load_problem, problem_from_tables
@@ -88,7 +88,8 @@ def test_a_batch_whose_cases_name_different_joints_plans_each_in_its_own(tmp_pat
         '[[case]]\nname = "c"\n[[case]]\nname = "o"\nset = ["motion.start_deg={ O = 0.0 }", "motion.goal_deg={ O = 9.0 }"]\n'
     )
     (tmp_path / "batch.toml").write_text(f'problem = "reach.toml"\n{cases}', encoding="utf-8")
-    plans = [found for _, found in plan_batch(read_batch(tmp_path / "batch.toml"))]
+    batch = read_batch(tmp_path / "batch.toml")
+    plans = [found for _, found in plan_cases(batch, batch.cases)]
     assert [found.status for found in plans] == ["optimal", "optimal"]
     assert [names(found.problem) for found in plans] == [["C"], ["O"]]
 

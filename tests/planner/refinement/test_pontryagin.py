@@ -3,40 +3,20 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
-from linkplan.planner.refinement.switch_search import mesh_with_switches
-from linkplan.planner.search import attempts
+from linkplan.planner.refinement.refine import Refined
 from tests.support.bodies import HINGE, QUARTER_TURN, body_plan, body_problem
-
-NAN = np.nan
-
-
-def held(efforts: list[float], switches: list[float]):
-    """Return a solution of the hinge's quarter turn in least time whose efforts are held at limits between switches."""
-    free = QUARTER_TURN + 'duration_s = "free"\n'
-    quick = body_plan(HINGE, free, "objective.minimize=time")
-    problem = body_problem(HINGE, free, "objective.minimize=time")
-    case, T = case_of(problem), quick.trajectory.duration_s
-    mesh, durations = mesh_with_switches(np.array([0.0, T]), np.array(switches) * T, 20)
-    fixed = FixedArcs(efforts=np.array(efforts)[:, None], paths=np.zeros((len(efforts), 0), dtype=int))
-    found = attempt(
-        case, case.start_from(quick.trajectory), mesh, durations, "held", [], lambda _: None, warm=True, fixed=fixed
-    )
-    assert found is not None
-    return found.solution
+from tests.support.held_arcs import held
 
 
 def test_the_bangs_of_a_least_time_are_at_the_right_limits():
-    assert len(arcs_against_their_limits(held([4.0, -4.0], [0.5]))) == 0
-    assert len(arcs_against_their_limits(held([4.0, NAN], [0.4]))) == 0
+    assert len(arcs_against_their_limits(held([4.0, -4.0], [0.5]).solution)) == 0
+    assert len(arcs_against_their_limits(held([4.0, np.nan], [0.4]).solution)) == 0
 
 
 def test_a_push_the_wrong_way_in_between_is_found():
-    solution = held([4.0, -4.0, 4.0, -4.0], [0.41, 0.46, 0.56])
+    solution = held([4.0, -4.0, 4.0, -4.0], [0.41, 0.46, 0.56]).solution
     against = arcs_against_their_limits(solution)
     assert len(against) > 0
     durations = solution.x[solution.transcribed.program.layout.durations()] * solution.transcribed.units.time_s
@@ -52,7 +32,7 @@ def test_an_answer_says_nothing_where_all_is_right():
 
 @pytest.mark.slow
 def test_a_plan_with_an_arc_that_would_rather_leave_its_limit_is_feasible_and_no_optimum(monkeypatch):
-    monkeypatch.setattr(attempts, "arcs_against_their_limits", lambda _: np.array([0.1]))
+    monkeypatch.setattr(Refined, "against", property(lambda _: np.array([0.1])))
     plan = plan_motion(body_problem(HINGE, QUARTER_TURN + 'duration_s = "free"\n', "objective.minimize=time"))
     assert plan.certificate.passed
     assert (plan.status, plan.passed, plan.require()) == ("feasible", True, plan)

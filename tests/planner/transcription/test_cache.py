@@ -2,7 +2,6 @@
 
 import json
 import os
-import subprocess
 import sys
 import tempfile
 from dataclasses import fields
@@ -219,22 +218,15 @@ def test_a_damaged_entry_is_compiled_again(damage, folder):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a shell script for a compiler")
-@pytest.mark.parametrize("hangs", ["compiling", "telling its version"])
-def test_a_compiler_that_hangs_ends_with_its_children(hangs, folder, tmp_path, monkeypatch):
+def test_a_compiler_that_hangs_ends_with_its_children(folder, tmp_path, monkeypatch):
     script = tmp_path / "compiler"
-    version = 'case "$1" in --version) echo 1; exit;; esac\n' if hangs == "compiling" else ""
-    script.write_text(f'#!/bin/sh\n{version}sleep 600 & echo $! > "{tmp_path}/child"\nwait\n', encoding="utf-8")
+    script.write_text(f'#!/bin/sh\nsleep 600 & echo $! > "{tmp_path}/child"\nwait\n', encoding="utf-8")
     script.chmod(0o700)
     monkeypatch.setattr(module, "compiler", lambda: (str(script),))
     monkeypatch.setattr(module, "_TIMEOUT_S", 0.5)
-    monkeypatch.setattr(module, "_VERSION_S", 0.5)
-    if hangs == "compiling":
-        with pytest.warns(RuntimeWarning, match="timed out"):
-            compiled("k1", NodeFunctions, built)
-        assert list(folder.iterdir()) == []
-    else:
-        with pytest.raises(subprocess.TimeoutExpired):
-            module._said([str(script), "--version"])
+    with pytest.warns(RuntimeWarning, match="timed out"):
+        compiled("k1", NodeFunctions, built)
+    assert list(folder.iterdir()) == []
     # One that ended but that nobody has asked after has no command line any more.
     line = Path(f"/proc/{int((tmp_path / 'child').read_text())}/cmdline")
     assert not line.exists() or not line.read_bytes()

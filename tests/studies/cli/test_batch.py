@@ -5,7 +5,7 @@ import json
 import pytest
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.batch import plan_batch
+from linkplan.planner.batch import check_batch, plan_cases
 from linkplan.planner.files.batch_file import read_batch
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
@@ -49,7 +49,8 @@ def test_a_sweep_has_every_combination_in_order(batch_file):
 
 @pytest.mark.slow
 def test_every_case_has_the_answer_that_it_has_alone_and_only_the_first_is_built(batch_file):
-    results = list(plan_batch(read_batch(batch_file(SWEEP))))
+    batch = read_batch(batch_file(SWEEP))
+    results = list(plan_cases(batch, batch.cases))
     for number, (case, plan) in enumerate(results):
         alone = plan_motion(load_problem("knee-reach", ["motion.duration_s=0.2", *case.settings]))
         assert plan.objective == pytest.approx(alone.objective, rel=SAME_FIGURE)
@@ -98,7 +99,7 @@ def test_a_saved_case_is_a_plan_like_any_other(batch_file, tmp_path, capsys):
 )
 def test_a_bad_batch_is_refused_in_one_line(batch_file, text, words):
     with pytest.raises(ProblemError) as refused:
-        list(plan_batch(read_batch(batch_file(text))))
+        check_batch(read_batch(batch_file(text)))
     for word in words:
         assert word in str(refused.value)
     assert "\n" not in str(refused.value)

@@ -15,10 +15,10 @@ from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import silent
 from linkplan.studies.experiment import block as blocks
 from linkplan.studies.experiment import conduct as conducting
-from linkplan.studies.experiment import parts
 from linkplan.studies.experiment.experiment import Settings, experiment_of
 from linkplan.studies.experiment.replay import replay
 from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment
+from linkplan.studies.tasks import unfinished as parts
 from tests.support.data import ROOT
 from tests.support.plans import optimal
 
@@ -132,15 +132,16 @@ def test_another_experiment_is_refused_where_one_stands_whole_or_not(tmp_path, m
     monkeypatch.setattr(conducting, "run_block", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         done(tmp_path / "y")
-    with pytest.raises(PlanFileError, match=r"the parts of another experiment \(seed was 0, now 1\)"):
+    with pytest.raises(PlanFileError, match=r"the parts of an experiment that was asked otherwise \(seed was 0, now 1\)"):
         done(tmp_path / "y", other)
 
 
 def test_two_at_once_are_told_apart(tmp_path):
     asked = {"settings": {"seed": 0}}
-    with parts.working(tmp_path / "x.unfinished", asked), pytest.raises(PlanFileError, match="another process is at work"):  # noqa: SIM117
-        with parts.working(tmp_path / "x.unfinished", asked):
-            pass
+    folder = tmp_path / "x.unfinished"
+    at_once = pytest.raises(PlanFileError, match="another process is at work")
+    with parts.working(folder, asked, "a thing"), at_once, parts.working(folder, asked, "a thing"):
+        pass
 
 
 @pytest.mark.usefixtures("short_blocks")
@@ -188,7 +189,7 @@ class Failing:
 
 
 def test_a_tracker_that_fails_on_some_machines_is_counted_and_the_others_stand(tmp_path, monkeypatch):
-    monkeypatch.setattr(blocks, "build_tracker", lambda *_: Failing())
+    monkeypatch.setattr(blocks, "law_of", lambda *_: Failing())
     outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=12))
     one = outcome.summary.trackers[0]
     assert set(one.failures) == {"the tracker failed: behind", "the tracker gave an effort that is no number"}
@@ -233,7 +234,7 @@ def test_a_loop_too_soft_to_step_is_refused_before_any_sample_runs():
         ({"trackers": ("pdd",)}, "unknown tracker 'pdd'"),
         ({"trackers": ("pd", "pd")}, "each once"),
         ({"samples": 0}, "samples is a whole number from 1"),
-        ({"design": "sobol"}, "design"),
+        ({"design": "sobel"}, r"unknown design 'sobel'"),
         ({"tube_deg": -1.0}, "tube_deg is a positive number"),
     ],
 )

@@ -30,6 +30,45 @@ def test_paired_differences_are_covered_as_often_as_is_said():
     assert np.mean(widths) < 0.05  # unpaired, they would be six times as wide
 
 
+# Sources of differences about zero with longer or more one-sided tails than a normal one's, as those of real trackers: over
+# a thousand imperfect knees they have a skewness of up to 1 and a kurtosis of up to 4 (the exponential's: 2 and 9).
+TAILS = {
+    "Student's with five degrees of freedom": lambda generator, n: generator.standard_t(5, n),
+    "Laplace's": lambda generator, n: generator.laplace(0.0, 1.0, n),
+    "exponential": lambda generator, n: generator.exponential(1.0, n) - 1.0,
+    "lognormal": lambda generator, n: generator.lognormal(0.0, 0.3, n) - np.exp(0.045),
+}
+
+
+# Of 500 repeats the share itself has a standard deviation of 1 %: one in twenty good intervals would miss by its own luck.
+MANY = 2000
+
+
+def coverage(tail, n):
+    """Return the share of intervals of paired differences (n,) that cover the true one, 0.2."""
+    generator, covered = np.random.default_rng(11), 0
+    for _ in range(MANY):
+        common = generator.gamma(2.0, 1.0, n)
+        found = pair_of("a", "b", "rms", common + 0.2 + tail(generator, n), common).difference
+        covered += found.low <= 0.2 <= found.high
+    return covered / MANY
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TAILS)
+def test_paired_differences_with_long_tails_are_covered_as_often_as_is_said(name):
+    assert abs(coverage(TAILS[name], 200) - COVERAGE) <= OFF
+
+
+@pytest.mark.slow
+def test_very_one_sided_differences_are_covered_as_often_only_by_thousands():
+    def lognormal(generator, n):
+        return generator.lognormal(0.0, 1.0, n) - np.exp(0.5)  # of skewness 6
+
+    assert coverage(lognormal, 50) < COVERAGE - OFF
+    assert abs(coverage(lognormal, 4000) - COVERAGE) <= OFF
+
+
 def test_shares_are_covered_as_often_as_is_said():
     generator = np.random.default_rng(5)
     found = [share_of(int(generator.binomial(300, 0.3)), 300) for _ in range(REPEATS)]

@@ -1,0 +1,105 @@
+"""The sections of what holds: limits on joints, efforts, closures and sites, the motors, and the machines to allow for."""
+
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from linkplan.planner.keys import kinds
+from linkplan.planner.keys.section import ABSENT, Section, key
+
+
+class Box(Section, frozen=True):
+    """Bounds on where a site is, coordinate by coordinate."""
+
+    x: Annotated[kinds.Interval, key("[low, high] of x; ends may be infinite", "m", "any")] = ABSENT
+    y: Annotated[kinds.Interval, key("[low, high] of y", "m", "any")] = ABSENT
+    z: Annotated[kinds.Interval, key("[low, high] of z", "m", "any")] = ABSENT
+
+
+class Wall(Section, frozen=True):
+    """A plane that a site stays on one side of."""
+
+    normal: Annotated[kinds.Point, key("points to the side that is free")]
+    at: Annotated[kinds.Point, key("a point of the wall", "m")]
+
+
+class Tube(Section, frozen=True):
+    """A polyline that a site stays near to."""
+
+    along: Annotated[kinds.Corners, key("the corners of the polyline", "m")]
+    radius_m: Annotated[kinds.Positive, key("how far from the polyline the site may be", "m")]
+
+
+# Told apart by their keys, in this order.
+SITE_LIMITS: tuple[type[Section], ...] = (Wall, Tube, Box)
+_SITE_LIMIT = Meta(
+    extra={"said": "a box, a wall or a tube", "shapes": SITE_LIMITS},
+    extra_json_schema={"minProperties": 1, "anyOf": [{"$ref": f"#/$defs/{shape.__name__}"} for shape in SITE_LIMITS]},
+)
+SiteLimit = Annotated[dict[str, Any], _SITE_LIMIT]
+_SITES = Meta(extra={"of": "site = limits", "noun": "site"})
+
+
+class LimitsSection(Section, frozen=True):
+    """What holds at every instant."""
+
+    effort: Annotated[kinds.Efforts, key("by actuator, [low, high]", "N.m, N", "the model's own")] = {}
+    range_deg: Annotated[
+        kinds.Ranges, key("hinges' ranges, dependent ones too, within the model's own", "deg", "the model's own")
+    ] = {}
+    range_m: Annotated[kinds.Ranges, key("slides' ranges", "m", "the model's own")] = {}
+    speed_deg_s: Annotated[
+        kinds.Speeds, key("hinges' speeds, dependent ones too: a number for both ways, or [low, high]", "deg/s", "none")
+    ] = {}
+    speed_m_s: Annotated[kinds.Speeds, key("slides' speeds", "m/s", "none")] = {}
+    effort_rate: Annotated[
+        kinds.ActuatorLimits, key("of efforts, which then have no jumps, by actuator", "N.m/s, N/s", "none")
+    ] = {}
+    power_w: Annotated[kinds.ActuatorLimits, key("mechanical power by actuator: a number, or [low, high]", "W", "none")] = {}
+    closure_force: Annotated[kinds.ClosureLimits, key("what a closure's pin is rated at", "N", "none")] = {}
+    reserve: Annotated[kinds.Margin, key("the share of every effort limit that a plan leaves to feedback")] = 0.0
+    singular_margin: Annotated[kinds.Margin, key("the least det J_z along the motion, as a share of that at home")] = 0.0
+    site: Annotated[
+        dict[str, SiteLimit | list[SiteLimit]],
+        _SITES,
+        key("boxes, walls and tubes that sites stay within, one or a list of them", "m", "none"),
+    ] = {}
+    contacts: Annotated[
+        kinds.Contacts, key("a plan on whose way geoms meet is refused, or noted and planned without their forces")
+    ] = "refuse"
+
+
+class MotorSection(Section, frozen=True):
+    """The motor behind an actuator, in the actuator's own effort and speed."""
+
+    torque_constant: Annotated[
+        kinds.Positive, key("effort per current; with resistance_ohm it gives the copper loss", "N.m/A, N/A", "unknown")
+    ] = ABSENT
+    resistance_ohm: Annotated[kinds.Positive, key("of the winding", "ohm", "unknown")] = ABSENT
+    stall_effort: Annotated[
+        kinds.Positive, key("at rest; with the no-load speed it gives the torque-speed line", "N.m, N", "unknown")
+    ] = ABSENT
+    no_load_speed_deg_s: Annotated[kinds.Positive, key("of an actuator that turns", "deg/s", "unknown")] = ABSENT
+    no_load_speed_m_s: Annotated[kinds.Positive, key("of one that slides", "m/s", "unknown")] = ABSENT
+
+
+_TOGETHER = {"torque_constant": ["resistance_ohm"], "resistance_ohm": ["torque_constant"]}
+Motor = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
+
+
+class RobustSection(Section, frozen=True):
+    """Machines for which one motion keeps every effort limit: all within these ranges, at every corner."""
+
+    payload_factor: Annotated[
+        kinds.Interval, key("[low, high] of the factor on the payload's mass and inertia", default="[1, 1]")
+    ] = ABSENT
+    torque_constant_factor: Annotated[
+        kinds.Interval,
+        key("[low, high] of the factor on what an actuator gives for the effort that it is told", default="[1, 1]"),
+    ] = ABSENT
+    viscous_friction: Annotated[
+        kinds.Ranges, key("[low, high] of a joint's damping beside the model's", "N.m.s/rad, N.s/m", "none")
+    ] = {}
+    coulomb_friction: Annotated[
+        kinds.Ranges, key("[low, high] of a joint's dry friction, against the motion or with it", "N.m, N", "none")
+    ] = {}

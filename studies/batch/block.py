@@ -1,0 +1,95 @@
+"""The unit of a batch's work: some cases in a row, each planned from the last one's solution, the first from nothing.
+
+Which cases those are depends on their number alone, so that every plan is the same whatever ran beside it.
+"""
+
+import io
+import json
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from linkplan.planner.batch import plan_cases
+from linkplan.planner.files.batch_file import Batch
+from linkplan.planner.files.plan_folder import write_plan
+from linkplan.planner.refinement.history import Say
+from linkplan.studies.output.batch_table import case_record, case_row
+
+# A block is a sixteenth of the cases within these bounds: short enough to spread and to lose, long enough that few cases
+# begin from nothing.
+_SHARES, _FEWEST, _MOST = 16, 8, 64
+_CASES = "cases.json"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Planned:
+    """One case's answer: its row of the table, its record, why there is no plan, and the files of the plan by name."""
+
+    name: str
+    row: list
+    record: dict
+    failure: str | None
+    files: Mapping[str, bytes]
+
+
+def cases_of(block: int, n: int) -> range:
+    """Return the cases of a block of a batch of n."""
+    size = min(_MOST, max(_FEWEST, -(-n // _SHARES)))
+    return range(block * size, min(n, (block + 1) * size))
+
+
+def block_count(n: int) -> int:
+    """Return the number of blocks of a batch of n cases."""
+    return next(block for block in range(n + 1) if not cases_of(block, n))
+
+
+def plan_block(batch: Batch, block: int, target: Path | None, parquet: bool, say: Say) -> list[Planned]:
+    """Return the answers of a block's cases.
+
+    Args:
+        batch: the whole.
+        block: which of its blocks.
+        target: where the folders of plans will stand; None where nobody keeps them.
+        parquet: whether each has a trajectory.parquet too.
+        say: is told the case that is planned.
+    """
+    part, found = cases_of(block, len(batch.cases)), []
+    cases = [batch.cases[i] for i in part]
+    for case, plan in plan_cases(batch, cases, lambda name: say(f"{part[len(found)] + 1} of {len(batch.cases)}: {name}")):
+        files = {}
+        if plan.passed and target is not None:
+            with tempfile.TemporaryDirectory(prefix="linkplan-") as place:
+                write_plan(plan, Path(place), target / case.name, parquet=parquet)
+                files = {path.name: path.read_bytes() for path in sorted(Path(place).iterdir())}
+        failure = None if plan.passed else f"{case.name}: {plan.message}"
+        answer = Planned(
+            name=case.name, row=case_row(case, plan), record=case_record(case, plan), failure=failure, files=files
+        )
+        found.append(answer)
+    return found
+
+
+def packed(answers: list[Planned]) -> bytes:
+    """Return the answers of a block as one archive."""
+    said = [{"name": a.name, "row": a.row, "record": a.record, "failure": a.failure} for a in answers]
+    room = io.BytesIO()
+    with zipfile.ZipFile(room, "w") as archive:
+        archive.writestr(_CASES, json.dumps(said))
+        for answer in answers:
+            for name, content in answer.files.items():
+                archive.writestr(f"{answer.name}/{name}", content)
+    return room.getvalue()
+
+
+def unpacked(path: Path, place: Path | None) -> list[Planned]:
+    """Return the answers of a block from its archive, without their files: those go into folders at a place."""
+    with zipfile.ZipFile(path) as archive:
+        said = json.loads(archive.read(_CASES))
+        if place is not None:
+            for name in archive.namelist():
+                if name != _CASES:
+                    (place / name).parent.mkdir(exist_ok=True)
+                    (place / name).write_bytes(archive.read(name))
+    return [Planned(**one, files={}) for one in said]

@@ -1,0 +1,112 @@
+"""The whole of a batch: its blocks on an engine, their parts as they come, and a folder of plans in the end."""
+
+import functools
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from linkplan.planner.batch import check_batch
+from linkplan.planner.files.batch_file import Batch
+from linkplan.planner.files.folders import check_target, write_json, write_whole
+from linkplan.planner.files.plan_folder import versions
+from linkplan.planner.refinement.history import silent
+from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, plan_block, unpacked
+from linkplan.studies.tasks.engine import Engine, Say, here
+from linkplan.studies.tasks.progress import Progress
+from linkplan.studies.tasks.streaming import streamed
+from linkplan.studies.tasks.unfinished import done, part, put_whole, remove, unfinished, working
+
+RECORD = "batch.json"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Outcome:
+    """What came of a batch: rows of the table, a sentence for each case without a plan, and the record of all."""
+
+    rows: list[list]
+    failures: list[str]
+    record: dict
+
+
+def run_batch(
+    batch: Batch, target: Path | None, say: Say, *, engine: Engine = here, parquet: bool = False, keep_records: bool = True
+) -> Outcome:
+    """Return the outcome of a batch, and write its plans into a folder, where one is given.
+
+    Args:
+        batch: the problem and its cases.
+        target: the folder, written whole when all is done; its parts stand beside it until then.
+        say: is told of the progress.
+        engine: what runs its blocks.
+        parquet: whether every plan has a trajectory.parquet.
+        keep_records: whether the outcome has the records: of ten thousand cases they are large.
+
+    Raises:
+        LinkplanError: for a case that cannot be used, before any is planned.
+        PlanFileError: when the folder holds something else, or the disk refuses.
+    """
+    asked = _asked(batch, target, parquet)
+    if target is None:
+        with tempfile.TemporaryDirectory(prefix="linkplan-") as place:
+            folder = Path(place) / "run"
+            with working(folder, asked, "a batch"):
+                _conduct(folder, batch, None, engine, parquet, say)
+                return _outcome(folder, batch, None, keep_records)
+    check_target(target, RECORD)
+    folder, outcomes = unfinished(target), []
+
+    def save(place: Path) -> None:
+        outcome = _outcome(folder, batch, place, True)
+        write_json(place / RECORD, outcome.record)
+        outcomes.append(outcome)
+
+    with working(folder, asked, "a batch"):
+        _conduct(folder, batch, target, engine, parquet, say)
+        write_whole(target, save, RECORD)
+        remove(folder)
+    return outcomes[0]
+
+
+def _asked(batch: Batch, target: Path | None, parquet: bool) -> dict:
+    """Return all that the files of a batch depend on."""
+    cases = {case.name: list(case.settings) for case in batch.cases}
+    return {
+        "problem": batch.problem,
+        "set": list(batch.common),
+        "cases": cases,
+        "meaning": check_batch(batch),
+        "place": None if target is None else str(target.resolve()),
+        "parquet": parquet,
+        "versions": versions(),
+    }
+
+
+def _conduct(folder: Path, batch: Batch, target: Path | None, engine: Engine, parquet: bool, say: Say) -> None:
+    n, there = len(batch.cases), done(folder)
+    progress = Progress(n, sum(len(cases_of(block, n)) for block in there), "cases", say)
+    work = functools.partial(_work, batch, target, parquet, say if engine is here else None)
+    todo = [block for block in range(block_count(n)) if block not in there]
+    for block, answers in streamed(engine, work, todo, say):
+        put_whole(part(folder, block, "zip"), functools.partial(_write, content=packed(answers)))
+        progress.more(len(answers))
+
+
+def _write(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+
+
+def _work(batch: Batch, target: Path | None, parquet: bool, say: Say | None, block: int, threads: int) -> list[Planned]:
+    """Return a block's answers, in whatever process this is; a solver takes one thread."""
+    del threads
+    return plan_block(batch, block, target, parquet, say or silent)
+
+
+def _outcome(folder: Path, batch: Batch, place: Path | None, keep_records: bool) -> Outcome:
+    rows, failures, cases = [], [], {}
+    for block in range(block_count(len(batch.cases))):
+        for answer in unpacked(part(folder, block, "zip"), place):
+            rows.append(answer.row)
+            failures += [] if answer.failure is None else [answer.failure]
+            if keep_records:
+                cases[answer.name] = answer.record
+    return Outcome(rows=rows, failures=failures, record={"cases": cases})

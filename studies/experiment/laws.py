@@ -1,0 +1,77 @@
+"""The laws that an experiment asks: built-in trackers as they are, a user's own made fit for many simulations at once.
+
+A user's law that knows single states only has a copy for each simulation: what it keeps in itself, where it does, does
+not go from one machine to another.
+"""
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.tracker import AnyTracker, Tracker, TrackerWithMemory
+from linkplan.models.errors import LinkplanError, ProblemError, one_line
+from linkplan.studies.compare.compare import build_tracker
+from linkplan.studies.compare.user_tracker import CheckedMemory, knows_batches, tracker_named, users_tracker
+from linkplan.studies.experiment.experiment import Experiment
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class OneByOne:
+    """A law for single states as a `TrackerWithMemory`: the memory (n, 1) of n simulations are n laws."""
+
+    name: str
+    make: Callable[[], Tracker]
+    batched: bool = False
+
+    def start(self, n: int) -> np.ndarray:
+        """Return the laws (n, 1) of n simulations."""
+        laws = np.empty((n, 1), dtype=object)
+        for i in range(n):
+            laws[i, 0] = self.make()
+        return laws
+
+    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return efforts (n, n_u) [N.m or N] of states (n, n_s), each from its own law."""
+        each = [law.effort(k, s, v) for (law,), s, v in zip(memory, position, velocity, strict=True)]
+        return np.array(each, dtype=float), memory
+
+
+def law_of(name: str, experiment: Experiment) -> AnyTracker:
+    """Return the law of an experiment's tracker.
+
+    Raises:
+        LinkplanError: when it cannot be made for this plan.
+    """
+    plan, reference = experiment.plan, experiment.reference
+    if name in TRACKERS:
+        return build_tracker(name, plan, reference)
+    asked, mechanism = tracker_named(name), plan.problem.mechanism
+
+    def made() -> Tracker | TrackerWithMemory:
+        try:
+            law = users_tracker(asked, mechanism, reference)
+            if isinstance(law, CheckedMemory):
+                law.start(1)
+            return law
+        except LinkplanError:
+            raise
+        except (Exception, SystemExit) as error:  # whatever a law of somebody else's does when it is made
+            raise ProblemError(f"tracker '{name}' cannot be made: {type(error).__name__}: {one_line(error)}") from error
+
+    first = made()
+    if knows_batches(first):
+        return first
+    return OneByOne(name=name, make=lambda: copy.deepcopy(made()))
+
+
+def laws_said(experiment: Experiment) -> list[str]:
+    """Return a line for each tracker that is asked for one state after the other; refuses what cannot be made."""
+    laws = {name: law_of(name, experiment) for name in experiment.settings.trackers if name not in TRACKERS}
+    return [
+        f"{name} is asked for one state after the other: it has neither batched = True nor start and step"
+        for name, law in laws.items()
+        if isinstance(law, OneByOne)
+    ]

@@ -1,0 +1,145 @@
+"""What errors are made of and owe to what, as bar charts: of the records of a decomposition and of a sensitivity."""
+
+import math
+from collections.abc import Mapping
+
+from linkplan.studies.report.document import Axis, Bar, Bars, Block, Section, Span, Text
+
+# Colours of what raises a figure and of what lowers it, as in the figures.
+_RAISES, _LOWERS, _WITH_OTHERS = 1, 0, 5
+# Imperfections that are drawn, the most important ones of any tracker.
+_MOST = 12
+# Digits of a number beside a bar.
+_DIGITS = 3
+
+
+def decomposition_charts(record: Mapping) -> list[Bars]:
+    """Return a chart for each tracker and unit of a decomposition's record: each part begins where the one before ends.
+
+    The record has "parts" (name to words) and, by tracker and unit, "rms_error" with its "parts" in that unit.
+    """
+    words, found = record["parts"], []
+    for tracker, said in record["trackers"].items():
+        for unit, shares in said.items():
+            if not isinstance(shares, Mapping) or "rms_error" not in shares:
+                continue
+            rows, end = [], 0.0
+            for name, part in shares["parts"].items():
+                begin, end = end, end + part
+                sign, colour = ("adds", _RAISES) if part >= 0 else ("takes away", _LOWERS)
+                span = Span(name=sign, start=begin, end=end, colour=colour)
+                rows.append(Bar(label=words[name].partition(":")[0], spans=[span], note=_said(part)))
+            whole = Span(name="rms error", start=0.0, end=shares["rms_error"], colour=None)
+            rows.append(Bar(label="rms error", spans=[whole], note=_said(shares["rms_error"])))
+            axis = Axis(label="part of the rms error", unit=unit)
+            found.append(Bars(title=f"{tracker}: what the rms error is made of", axis=axis, rows=rows))
+    return found
+
+
+def sensitivity_section(record: Mapping, *, depth: int = 2) -> Section:
+    """Return the section of a sensitivity's record: for each tracker what its rms error owes to each imperfection.
+
+    The record is "sensitivity" of an experiment: by tracker and metric "effects" of imperfections, each with its importance,
+    its interval and the parts that its design gives, and "middle".
+    """
+    mains = [name for name in record["metrics"] if name.startswith("rms_error")]
+    machines = record["groups"] * record["group_size"]
+    blocks: list[Block] = [Text(text=f"Importance: {record['measure']}; {machines} machines in {record['groups']} groups.")]
+    for metric in mains:
+        shown = _foremost(record, metric)
+        for tracker, by_metric in record["trackers"].items():
+            draw = _CHARTS[record["design"]]
+            axis, rows, line = draw(record, metric, by_metric[metric], shown)
+            title = f"{tracker}: what the {record['metrics'][metric]['text']} owes to each imperfection"
+            name = "" if line == 0 else f"all in the middle, {_said(line)}"
+            blocks.append(Bars(title=title, axis=axis, rows=rows, line=line, line_name=name))
+    return Section(title="Which imperfection matters most", blocks=blocks, depth=depth)
+
+
+def _foremost(record: Mapping, metric: str) -> list[str]:
+    """Return the imperfections that matter most for some tracker, in the order of the first tracker's ranking."""
+    rankings = [by_metric[metric]["ranking"] for by_metric in record["trackers"].values()]
+    places = {label: min(ranking.index(label) for ranking in rankings) for label in record["imperfections"]}
+    kept = set(sorted(places, key=lambda label: places[label])[:_MOST])
+    return [label for label in rankings[0] if label in kept]
+
+
+def _ends(record: Mapping, metric: str, found: Mapping, shown: list[str]) -> tuple[Axis, list[Bar], float]:
+    """Return the change that each end of a range makes, all else in the middle."""
+    middle, rows = found["middle"] or 0.0, []
+    for label in shown:
+        effect = found["effects"][label]
+        ends = (("low", effect.get("at_low"), _LOWERS), ("high", effect.get("at_high"), _RAISES))
+        spans = [
+            Span(name=f"at the {name} end", start=middle, end=value, colour=colour)
+            for name, value, colour in ends
+            if value is not None
+        ]
+        lost = [f"lost at the {name} end" for name, value, _ in ends if value is None]
+        rows.append(Bar(label=_named(record, label), spans=spans, note=", ".join(lost) or _said(effect["importance"])))
+    text = record["metrics"][metric]
+    return Axis(label=text["text"], unit=text["metric_unit"]), rows, middle
+
+
+def _effects(record: Mapping, metric: str, found: Mapping, shown: list[str]) -> tuple[Axis, list[Bar], float]:
+    """Return Morris' mean size of the effects, as the mean of those that raise the figure and of those that lower it."""
+    rows = []
+    for label in shown:
+        effect = found["effects"][label]
+        size, mean = effect["importance"], effect["mean"]
+        if size is None or mean is None:
+            rows.append(Bar(label=_named(record, label), spans=[], note="unknown"))
+            continue
+        spans = [
+            Span(name="raises it, from the low to the high end", start=0.0, end=(size + mean) / 2, colour=_RAISES),
+            Span(name="lowers it", start=0.0, end=-(size - mean) / 2, colour=_LOWERS),
+        ]
+        rows.append(Bar(label=_named(record, label), spans=spans, note=_with_interval(effect)))
+    text = record["metrics"][metric]
+    return Axis(label=f"mean change of the {text['text']}", unit=text["metric_unit"]), rows, 0.0
+
+
+def _shares(record: Mapping, _metric: str, found: Mapping, shown: list[str]) -> tuple[Axis, list[Bar], float]:
+    """Return Sobol's indices: shares of the variance, by itself and together with others."""
+    rows = []
+    for label in shown:
+        effect = found["effects"][label]
+        spans = []
+        for name, value, low, high, colour in (
+            ("by itself or with others (total index)", effect["importance"], *effect["interval95"], _WITH_OTHERS),
+            ("by itself (first-order index)", effect["first_order"], *_about(effect), _LOWERS),
+        ):
+            if value is not None:
+                ends = [None if x is None else 100 * x for x in (low, high)]
+                end = 100 * max(value, 0.0)
+                spans.append(Span(name=name, start=0.0, end=end, colour=colour, low=ends[0], high=ends[1]))
+        total = effect["importance"]
+        rows.append(Bar(label=_named(record, label), spans=spans, note="" if total is None else f"{100 * total:.0f} %"))
+    return Axis(label="share of the variance", unit="%"), rows, 0.0
+
+
+_CHARTS = {"one-at-a-time": _ends, "morris": _effects, "sobol": _shares}
+
+
+def _about(effect: Mapping) -> tuple[float | None, float | None]:
+    value, half = effect["first_order"], effect["first_order_half"]
+    return (None, None) if value is None or half is None else (value - half, value + half)
+
+
+def _named(record: Mapping, label: str) -> str:
+    """Return an imperfection's name with its range."""
+    one = record["imperfections"][label]
+    if one["range"] is None:
+        return label
+    unit = "" if one["unit"] in ("", "1") else f" {one['unit']}"
+    return f"{label}, {one['range'][0]:.4g} to {one['range'][1]:.4g}{unit}"
+
+
+def _with_interval(effect: Mapping) -> str:
+    low, high = effect["interval95"]
+    half = "" if low is None or high is None else f" ± {(high - low) / 2:.1g}"
+    return f"{_said(effect['importance'])}{half}"
+
+
+def _said(value: float | None) -> str:
+    return "" if value is None or not math.isfinite(value) else f"{value:.{_DIGITS}g}"

@@ -1,0 +1,122 @@
+"""Where actuators act along a motion, for an animation: arcs about axes, arrows along them, tendons as lines."""
+
+import itertools
+
+import mujoco
+import numpy as np
+
+from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.actuation.transmission import TRN_CRANK, TRN_IN_PARENT, TRN_JOINT, TRN_SITE, TRN_TENDON, gear_of
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.coordinates import HINGE, SLIDE
+from linkplan.models.tree.tendons import is_fixed, path_of
+from linkplan.studies.report.document import Drive, Mark
+from linkplan.studies.report.numbers import rounded
+
+# Of an axis seen along the drawing's normal, a component below this is none.
+_NONE = 1e-6
+# What stands for a pulley among the objects that a tendon's path goes by.
+_PULLEY = -2
+
+
+def drives_of(
+    mechanism: Mechanism, poses: np.ndarray, effort: np.ndarray, limit: np.ndarray | None, frame: np.ndarray
+) -> list[Drive]:
+    """Return the actuators of a mechanism at poses (n, n_q), each with its effort and where it acts.
+
+    Args:
+        mechanism: whose actuators they are.
+        poses: (n, n_q).
+        effort: (n, n_u) [N.m or N].
+        limit: (n_u, 2) of them; the actuators' own where it is None.
+        frame: the drawing's directions as rows: right and up of a plane, or all three of space.
+    """
+    places: list[list] = [[] for _ in mechanism.actuators]
+    data = mujoco.MjData(mechanism.model)
+    for qpos in mechanism.qpos_of(poses):
+        data.qpos[:] = qpos
+        mujoco.mj_kinematics(mechanism.model, data)
+        mujoco.mj_comPos(mechanism.model, data)
+        mujoco.mj_tendon(mechanism.model, data)
+        for j, actuator in enumerate(mechanism.actuators):
+            places[j].append(_marks(mechanism.model, data, actuator))
+    found = []
+    for j, actuator in enumerate(mechanism.actuators):
+        ends = mechanism.effort_limit[j] if limit is None else limit[j]
+        found.append(
+            Drive(
+                name=actuator.name,
+                unit=actuator.unit,
+                marks=[mark for k in range(len(places[j][0])) if (mark := _drawn(places[j], k, frame)) is not None],
+                effort=rounded(np.nan_to_num(effort[:, j])),
+                limits=tuple(float(end) if np.isfinite(end) else None for end in ends),
+            )
+        )
+    return found
+
+
+def _drawn(places: list, k: int, frame: np.ndarray) -> Mark | None:
+    """Return the k-th mark of an actuator over all frames; None for an arc that a plane's drawing sees from the side."""
+    shape = places[0][k][0]
+    at = np.array([marks[k][1] for marks in places]) @ frame.T
+    axis = np.array([marks[k][2] for marks in places])
+    if shape == "line":
+        return Mark(shape=shape, at=rounded(at.reshape(len(at), -1)), axis=[])
+    if len(frame) == 2 and shape == "arc":
+        axis = axis @ np.cross(frame[0], frame[1])[:, None]
+        if np.abs(axis).max() < _NONE:
+            return None
+    elif len(frame) == 2:
+        axis = axis @ frame.T
+    return Mark(shape=shape, at=rounded(at), axis=rounded(axis))
+
+
+def _marks(model: mujoco.MjModel, data: mujoco.MjData, actuator: Actuator) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """Return an actuator's marks where the mechanism stands: shape, place (3,) or (n, 3), direction (3,).
+
+    The direction is that of a positive effort. A tendon through sites is a line: its force pulls its ends together.
+    """
+    kind, (on, other) = int(model.actuator_trntype[actuator.index]), (int(i) for i in model.actuator_trnid[actuator.index])
+    gear = gear_of(model, actuator.index)
+    if kind in (TRN_JOINT, TRN_IN_PARENT):
+        return _on_joint(model, data, on, gear)
+    if kind == TRN_TENDON and is_fixed(model, on):
+        wraps = [(int(model.wrap_objid[k]), gear * float(np.sign(model.wrap_prm[k]))) for k in path_of(model, on)]
+        return [mark for joint, pull in wraps for mark in _on_joint(model, data, joint, pull)]
+    if kind == TRN_TENDON:
+        first, n = int(data.ten_wrapadr[on]), int(data.ten_wrapnum[on])
+        points = np.array(data.wrap_xpos).reshape(-1, 3)[first : first + n]
+        pulleys = np.flatnonzero(np.array(data.wrap_obj).ravel()[first : first + n] == _PULLEY)
+        return [("line", part, np.zeros(3)) for part in _between(points, pulleys)]
+    if kind == TRN_CRANK:  # along the slider's axis, which is its site's z
+        axis = np.array(data.site_xmat[other]).reshape(3, 3)[:, 2] * np.sign(gear[0])
+        return [("arrow", np.array(data.site_xpos[other]), axis)]
+    if kind == TRN_SITE:
+        turned = np.array(data.site_xmat[on if other < 0 else other]).reshape(3, 3)
+        return _wrench(np.array(data.site_xpos[on]), turned, gear)
+    return []
+
+
+def _between(points: np.ndarray, pulleys: np.ndarray) -> list[np.ndarray]:
+    """Return the branches of a tendon's points (n, 3), parted where its pulleys stand among them."""
+    ends = [-1, *pulleys.tolist(), len(points)]
+    return [points[a + 1 : b] for a, b in itertools.pairwise(ends) if b - a > 2]
+
+
+def _on_joint(model: mujoco.MjModel, data: mujoco.MjData, joint: int, gear: np.ndarray) -> list:
+    anchor, axis = np.array(data.xanchor[joint]), np.array(data.xaxis[joint])
+    kind, body = int(model.jnt_type[joint]), int(model.jnt_bodyid[joint])
+    if kind == HINGE:
+        return [("arc", anchor, np.sign(gear[0]) * axis)]
+    if kind == SLIDE:
+        return [("arrow", np.array(data.xipos[body]), np.sign(gear[0]) * axis)]
+    turned = np.array(data.xmat[body]).reshape(3, 3)
+    wrench = gear if gear[3:].any() else np.concatenate([np.zeros(3), gear[:3]])  # a ball's gear is a moment
+    return _wrench(anchor, turned, wrench)
+
+
+def _wrench(at: np.ndarray, turned: np.ndarray, gear: np.ndarray) -> list:
+    """Return the marks of a force and a moment, `gear` (6,) in the frame `turned` (3, 3)."""
+    force, moment = turned @ gear[:3], turned @ gear[3:]
+    shapes = (("arrow", force), ("arc", moment))
+    return [(shape, at, axis / np.linalg.norm(axis)) for shape, axis in shapes if np.any(axis)]

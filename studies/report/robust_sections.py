@@ -1,0 +1,84 @@
+"""A plan's room for feedback and for machines unlike the model, as a part of a report: reserve, corners and their price."""
+
+import math
+
+import numpy as np
+
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.corner_efforts import corner_efforts_along
+from linkplan.planner.robustness import saved_price
+from linkplan.studies.report.document import Block, Facts, Plot, Section, Table, Text
+from linkplan.studies.report.lines import TIME, Line, plots
+from linkplan.studies.report.motion import Motion
+
+
+def robust_section(plan: Plan, motion: Motion, group: str, period: float | None, *, depth: int = 2) -> Section | None:
+    """Return the section of a plan's reserve and corners; None where it has neither."""
+    corners, reserve = plan.problem.robust.corners, plan.problem.limits.reserve
+    if not corners and not reserve:
+        return None
+    price = saved_price(plan)
+    said = "the price is not known: the plan was saved without it" if price is None else price.sentence()
+    blocks: list[Block] = [Facts(rows=_facts(plan)), Text(text=f"{said[:1].upper()}{said[1:]}.")]
+    if corners:
+        blocks += [_table(plan), *_efforts(plan, motion, group, period)]
+    return Section(title="Reserve and corners", blocks=blocks, depth=depth)
+
+
+def _facts(plan: Plan) -> list[tuple[str, str]]:
+    problem, robust = plan.problem, plan.problem.robust
+    joints = problem.mechanism.joints
+    rows = []
+    if problem.limits.reserve:
+        rows.append(("left to feedback", f"{100 * problem.limits.reserve:.3g} % of every effort limit"))
+        for actuator, (low, high), (least, most) in zip(
+            problem.mechanism.actuators, problem.limits.effort, problem.limits.actuators_effort, strict=True
+        ):
+            said = f"{low:.5g} to {high:.5g} {actuator.unit}, of {least:.5g} to {most:.5g}"
+            rows.append((f"what the plan may use of {actuator.name}", said))
+    for name, (low, high) in (("payload", robust.payload_factor), ("torque constant", robust.torque_factor)):
+        if low != high or low != 1:
+            rows.append((f"factor on the {name}", f"{low:g} to {high:g}"))
+    rubbing = (("viscous friction", robust.viscous, ("N.m.s/rad", "N.s/m")), ("dry friction", robust.coulomb, ("N.m", "N")))
+    for name, ranges, (turning, sliding) in rubbing:
+        for index, (low, high) in ranges.items():
+            unit = turning if joints[index].kind == "hinge" else sliding
+            rows.append((f"{name} at {joints[index].name}", f"{low:g} to {high:g} {unit}"))
+    return rows
+
+
+def _table(plan: Plan) -> Table:
+    """Return the corners with the effort of each that comes nearest to its limit, by the certificate."""
+    problem, n_u = plan.problem, plan.problem.mechanism.n_u
+    joints = tuple(joint.name for joint in problem.mechanism.joints)
+    rows = []
+    for item, corner in enumerate(problem.robust.corners):
+        of_it = [one for one in plan.certificate.margins if one.what == "robust" and one.item // n_u == item]
+        for worst in sorted(of_it, key=lambda one: one.left)[:1]:
+            actuator = problem.mechanism.actuators[worst.item % n_u]
+            places = 4 - math.floor(math.log10(abs(worst.limit) or 1.0))  # of the limit's size: less is rounding
+            figures = [round(x, places) + 0.0 for x in (worst.value, worst.limit, worst.left)]
+            at = float(f"{worst.time_s:.5g}")
+            rows.append([corner.said(joints), worst.kept, actuator.name, *figures, actuator.unit, at])
+    heads = [(head, "") for head in ("machine", "kept", "nearest to its limit", "effort", "limit", "left", "unit")]
+    return Table(title="Corners of the ranges, each certified between the nodes", columns=[*heads, ("at", "s")], rows=rows)
+
+
+def _efforts(plan: Plan, motion: Motion, group: str, period: float | None) -> list[Plot]:
+    """Return what every corner needs of each actuator over time, beside what the machine as modelled needs."""
+    problem, mechanism = plan.problem, plan.problem.mechanism
+    joints = tuple(joint.name for joint in mechanism.joints)
+    corners = problem.robust.corners
+    efforts = corner_efforts_along(mechanism, corners, motion.pose, motion.velocity, motion.acceleration)
+    found = []
+    for j, actuator in enumerate(mechanism.actuators):
+        bounds = tuple(problem.limits.effort[j])
+        needed, unit = motion.effort[:, j], actuator.unit
+        modelled = Line(name="as modelled", values=needed, unit=unit, limits=bounds, colour=None, width=2.4)
+        lines = [
+            Line(name=corner.said(joints), values=np.asarray(efforts[:, item, j]), unit=unit, limits=bounds)
+            for item, corner in enumerate(corners)
+        ]
+        title = f"What each machine needs of {actuator.name} for the motion"
+        found += plots(title, "effort", TIME, motion.time_s, [*lines, modelled], group=group, period=period)
+    return found

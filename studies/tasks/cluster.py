@@ -1,0 +1,85 @@
+"""The engine of a Dask cluster: its scheduler's address is all that is asked. Loads Dask when it is opened.
+
+Dask runs the tasks of a worker that is killed on another one by itself.
+"""
+
+import contextlib
+import logging
+from collections.abc import Iterator
+
+from linkplan.models.errors import LinkplanError, one_line
+from linkplan.planner.files.plan_folder import versions
+from linkplan.studies.tasks.engine import Engine, Pool, Say
+
+# A scheduler that is there answers within milliseconds.
+_PATIENCE_S = 10
+# More tasks than an experiment has blocks: a cluster may grow, and takes what it can.
+_ALL = 1_000_000
+
+
+def cluster(address: str) -> Engine:
+    """Return the engine of the cluster whose scheduler is at an address, such as tcp://head:8786.
+
+    Raises:
+        LinkplanError: when Dask is not installed.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise LinkplanError("a cluster needs Dask: pip install 'linkplan[cluster]'") from error
+
+    @contextlib.contextmanager
+    def opened(n: int, say: Say) -> Iterator[Pool]:
+        del n
+        with _quiet("distributed"), contextlib.ExitStack() as stack:
+            client = _client(distributed, address)
+            stack.callback(client.close)
+            workers = client.scheduler_info(n_workers=-1)["workers"]
+            if not workers:
+                say(f"the cluster at {address} has no workers yet: waiting for one")
+            _refuse_unfit(client, address)
+            executor = client.get_executor(pure=False)
+            stack.callback(executor.shutdown, wait=False)
+            threads = min((worker["nthreads"] for worker in workers.values()), default=1)
+            lost = (distributed.KilledWorker, concurrent_cancelled())
+            yield Pool(executor=executor, ahead=_ALL, threads=threads, lost=lost)
+
+    return opened
+
+
+def concurrent_cancelled() -> type[BaseException]:
+    """Return the error of a task that nobody runs any more: its scheduler has gone."""
+    from concurrent.futures import CancelledError
+
+    return CancelledError
+
+
+def _client(distributed, address: str):
+    try:
+        return distributed.Client(address, timeout=_PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise LinkplanError(
+            f"no Dask scheduler answers at '{address}' ({one_line(error)[:200]}); an address is like tcp://head:8786"
+        ) from error
+
+
+def _refuse_unfit(client, address: str) -> None:
+    """Refuse a cluster whose workers lack linkplan."""
+    try:
+        client.run(versions)
+    except Exception as error:  # whatever goes wrong when a worker loads what it has not
+        raise LinkplanError(
+            f"workers at {address} cannot run linkplan: {type(error).__name__}: {one_line(error)}"
+        ) from error
+
+
+@contextlib.contextmanager
+def _quiet(name: str) -> Iterator[None]:
+    """Keep what a library logs below an error off stderr."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)

@@ -1,0 +1,150 @@
+"""Results on disk while they are made: parts that are complete or not there, whatever kills the process.
+
+Beside the result's folder DIR stands DIR.unfinished with what was asked (asked.json), what all tasks begin from (an
+experiment's plan), and parts/part-00000.NAME and so on, one for each task that is done. Each is written under another name,
+waited for, and renamed. The next run of the same command goes on from there; a run of another one is refused.
+"""
+
+import contextlib
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+from linkplan.models.errors import PlanFileError
+from linkplan.models.interrupts import shielded
+from linkplan.planner.files.folders import plain_record, write_json
+from linkplan.planner.files.work_folders import sweep, sync_folder
+
+try:
+    import fcntl
+except ImportError:  # not POSIX: two runs at once are not told apart
+    fcntl = None
+
+ASKED, PLAN, PARTS, _LOCK = "asked.json", "plan", "parts", "lock"
+
+
+def unfinished(target: Path) -> Path:
+    """Return where the parts of a result stand until it is whole."""
+    return target.with_name(f"{target.name}.unfinished")
+
+
+@contextlib.contextmanager
+def working(folder: Path, asked: Mapping, what: str) -> Iterator[None]:
+    """Hold a folder of parts for this process: made, or taken up where the same was asked.
+
+    Args:
+        folder: of parts.
+        asked: all that the results depend on.
+        what: is asked, with its article.
+
+    Raises:
+        PlanFileError: when it holds the parts of another request, or another process works on it.
+    """
+    lock, held = None, False
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder / _LOCK, os.O_RDWR | os.O_CREAT, 0o600)
+        if fcntl is not None:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise PlanFileError(f"another process is at work on '{folder}'") from error
+        held = True
+        _compare(folder, asked, what)
+        (folder / PARTS).mkdir(exist_ok=True)
+        sweep(folder)
+        for left in (*folder.glob(f".{ASKED}.*"), *(folder / PARTS).glob(".*")):  # being written when its process was killed
+            left.unlink()
+        yield
+    except OSError as error:
+        raise PlanFileError(f"cannot write '{folder}': {error.strerror or error}; what is done is kept") from error
+    finally:
+        if lock is not None:
+            if held and not (folder / PLAN).exists() and not any(folder.glob(f"{PARTS}/part-*")):
+                remove(folder)  # nothing came of it
+            os.close(lock)
+
+
+def _compare(folder: Path, asked: Mapping, what: str) -> None:
+    path = folder / ASKED
+    if not path.exists():
+        strangers = [entry.name for entry in folder.iterdir() if entry.name not in (_LOCK, PLAN) and entry.name[0] != "."]
+        if strangers:
+            raise PlanFileError(f"'{folder}' holds '{strangers[0]}', which is none of {what}'s; move it away")
+        put_whole(path, lambda place: write_json(place, asked))
+        return
+    refuse_other(path, asked, f"'{folder}' holds the parts of {what} that was asked otherwise")
+
+
+def refuse_other(path: Path, asked: Mapping, what: str) -> None:
+    """Refuse a folder whose record of what was asked is not this one, with the first thing that differs.
+
+    Raises:
+        PlanFileError: when something was asked otherwise.
+    """
+    try:
+        held = json.loads(path.read_text(encoding="utf-8"))
+        held = held.get("asked", held)
+    except (OSError, ValueError, AttributeError) as error:
+        raise PlanFileError(f"'{path}' cannot be read: {error}; name a new folder") from error
+    if held == json.loads(json.dumps(plain_record(asked))):
+        return
+    differs = next(iter(_differences(held, asked)), "something")
+    raise PlanFileError(f"{what} ({differs}); name a new folder, or remove it")
+
+
+def _differences(held: object, asked: object, name: str = "") -> Iterator[str]:
+    if isinstance(held, Mapping) and isinstance(asked, Mapping):
+        for key in dict.fromkeys((*held, *asked)):
+            yield from _differences(held.get(key), asked.get(key), f"{name}.{key}" if name else key)
+    elif held != asked:
+        yield f"{name.removeprefix('settings.')} was {held}, now {asked}"
+
+
+def done(folder: Path) -> set[int]:
+    """Return the tasks whose parts are there."""
+    return {int(path.stem.removeprefix("part-")) for path in (folder / PARTS).glob("part-*.*")}
+
+
+def part(folder: Path, task: int, suffix: str) -> Path:
+    """Return where a task's part stands."""
+    return folder / PARTS / f"part-{task:05d}.{suffix}"
+
+
+def remove(folder: Path) -> None:
+    """Remove a folder of parts whose result is whole, and what writing into it has left where it was killed."""
+    for left in (folder / PARTS, folder / PLAN, *folder.glob(".linkplan-work-*")):
+        shutil.rmtree(left, ignore_errors=True)
+    for left in folder.glob(f".{ASKED}.*"):
+        left.unlink(missing_ok=True)
+    for name in (ASKED, _LOCK):
+        (folder / name).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # somebody put something into it
+        folder.rmdir()
+
+
+def remove_left(folder: Path, asked: Mapping) -> None:
+    """Remove the parts of a result that is whole, where its process was killed before it could: none of another request."""
+    with contextlib.suppress(PlanFileError, OSError):
+        if folder.is_dir():
+            with working(folder, asked, "a result"):
+                remove(folder)
+
+
+def put_whole(path: Path, write: Callable[[Path], None]) -> None:
+    """Write a file under another name, wait for the disk, and rename it."""
+    work = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        write(work)
+        with shielded():
+            descriptor = os.open(work, os.O_RDWR)
+            try:
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            os.replace(work, path)
+            sync_folder(path.parent)
+    finally:
+        work.unlink(missing_ok=True)

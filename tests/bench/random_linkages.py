@@ -1,0 +1,41 @@
+"""Plan random linkages and judge every answer: `python -m tests.bench.random_linkages [N] [SEED] [FIRST]`.
+
+Six-bars, offset slider-cranks, spatial RSSRs, five-bars with two motors: `tests.support.linkage_problems` knows the best
+motions without linkplan.
+"""
+
+import sys
+import time
+
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.planning import plan_motion
+from tests.support.linkage_problems import Problem, drawn
+
+
+def judged(problem: Problem) -> tuple[str, float, float]:
+    """Return "right", or what is wrong with an answer; its error (relative) and the processor time [s]."""
+    begin = time.process_time()
+    plan = plan_motion(problem_from_tables(problem.family, problem.tables))
+    spent = time.process_time() - begin
+    if plan.status != "optimal":
+        return f"{plan.status}: {plan.message}", float("nan"), spent
+    error = plan.objective / problem.best - 1.0
+    if plan.certificate is None or not plan.certificate.passed:
+        return "optimal without a certificate that passes", error, spent
+    return "right" if abs(error) <= problem.exact else f"wrong: {plan.message}", error, spent
+
+
+def main(n: int = 40, seed: int = 1, first: int = 0) -> int:
+    """Print a line for each problem; return how many answers are not right."""
+    wrong = 0
+    for number in range(first, first + n):
+        problem = drawn(seed, number)
+        said, error, spent = judged(problem)
+        wrong += said != "right"
+        print(f"{number:4d}  {problem.family:12}  {problem.asked:21}  {error:+9.1e}  {spent:6.1f} s  {said}", flush=True)
+    print(f"{n - wrong} of {n} right")
+    return wrong
+
+
+if __name__ == "__main__":
+    sys.exit(main(*(int(word) for word in sys.argv[1:])) > 0)

@@ -1,0 +1,34 @@
+"""Where a function changes its sign, against closed forms."""
+
+import math
+
+import pytest
+
+from linkplan.models.poses.sign_change import sign_change
+
+SHAPES = {
+    "a line": (lambda x: x - 0.3, 0.3),
+    "steep": (lambda x: math.expm1(20 * (x - 0.7)), 0.7),
+    "flat": (lambda x: (x - 0.4) ** 5, 0.4),
+    "falling": (lambda x: math.cos(3 * x), math.pi / 6),
+    "a jump": (lambda x: 1.0 if x > 0.123 else -1.0, 0.123),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("backwards", [False, True])
+def test_the_place_is_found_to_the_tolerance(shape, backwards):
+    function, root = SHAPES[shape]
+    ends = (1.0, 0.0) if backwards else (0.0, 1.0)
+    assert sign_change(function, *ends, xtol=1e-14) == pytest.approx(root, abs=1e-3 if shape == "flat" else 2e-14)
+
+
+def test_a_smooth_function_is_asked_a_few_times_only():
+    asked = []
+    sign_change(lambda x: asked.append(x) or math.exp(x) - 2.0, 0.0, 1.0, xtol=1e-14)
+    assert len(asked) < 30
+
+
+@pytest.mark.parametrize("end", [0.0, 1.0])
+def test_an_end_that_is_a_root_is_returned(end):
+    assert sign_change(lambda x: x - end, 0.0, 1.0, xtol=1e-14) == end

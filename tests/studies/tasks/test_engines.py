@@ -1,0 +1,125 @@
+"""Engines: every task once, refusals in words, workers that die; sites that workers have in common."""
+
+import builtins
+import concurrent.futures
+import contextlib
+import os
+import signal
+
+import pytest
+
+from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.planner.planning import silent
+from linkplan.studies.tasks import cluster as dask_cluster
+from linkplan.studies.tasks import streaming
+from linkplan.studies.tasks.cluster import cluster
+from linkplan.studies.tasks.engine import Pool, here, processes
+from linkplan.studies.tasks.progress import Progress
+from linkplan.studies.tasks.site import Refused, Site, at_site, this_site
+from linkplan.studies.tasks.streaming import streamed
+
+
+def squared(task, threads):
+    assert threads > 0
+    return task * task
+
+
+def refused(task, threads):
+    del threads
+    raise ProblemError(f"task {task} makes no sense")
+
+
+def killed(task, threads):
+    del task, threads
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_this_process_runs_each_task_when_the_one_before_is_taken():
+    ran = []
+
+    def work(task, threads):
+        ran.append(task)
+        return squared(task, threads)
+
+    results = streamed(here, work, [3, 1, 2], silent)
+    assert next(results) == (3, 9)
+    assert ran == [3]
+    assert list(results) == [(1, 1), (2, 4)]
+
+
+@pytest.mark.parametrize("tasks", [[], [7], range(40)])
+def test_another_engine_can_stand_in_its_place(tasks):
+    """Any executor of `concurrent.futures` will do."""
+
+    @contextlib.contextmanager
+    def threads(n, say):
+        del n, say
+        with concurrent.futures.ThreadPoolExecutor(2) as executor:
+            yield Pool(executor=executor, ahead=5, threads=1)
+
+    assert dict(streamed(threads, squared, tasks, silent)) == {task: task**2 for task in tasks}
+
+
+def test_what_a_task_is_refused_with_is_one_line_here():
+    with pytest.raises(LinkplanError, match="^task 4 makes no sense$"):
+        list(streamed(here, refused, [4], silent))
+
+
+@pytest.mark.slow
+def test_workers_that_die_again_and_again_end_it_in_one_line(monkeypatch):
+    monkeypatch.setattr(streaming, "_MOST_DEATHS", 1)
+    said = []
+    with pytest.raises(LinkplanError, match=r"workers were killed 2 times; what is done is kept") as error:
+        list(streamed(processes(2), killed, [0, 1], said.append))
+    assert said == ["a worker was killed; what it was at is run again"]
+    assert "\n" not in str(error.value)
+
+
+def test_a_worker_with_other_versions_is_refused():
+    site = Site(folder=os.getcwd(), versions={**this_site().versions, "mujoco": "9.9"})
+    answer = at_site(site, squared, 2, 1)
+    assert isinstance(answer, Refused)
+    assert "here 9.9; results would differ" in answer.text
+
+
+def test_a_task_runs_in_the_folder_of_who_asks(tmp_path, monkeypatch):
+    before = os.getcwd()
+    site = Site(folder=str(tmp_path), versions={})
+    assert at_site(site, os.getcwd) == str(tmp_path)
+    assert os.getcwd() == before
+    answer = at_site(Site(folder=str(tmp_path / "nowhere"), versions={}), os.getcwd)
+    assert isinstance(answer, Refused)
+    assert "does not see" in answer.text
+    monkeypatch.undo()
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x", "", "127.0.0.1", "tcp://127.0.0.1:many"])
+def test_an_address_at_which_no_scheduler_answers_is_refused_in_one_line(address, monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(dask_cluster, "_PATIENCE_S", 0.2)
+    with pytest.raises(LinkplanError, match=f"no Dask scheduler answers at '{address}'") as refusal:
+        list(streamed(cluster(address), squared, [1], silent))
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_cluster_without_dask_is_refused_with_what_to_install(monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *given, **more):
+        if name == "distributed":
+            raise ImportError(name)
+        return real(name, *given, **more)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(LinkplanError, match=r"needs Dask: pip install 'linkplan\[cluster\]'"):
+        cluster("tcp://head:8786")
+
+
+def test_progress_counts_and_says_what_was_done_before():
+    said = []
+    progress = Progress(10, 4, "samples", said.append)
+    progress.more(3)
+    progress.more(3)
+    assert said[0] == "4 of 10 samples are done already"
+    assert said[1].startswith("7 of 10 samples, about 0 s left")
+    assert said[2] == "10 of 10 samples"
