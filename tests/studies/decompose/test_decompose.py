@@ -67,6 +67,7 @@ def test_the_parts_add_up_to_the_error_of_a_run_of_its_own():
         ("pd+ff", ["tracking.delay_periods=20", AS_MODELLED], "sampling"),
         ("pd+ff", ["imperfections.delay_periods=20.5"], "sampling"),
         ("pd+ff", ["imperfections.period_factor=1.1"], "sampling"),
+        ("lqr", ["imperfections.loop_time_constant_s=0.02"], "simulator"),
         ("lqi", ["imperfections.encoder_offset_deg=1.0"], "devices"),
         ("ct", ["imperfections.torque_constant_factor=0.8"], "devices"),
         ("gs-pd+ff", ["imperfections.payload_mass_factor=1.5"], "model"),
