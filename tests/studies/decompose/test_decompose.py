@@ -79,7 +79,7 @@ def test_what_is_wrong_with_a_machine_is_its_largest_part(tracker, overrides, ca
     assert max(parts, key=lambda name: abs(parts[name])) == cause
 
 
-@pytest.mark.parametrize("tracker", ["pd+ff", "lqi", "mpc"])
+@pytest.mark.parametrize("tracker", ["pd+ff", "lqi", pytest.param("mpc", marks=pytest.mark.slow)])
 def test_what_a_limit_takes_away_is_the_limits_part(tracker):
     light = split(tracker, "tracking.duration_s=0.03", AS_MODELLED)
     assert light["parts"]["limits"] == 0
