@@ -39,6 +39,10 @@ def _column(values: list[float]) -> list[str]:
     """Return numbers with as many decimals as give the last of them, the whole, its figures; an exact zero as "0"."""
     whole = abs(values[-1])
     decimals = max(0, _FIGURES - 1 - math.floor(math.log10(whole))) if whole > 0 else 0
-    if decimals > 2 * _FIGURES:
-        return ["0" if value == 0 else f"{value:.{_FIGURES - 2}e}" for value in values]
-    return ["0" if value == 0 else f"{value:.{decimals}f}" for value in values]
+    form = f".{_FIGURES - 2}e" if decimals > 2 * _FIGURES else f".{decimals}f"
+    return ["0" if value == 0 else _unsigned_zero(f"{value:{form}}") for value in values]
+
+
+def _unsigned_zero(text: str) -> str:
+    """Return a number's text without the sign that its digits do not have."""
+    return text.lstrip("-") if float(text) == 0 else text

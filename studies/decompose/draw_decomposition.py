@@ -14,7 +14,7 @@ _COLUMNS = 3
 # Room beside the bars for their numbers, as a share of the width that the bars take.
 _ROOM = 0.28
 # A part that takes less than this share of the width has no number.
-_SHOWN = 1e-4
+_SHOWN = 1e-3
 
 
 def decomposition_figure(found: Decomposition, path: Path | None = None) -> Figure:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 import numpy as np
 
 from linkplan.controllers.ensemble import run_ensemble
-from linkplan.controllers.imperfections.imperfections import Clock, Imperfections
+from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Machine
 from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.reference import SampledReference, sample, state_at
 from linkplan.controllers.rigid_loop import run_rigid
@@ -111,6 +111,7 @@ _Found = tuple[np.ndarray, Sequence[str | None]]
 # What the keys of [imperfections] belong to; all others are the model's errors.
 _GROUPS = {
     **dict.fromkeys(("period_factor", "phase_periods", "delay_periods"), "sampling"),
+    **dict.fromkeys(("loop_time_constant_s", "loop_damping_ratio"), "simulator"),
     **dict.fromkeys(
         (
             *(f"encoder_{what}_{unit}" for what in ("resolution", "offset") for unit in ("deg", "m")),
@@ -124,9 +125,12 @@ _GROUPS = {
 
 def _stripped(machine: Imperfections, rung: str) -> Imperfections:
     """Return a machine with those imperfections that are switched on by a rung in MuJoCo."""
+    stiffness = Machine(loop_solref=machine.machine.loop_solref)  # the simulator's own softness, if another is asked for
+    if rung in ("simulator", "devices"):
+        machine = replace(machine, machine=stiffness)
     kept = {
-        "simulator": ("clock",),
-        "devices": ("clock", "sensors", "drives"),
+        "simulator": ("clock", "machine"),
+        "devices": ("clock", "machine", "sensors", "drives"),
         "model": tuple(field.name for field in fields(Imperfections)),
         "limits": tuple(field.name for field in fields(Imperfections)),
     }[rung]
@@ -192,9 +196,9 @@ def _sampled(experiment: Experiment, law: AnyTracker, machines: Sequence[Imperfe
 
 
 def _alike(machines: Sequence[Imperfections]) -> Sequence[Imperfections]:
-    """Return the first machine alone where all have its clock and delay: until something else comes in they are one."""
-    clocks = {tuple(getattr(one.clock, field.name) for field in fields(Clock)) for one in machines}
-    return machines[:1] if len(clocks) == 1 else machines
+    """Return the first machine alone where all have its clock and softness: until something else comes in they are one."""
+    known = {(one.machine.loop_solref, *(getattr(one.clock, field.name) for field in fields(Clock))) for one in machines}
+    return machines[:1] if len(known) == 1 else machines
 
 
 def _simulated(experiment: Experiment, law: AnyTracker, machines: Sequence[Imperfections], loop: ControlLoop) -> _Found:

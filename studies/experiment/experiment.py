@@ -110,7 +110,9 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     if tracking.duration_s is None and ends:
         tracking = replace(tracking, duration_s=(1 + _REST) * trajectory.duration_s)
     reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
-    loop = ControlLoop(effort_limit=np.array(problem.limits.effort), delay_periods=int(problem.tracking.delay_periods))
+    loop = ControlLoop(
+        effort_limit=np.array(problem.limits.actuators_effort), delay_periods=int(problem.tracking.delay_periods)
+    )
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     middle = np.median(layout.values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # refused now, in one line

@@ -67,6 +67,7 @@ def test_the_parts_add_up_to_the_error_of_a_run_of_its_own():
         ("pd+ff", ["tracking.delay_periods=20", AS_MODELLED], "sampling"),
         ("pd+ff", ["imperfections.delay_periods=20.5"], "sampling"),
         ("pd+ff", ["imperfections.period_factor=1.1"], "sampling"),
+        ("lqr", ["imperfections.loop_time_constant_s=0.02"], "simulator"),
         ("lqi", ["imperfections.encoder_offset_deg=1.0"], "devices"),
         ("ct", ["imperfections.torque_constant_factor=0.8"], "devices"),
         ("gs-pd+ff", ["imperfections.payload_mass_factor=1.5"], "model"),
@@ -78,7 +79,7 @@ def test_what_is_wrong_with_a_machine_is_its_largest_part(tracker, overrides, ca
     assert max(parts, key=lambda name: abs(parts[name])) == cause
 
 
-@pytest.mark.parametrize("tracker", ["pd+ff", "lqi", "mpc"])
+@pytest.mark.parametrize("tracker", ["pd+ff", "lqi", pytest.param("mpc", marks=pytest.mark.slow)])
 def test_what_a_limit_takes_away_is_the_limits_part(tracker):
     light = split(tracker, "tracking.duration_s=0.03", AS_MODELLED)
     assert light["parts"]["limits"] == 0
