@@ -1,6 +1,7 @@
 """What the commands share: reading arguments, and refusing them under the names that they have on the command line."""
 
 import argparse
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -51,6 +52,12 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
     except PlanFileError as error:
         raise PlanFileError(f"-o: {error}") from error
     return target
+
+
+def sample_again(folder: Path, tracker: str, sample: int) -> str:
+    """Return the command that runs a tracker's sample of an experiment again."""
+    place = f"sample-{sample}-{tracker}"
+    return f"linkplan track {shlex.quote(str(folder))} --sample {sample} --tracker {tracker} --report -o {place}"
 
 
 def set_all(tables: Tables, settings: Sequence[str]) -> None:
