@@ -22,10 +22,13 @@ from linkplan.studies.output.drawing import (
     bottom_legend,
     outside_legend,
     page,
+    wrapped,
 )
 
 # Margins have so many times their largest as their axis.
 _ROOM = 1.08
+# Letters of a line of the title.
+_TITLE = 110
 # What is drawn of a Nyquist curve: the square about the origin, in units of the critical point's distance, or so many times
 # as far as the nearest point of a curve that stays outside of it.
 _NYQUIST, _FAR, _SEEN = 2.5, 30.0, 1.3
@@ -72,7 +75,8 @@ def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | Non
         figure = axes[0, 0].figure
         bottom_legend(axes[0, 0])
         how = "line: predicted, sampled; dotted: continuous" + (f"; dots: MuJoCo, {study.method}" if measured else "")
-        figure.suptitle(f"{study.mechanism.name}, {study.law}: {study.message}\n{how}", fontsize=10.5, wrap=True)
+        title = wrapped(f"{study.mechanism.name}, {study.law}: {study.message}", _TITLE)
+        figure.suptitle(f"{title}\n{how}", fontsize=10.5)
     return figure
 
 

@@ -8,9 +8,10 @@ from matplotlib.figure import Figure
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.reach import Reach
-from linkplan.models.poses.skeleton import sticks
+from linkplan.models.poses.skeleton import sticks, view
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.inspection import Inspection
+from linkplan.studies.output.directions import direction_said
 from linkplan.studies.output.drawing import BLACK, BLUE, GREY, RED, SERIES, STYLES, outside_legend, page
 
 # An inertia that changes by more than this factor over the reach is drawn on a logarithmic axis.
@@ -85,8 +86,9 @@ def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray) -> None:
             )
     axes.set_aspect("equal", adjustable="datalim")
     axes.locator_params(axis="x", nbins=6)
-    axes.set_xlabel("[m]")
-    axes.set_ylabel("[m]")
+    right, up = (direction_said(direction) for direction in view(mechanism.model))
+    axes.set_xlabel(f"{right} [m]")
+    axes.set_ylabel(f"{up} [m]")
 
 
 def mark_turning(axes, mechanism: Mechanism, can: Reach) -> None:

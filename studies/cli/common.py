@@ -1,6 +1,7 @@
 """What the commands share: reading arguments, and refusing them under the names that they have on the command line."""
 
 import argparse
+import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -66,6 +67,12 @@ def engine_asked(arguments: argparse.Namespace) -> Engine:
     if not 1 <= workers <= MOST_WORKERS:
         raise ProblemError(f"--workers is a whole number from 1 to {MOST_WORKERS}, got {workers}")
     return processes(workers)
+
+
+def sample_again(folder: Path, tracker: str, sample: int) -> str:
+    """Return the command that runs a tracker's sample of an experiment again."""
+    place = f"sample-{sample}-{tracker}"
+    return f"linkplan track {shlex.quote(str(folder))} --sample {sample} --tracker {tracker} --report -o {place}"
 
 
 def set_all(tables: Tables, settings: Sequence[str]) -> None:

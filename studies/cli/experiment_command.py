@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import functools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +13,7 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import Plan
-from linkplan.studies.cli.common import engine_asked, no_plan, output_folder, plan_asked, set_all
+from linkplan.studies.cli.common import engine_asked, no_plan, output_folder, plan_asked, sample_again, set_all
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import progress, show
 
@@ -79,7 +80,7 @@ def _write_page(outcome: Outcome, target: Path) -> None:
     from linkplan.studies.report.reports import experiment_report
     from linkplan.studies.report.saving import PAGE
 
-    write_report(experiment_report(outcome, target), target / PAGE)
+    write_report(experiment_report(outcome, functools.partial(sample_again, target)), target / PAGE)
 
 
 class _NoPlanError(Exception):

@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from linkplan.studies.cli.common import sample_again
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import progress, show
 
@@ -21,7 +22,7 @@ def run_report(arguments: argparse.Namespace) -> int:
     except PlanFileError as error:
         raise PlanFileError(f"-o: {error}") from error
     say(f"reading {arguments.folder}")
-    write_report(folder_report(Path(arguments.folder)), path)
+    write_report(folder_report(Path(arguments.folder), sample_again), path)
     size = path.stat().st_size
     show(arguments, {"report": str(path), "bytes": size}, f"{path}: {size / 1e6:.2g} MB, opens in any browser, offline too")
     return DONE

@@ -12,6 +12,9 @@ from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS, bottom_lege
 # What is shown of the metrics that begin so, in this order.
 _SHOWN = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
 
+# Widths of the first tracker's lines and of the last one's: what lies beneath is still seen.
+_WIDEST, _THINNEST = 3.4, 1.2
+
 
 def experiment_figure(
     results: Mapping[str, np.ndarray], trackers: Sequence[str], metrics: Mapping[str, Metric], title: str, path: Path | None
@@ -42,7 +45,8 @@ def draw_distribution(axis, results: Mapping[str, np.ndarray], trackers: Sequenc
             smallest = min(smallest, float(values[int(0.05 * len(values))]))
         share = 100 * np.arange(1, len(values) + 1) / max(1, len(all_values))
         colour = TRACKER_COLOURS.get(tracker, SERIES[(i + 3) % len(SERIES)])
-        axis.step(values, share, where="post", color=colour, label=tracker)
+        width = _WIDEST - (_WIDEST - _THINNEST) * i / max(1, len(trackers) - 1)
+        axis.step(values, share, where="post", color=colour, label=tracker, linewidth=width)
     unit = "" if metric.unit == "1" else f" [{metric.unit}]"
     axis.set_xlabel(f"{metric.text}{unit}")
     axis.set_ylabel("machines [%]")

@@ -7,15 +7,14 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.skeleton import body_name, sticks, view
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.motion import Motion
-from linkplan.planner.problem.sites import AXES, SiteLimit
+from linkplan.planner.problem.sites import SiteLimit
+from linkplan.studies.output.directions import direction_said
 from linkplan.studies.output.drawing import GREY, SERIES, outside_legend
 
 # Points of the raster on which limits are drawn, along each axis, and depths of the path at which they are looked at.
 _RASTER, _DEPTHS = 400, 5
 # What is drawn beside the paths and the mechanism, as a share of their larger side; less than the other, in metres, is none.
 _ROOM, _LEAST_M = 0.12, 1e-3
-# A direction of the drawing within this of an axis of the world is named after it.
-_ALONG_AXIS = 1e-6
 
 
 def draw_sites(axes, plan: Plan) -> None:
@@ -55,8 +54,8 @@ def draw_sites(axes, plan: Plan) -> None:
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect("equal", adjustable="box")
-    axes.set_xlabel(f"{_direction(right)} [m]")
-    axes.set_ylabel(f"{_direction(up)} [m]")
+    axes.set_xlabel(f"{direction_said(right)} [m]")
+    axes.set_ylabel(f"{direction_said(up)} [m]")
     outside_legend(axes, narrow=True)
 
 
@@ -85,11 +84,3 @@ def _shade(axes, limits: list[SiteLimit], frame, plane, depths: np.ndarray, colo
     if field.min() < 0.0 < field.max():
         axes.contour(X, Y, field, levels=[0.0], colors=[colour], linewidths=1.0, linestyles=":")
     axes.fill_between([], [], color=colour, alpha=0.15, label=f"forbidden to {name}")
-
-
-def _direction(direction: np.ndarray) -> str:
-    """Return the name of a direction of the drawing: an axis of the world, backwards with a minus, or its components."""
-    k = int(np.argmax(np.abs(direction)))
-    if 1.0 - abs(direction[k]) < _ALONG_AXIS:
-        return AXES[k] if direction[k] > 0 else f"-{AXES[k]}"
-    return "along (" + ", ".join(f"{x:.3g}" for x in direction) + ")"

@@ -1,5 +1,6 @@
 """One look for every figure: sizes, grid, and colours that colour-blind readers can tell apart (Okabe & Ito, 2008)."""
 
+import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import matplotlib
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import FuncFormatter
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
@@ -22,6 +24,11 @@ _LETTERS_A_ROW, _LETTERS_A_PAGE = 56, 76
 _LETTERS_AN_INCH = 12
 # What a legend's line and gaps take beside its text, in letters.
 _LETTERS_BESIDE = 8
+
+# A logarithmic axis whose ends are apart by less than this factor has a label or two at powers of ten.
+_SHORT = 80.0
+# Letters by which a title's lines may differ.
+_WORD = 8
 
 _STYLE = {
     "axes.grid": True,
@@ -44,11 +51,28 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
         # A figure of its own, without pyplot: no screen is needed and nothing is left open.
         figure = Figure(figsize=size, layout="constrained")
         yield figure.subplots(rows, columns, squeeze=False, **layout)
+        for axes in figure.axes:
+            _few_ticks(axes)
         for text in figure.findobj(Text):
             if "$" in text.get_text() and "\\math" not in text.get_text():
                 text.set_parse_math(False)  # a name with dollars is a name, not a formula
         if path is not None:
             figure.savefig(path)
+
+
+def _few_ticks(axes) -> None:
+    """Label a logarithmic axis of less than two decades plainly, at 1, 2 and 5 alone: more would lie on one another."""
+    for axis in (axes.xaxis, axes.yaxis):
+        low, high = sorted(axis.get_view_interval())
+        if axis.get_scale() == "log" and high < _SHORT * low:
+            axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+            axis.set_minor_formatter(FuncFormatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else ""))
+
+
+def wrapped(text: str, most: int) -> str:
+    """Return a title in lines of about one length, of so many letters at the most."""
+    lines = -(-len(text) // most)
+    return textwrap.fill(text, min(most, len(text) // lines + _WORD))
 
 
 def outside_legend(axes, *, narrow: bool = False, **options) -> None:

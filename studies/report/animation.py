@@ -10,6 +10,7 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.joint_frames import joint_frames
 from linkplan.models.poses.skeleton import Stick, sticks, view
 from linkplan.models.tree.coordinates import joint_label
+from linkplan.studies.output.directions import direction_said
 from linkplan.studies.report.document import Animation, Body, Ghost
 from linkplan.studies.report.drives import drives_of
 from linkplan.studies.report.numbers import rounded, times
@@ -20,7 +21,6 @@ FRAMES = 201
 _NUMBERS, _FEWEST_FRAMES = 120_000, 41
 # Depths that change by less than this share of the mechanism's extent do not change: a motion in a plane.
 _FLAT = 1e-6
-_AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -82,7 +82,7 @@ def animation(
         title=title,
         group=group,
         dimension=2 if flat else 3,
-        axes=(_direction(right), _direction(up)),
+        axes=(direction_said(right), direction_said(up)),
         times=times(time_s),
         bodies=_bodies(drawn, frame),
         ghosts=[
@@ -114,11 +114,3 @@ def _bodies(drawn: tuple[Stick, ...], frame: np.ndarray) -> list[Body]:
         flat = points.reshape(len(points), -1)
         found.append(Body(name=stick.body, fixed=stick.fixed, n_pins=points.shape[1], points=rounded(flat)))
     return found
-
-
-def _direction(direction: np.ndarray) -> str:
-    """Return what a direction of the drawing is called: an axis of the world, or its components."""
-    k = int(np.argmax(np.abs(direction)))
-    if 1.0 - abs(direction[k]) < _FLAT:
-        return _AXES[k] if direction[k] > 0 else f"-{_AXES[k]}"
-    return "(" + ", ".join(f"{x:.3g}" for x in direction) + ")"

@@ -91,12 +91,13 @@ def _margins(study: BodeStudy) -> Table:
     for entry in study.points:
         m = entry.margins
         delay = None if m.delay_margin_s is None else 1e3 * m.delay_margin_s
-        figures = [m.spectral_radius, m.gain_margin_db, m.phase_margin_deg, delay, m.disk_margin]
+        figures = [m.gain_margin_db, m.phase_margin_deg, delay, m.disk_margin]
         figures += [m.crossover_hz, m.bandwidth_hz, m.resonance_db, m.sensitivity_peak]
         of = [mechanism.independent_joints[entry.channel].name] if several else []
         inertia = float(entry.point.inertia[entry.channel, entry.channel])
         verdicts = [bool(m.stable), bool(entry.settles_in_mujoco)]
-        rows.append([entry.point.name, *of, known(inertia), *verdicts, *(known(x) for x in figures)])
+        pole = known(m.spectral_radius, 6)
+        rows.append([entry.point.name, *of, known(inertia), *verdicts, pole, *(known(x) for x in figures)])
     return Table(title="Margins at every pose", columns=columns(*heads), rows=rows)
 
 

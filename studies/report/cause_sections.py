@@ -26,13 +26,14 @@ def decomposition_charts(record: Mapping) -> list[Bars]:
             rows, end = [], 0.0
             for name, part in shares["parts"].items():
                 begin, end = end, end + part
-                sign, colour = ("adds", _RAISES) if part >= 0 else ("takes away", _LOWERS)
+                sign, colour = ("adds to it", _RAISES) if part >= 0 else ("takes away", _LOWERS)
                 span = Span(name=sign, start=begin, end=end, colour=colour)
                 rows.append(Bar(label=words[name].partition(":")[0], spans=[span], note=_said(part)))
             whole = Span(name="rms error", start=0.0, end=shares["rms_error"], colour=None)
             rows.append(Bar(label="rms error", spans=[whole], note=_said(shares["rms_error"])))
             axis = Axis(label="part of the rms error", unit=unit)
-            found.append(Bars(title=f"{tracker}: what the rms error is made of", axis=axis, rows=rows))
+            title = f"{tracker}: what the rms error is made of"
+            found.append(Bars(title=title, axis=axis, rows=rows, note_name=f"[{unit}]"))
     return found
 
 
@@ -44,7 +45,7 @@ def sensitivity_section(record: Mapping, *, depth: int = 2) -> Section:
     """
     mains = [name for name in record["metrics"] if name.startswith("rms_error")]
     machines = record["groups"] * record["group_size"]
-    blocks: list[Block] = [Text(text=f"Importance: {record['measure']}; {machines} machines in {record['groups']} groups.")]
+    blocks: list[Block] = [Text(text=f"Importance: {record['measure']}; {machines} machines.")]
     for metric in mains:
         shown = _foremost(record, metric)
         for tracker, by_metric in record["trackers"].items():
@@ -52,7 +53,9 @@ def sensitivity_section(record: Mapping, *, depth: int = 2) -> Section:
             axis, rows, line = draw(record, metric, by_metric[metric], shown)
             title = f"{tracker}: what the {record['metrics'][metric]['text']} owes to each imperfection"
             name = "" if line == 0 else f"all in the middle, {_said(line)}"
-            blocks.append(Bars(title=title, axis=axis, rows=rows, line=line, line_name=name))
+            beside = "total" if record["design"] == "sobol" else f"change [{axis.unit}]"
+            chart = Bars(title=title, axis=axis, rows=rows, line=line, line_name=name, note_name=beside)
+            blocks.append(chart)
     return Section(title="Which imperfection matters most", blocks=blocks, depth=depth)
 
 

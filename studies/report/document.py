@@ -199,13 +199,14 @@ class Bar:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Bars:
-    """Bars beside their names, on one axis; they stand on `line`, which has a name where it is not zero."""
+    """Bars beside their names, on one axis; they stand on `line`; `note_name` says what the words beside them are."""
 
     title: str
     axis: Axis
     rows: Sequence[Bar]
     line: float = 0.0
     line_name: str = ""
+    note_name: str = ""
     kind: str = field(default="bars", init=False)
 
 

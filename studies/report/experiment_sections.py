@@ -1,9 +1,7 @@
 """An experiment's part of a report: trackers on many machines, in pairs, how their figures lie, the worst cases."""
 
 import math
-import shlex
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -19,6 +17,8 @@ from linkplan.studies.report.cause_sections import sensitivity_section
 from linkplan.studies.report.document import Axis, Block, Code, Facts, Plot, Section, Series, Table, Text
 from linkplan.studies.report.numbers import rounded
 
+# The command that runs a tracker's sample again.
+Again = Callable[[str, int], str]
 # Distributions that are drawn beside the trackers' table, of metrics that begin so; those of the others are folded away.
 _FIRST = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
 # Places of a distribution's line: shares of the machines, from none to all.
@@ -40,8 +40,8 @@ _OTHERS = (
 )
 
 
-def experiment_sections(outcome: Outcome, folder: Path | None, *, depth: int = 1) -> list[Section]:
-    """Return the sections of an experiment; `folder` is where its samples can be run again from."""
+def experiment_sections(outcome: Outcome, again: Again | None, *, depth: int = 1) -> list[Section]:
+    """Return the sections of an experiment; `again` says how a sample is run again, where there is a way to say it."""
     experiment, below = outcome.experiment, depth + 1
     sensitivity = outcome.record.get("sensitivity")  # of a design that tells imperfections' influences apart
     drawn = [name for start in _FIRST for name in outcome.summary.metrics if name.startswith(start)]
@@ -56,7 +56,7 @@ def experiment_sections(outcome: Outcome, folder: Path | None, *, depth: int = 1
         Section(title="How the figures are distributed", blocks=_plots(outcome, drawn), depth=below),
         Section(title="Distributions of the other figures", blocks=_plots(outcome, others), depth=below, folded=True),
         *([sensitivity_section(sensitivity, depth=below)] if sensitivity else []),
-        Section(title="Worst cases", blocks=_worst(outcome, folder), depth=below),
+        Section(title="Worst cases", blocks=_worst(outcome, again), depth=below),
         Section(title="Imperfections of the machines", blocks=[_imperfections(experiment)], depth=below),
     ]
 
@@ -200,28 +200,24 @@ def _colour(tracker: str, k: int) -> int:
     return SERIES.index(TRACKER_COLOURS[tracker]) if tracker in TRACKER_COLOURS else (k + 3) % len(SERIES)
 
 
-def _worst(outcome: Outcome, folder: Path | None) -> list[Block]:
+def _worst(outcome: Outcome, again: Again | None) -> list[Block]:
     results = outcome.results
     largest = next(name for name in outcome.summary.metrics if name.startswith("max_error"))
     rows, commands = [], []
-    where = "DIR" if folder is None else shlex.quote(str(folder))
     for one in outcome.summary.trackers:
         for sample in one.worst:
             (row,) = np.flatnonzero((results["tracker"] == one.name) & (results["sample"] == sample))
             failure = results["failure"][row]
             error = _known(float(results[largest][row]), 4)
             rows.append([one.name, sample, error, bool(results["success"][row]), failure])
-            asked = f"--sample {sample} --tracker {one.name}"
-            commands.append(f"linkplan track {where} {asked} --report -o sample-{sample}-{one.name}")
+            commands += [] if again is None else [again(one.name, sample)]
     heads = [("tracker", ""), ("sample", ""), ("largest error", outcome.summary.metrics[largest].unit), ("success", "")]
-    return [
-        Table(
-            title="Each tracker's worst machines: failed, or else of the largest error",
-            columns=[*heads, ("failed", "")],
-            rows=rows,
-        ),
-        Code(title="To run them again, to the same bits, each with its whole log", text="\n".join(commands)),
-    ]
+    title = "Each tracker's worst machines: failed, or else of the largest error"
+    found: list[Block] = [Table(title=title, columns=[*heads, ("failed", "")], rows=rows)]
+    if commands:
+        text = "\n".join(commands)
+        found.append(Code(title="To run them again, to the same bits, each with its whole log", text=text))
+    return found
 
 
 def machine_section(sample: Mapping) -> Section:

@@ -1,7 +1,8 @@
 """The report of a folder that linkplan wrote: its own document, a plan made anew, or what its record says."""
 
+import functools
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -21,8 +22,12 @@ from linkplan.studies.report.saving import DOCUMENT, read_document
 _ROWS, _LETTERS = 500, 300
 
 
-def folder_report(folder: Path) -> Report | Mapping:
+def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = None) -> Report | Mapping:
     """Return the report of a saved folder: of a plan, a check, a comparison, an experiment, a feedback loop, gains, a batch.
+
+    Args:
+        folder: that was saved.
+        again: the command that runs a tracker's sample of an experiment's folder again, where there is one to say.
 
     Raises:
         PlanFileError: when it is none, or damaged.
@@ -34,7 +39,7 @@ def folder_report(folder: Path) -> Report | Mapping:
     if (folder / "plan.json").is_file():
         return plan_report(saved_plan(folder))
     if (folder / EXPERIMENT).is_file():
-        return experiment_report(saved_outcome(folder), folder)
+        return experiment_report(saved_outcome(folder), None if again is None else functools.partial(again, folder))
     record = next((name for name in RECORDS if (folder / name).is_file()), None)
     if record is None:
         raise PlanFileError(f"'{folder}' holds no result of linkplan's: none of {', '.join(RECORDS)} is in it")

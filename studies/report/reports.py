@@ -1,7 +1,6 @@
 """Whole reports: of a plan, a comparison, a decomposition, a feedback loop, gains, a check."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.plan import Plan
@@ -19,7 +18,7 @@ from linkplan.studies.report.bode_sections import bode_sections
 from linkplan.studies.report.check_sections import check_sections, refused_section
 from linkplan.studies.report.decomposition_section import decomposition_section
 from linkplan.studies.report.document import Report, Section
-from linkplan.studies.report.experiment_sections import experiment_sections, machine_section
+from linkplan.studies.report.experiment_sections import Again, experiment_sections, machine_section
 from linkplan.studies.report.loop_sections import along_section, large_section, map_section, tune_sections
 from linkplan.studies.report.plan_sections import plan_sections
 from linkplan.studies.report.tracking_sections import whole_comparison
@@ -60,13 +59,13 @@ def replay_report(comparison: Comparison, sample: Mapping) -> Report:
     return report_of(f"A machine of the experiment on {comparison.plan.problem.name}", verdict, passed, sections)
 
 
-def experiment_report(outcome: Outcome, folder: Path | None = None) -> Report:
-    """Return the report of an experiment, and of its plan; `folder` is where its samples can be run again from."""
+def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
+    """Return the report of an experiment, and of its plan; `again` says how a sample is run again."""
     plan, summary = outcome.experiment.plan, outcome.summary
     best = max(summary.trackers, key=lambda one: one.success.value)
     shares = ", ".join(f"{one.name} {100 * one.success.value:.3g} %" for one in summary.trackers)
     verdict = f"success on {summary.samples} machines within {tube_said(outcome.experiment)}: {shares}"
-    sections = [*experiment_sections(outcome, folder), *plan_sections(plan)]
+    sections = [*experiment_sections(outcome, again), *plan_sections(plan)]
     title = f"Trackers of {plan.problem.name} on many machines"
     return report_of(title, verdict, None if best.success.value > 0 else False, sections)
 

@@ -19,6 +19,11 @@ function barEnds(block) {
   return [low < block.line ? low - room : low, high > block.line ? high + room : high];
 }
 
+/** Return a name that may be broken after its points and underscores. */
+function breakable(name) {
+  return name.split(/(?<=[_.,])/).flatMap((part) => [part, make("wbr")]);
+}
+
 /** Return the figure of bars. */
 function showBars(block) {
   const [low, high] = barEnds(block);
@@ -36,18 +41,18 @@ function showBars(block) {
       if (span.low === null || span.high === null) return;
       track.append(make("span", { class: "interval", style: `left:${at(span.low)}%;width:${at(span.high) - at(span.low)}%;top:${top + tall / 2}%` }));
     });
-    return [make("div", { class: "name" }, row.label), track, make("div", { class: "note" }, row.note)];
+    return [make("div", { class: "name" }, ...breakable(row.label)), track, make("div", { class: "note" }, row.note)];
   });
   const scale = make("div", { class: "scale" }, ...ticks.map((x) => make("span", { style: `left:${at(x)}%` }, said(x, 6))));
   const chart = make("div", { class: "bars", role: "img", "aria-label": block.title }, ...rows, make("div"), scale, make("div"));
-  chart.append(make("div"), make("div", { class: "axis" }, labelled(block.axis)), make("div"));
+  chart.append(make("div"), make("div", { class: "axis" }, labelled(block.axis)), make("div", { class: "note" }, block.note_name));
   return make("figure", { class: "chart" }, make("figcaption", {}, block.title), chart, barLegend(block));
 }
 
 /** Return what the colours of bars mean, each name once. */
 function barLegend(block) {
   const named = new Map(block.rows.flatMap((row) => row.spans).filter((span) => span.name).map((span) => [span.name, span.colour]));
-  const entries = [...named].map(([name, colour]) => make("li", {}, make("span", { class: `sign ${colour === null ? "ink" : `c${colour % 7}`}` }, "■"), name));
+  const entries = [...named].map(([name, colour]) => make("li", {}, make("span", { class: `sign ${colour === null ? "whole" : `c${colour % 7}`}` }, "■"), name));
   if (block.rows.some((row) => row.spans.some((span) => span.low !== null))) entries.push(make("li", {}, make("span", { class: "sign ink" }, "┝━┥"), "95 % interval"));
   if (block.line_name) entries.push(make("li", {}, make("span", { class: "sign ink" }, "│"), block.line_name));
   return make("ul", { class: "legend" }, ...entries);

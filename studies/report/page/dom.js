@@ -47,3 +47,10 @@ function whenSeen(element, build) {
   whenSeen.all.push(once);
 }
 whenSeen.all = [];
+
+/** Call `fit` when an element's size changes, and before the page is printed, whose layout is set by then. */
+function whenSized(element, fit) {
+  new ResizeObserver(fit).observe(element);
+  whenSized.all.push(fit);
+}
+whenSized.all = [];

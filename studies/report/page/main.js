@@ -88,13 +88,17 @@ document.addEventListener("keydown", (event) => {
 let before = null; // the theme to return to after printing
 let folded = []; // what was folded before it
 addEventListener("beforeprint", () => {
+  if (document.documentElement.classList.contains("printing")) return;
   folded = [...document.querySelectorAll("details:not([open])")];
   for (const one of folded) one.open = true;
   before = document.documentElement.dataset.theme ?? "";
+  document.documentElement.classList.add("printing"); // the paper's width, for what is drawn to a width
   for (const build of whenSeen.all) build();
+  for (const fit of whenSized.all) fit();
   theme.set("light");
 });
 addEventListener("afterprint", () => {
+  document.documentElement.classList.remove("printing");
   for (const one of folded) one.open = false;
   theme.set(before);
 });

@@ -168,11 +168,11 @@ function buildPlane(block, place) {
   place.style.minHeight = "";
   const follow = block.track === null || !block.group ? () => null : withDot(plot, block);
   theme.listeners.push(() => plot.redraw(false));
-  new ResizeObserver(() => {
+  whenSized(place, () => {
     if (!place.clientWidth || size().width === plot.width) return;
     plot.setSize(size());
     follow();
-  }).observe(place);
+  });
 }
 
 /** Put a dot on a plane that moves with the cursor, and moves it; return what puts it in its place again. */

@@ -65,7 +65,7 @@ function showAnimation(block) {
   whenSeen(figure, () => {
     cursor.listen(draw);
     theme.listeners.push(() => draw(cursor.time));
-    new ResizeObserver(() => draw(cursor.time)).observe(canvas);
+    whenSized(canvas, () => draw(cursor.time));
   });
   return figure;
 }

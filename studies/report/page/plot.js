@@ -198,9 +198,9 @@ function buildPlot(block, place, cursor) {
     plot.over.addEventListener("pointermove", drag);
   }
   theme.listeners.push(() => plot.redraw(false));
-  new ResizeObserver(() => {
+  whenSized(place, () => {
     if (Math.abs(place.clientWidth - plot.width) < 1 || !place.clientWidth) return;
     plot.setSize({ width: place.clientWidth, height: HEIGHT });
     if (cursor) follow(cursor.time);
-  }).observe(place);
+  });
 }

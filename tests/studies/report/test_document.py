@@ -118,9 +118,10 @@ def test_bodies_of_the_animation_keep_their_lengths(report):
 
 def test_the_arc_of_a_hinge_has_the_effort_and_its_limits(report):
     ((drive,),) = [moving.drives for moving in blocks(report, Animation)]
-    assert (drive.name, drive.turns, drive.limits) == ("act_O", True, (-LIMIT, LIMIT))
+    (mark,) = drive.marks
+    assert (drive.name, mark.shape, drive.limits) == ("act_O", "arc", (-LIMIT, LIMIT))
     assert max(map(abs, drive.effort)) == pytest.approx(optimal("knee-reach").certificate.peak_effort[0], rel=1e-4)
-    assert {abs(row[0]) for row in drive.axis} == {1}
+    assert {abs(row[0]) for row in mark.axis} == {1}
 
 
 def test_an_actuator_that_turns_the_drawing_s_way_turns_counterclockwise():
@@ -133,7 +134,7 @@ def test_an_actuator_that_turns_the_drawing_s_way_turns_counterclockwise():
     arm = points[:, 1] - points[:, 0]
     turned = np.unwrap(np.arctan2(arm[:, 1], arm[:, 0]))[-1] - np.arctan2(arm[0, 1], arm[0, 0])
     (drive,) = moving.drives
-    assert np.sign(drive.axis[0][0]) == np.sign(turned)  # the reach is swept upwards: O rises
+    assert np.sign(drive.marks[0].axis[0][0]) == np.sign(turned)  # the reach is swept upwards: O rises
 
 
 def test_a_spatial_linkage_is_drawn_in_space():

@@ -11,7 +11,7 @@ from linkplan.studies.report.reports import bode_report
 from tests.support.reports import blocks
 
 # Digits of a table.
-SHOWN = 1e-4
+SHOWN = 5e-4
 
 
 @pytest.fixture(scope="module")

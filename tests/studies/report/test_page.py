@@ -3,9 +3,10 @@
 import pytest
 
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.report.document import Checklist
+from linkplan.studies.report.document import Axis, Bar, Bars, Checklist, Plot, Section, Series, Span
+from linkplan.studies.report.lines import TIME
 from linkplan.studies.report.render import write_report
-from linkplan.studies.report.reports import comparison_report, plan_report
+from linkplan.studies.report.reports import comparison_report, plan_report, report_of
 from tests.support.bodies import QUARTER_TURN, body_plan
 from tests.support.browser import Opened, chromium
 from tests.support.mechanisms import replaced
@@ -20,6 +21,8 @@ MODEL = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint n
 <actuator><motor name="m" joint="J" ctrlrange="-5 5"/></actuator></mujoco>"""
 # An instant is shown to so many seconds: rounding, and a sample's width of the plots.
 INSTANT = 2e-3
+# What a sheet of A4 has room for between its margins [px].
+PAPER = 703
 
 
 @pytest.fixture(scope="module")
@@ -161,6 +164,66 @@ def test_what_is_printed_is_whole_and_without_controls(browser, path):
     assert opened.page.locator(".uplot").count() > 10
     assert not opened.page.locator("nav").is_visible()
     assert not opened.page.locator(".controls").first.is_visible()
+    assert opened.errors == []
+
+
+def test_a_folded_section_opens_from_the_contents_and_is_open_on_paper(browser, tmp_path):
+    line = Plot(title="p", group="", x_axis=TIME, y_axis=TIME, x=[0, 1], series=[Series(name="s", y=[0, 1])])
+    sections = [Section(title="first", blocks=[line]), Section(title="folded away", blocks=[line], folded=True)]
+    write_report(report_of("folded", "", None, sections), tmp_path / "folded.html")
+    opened = Opened(browser, tmp_path / "folded.html")
+    assert not opened.page.locator("details figure").is_visible()
+    opened.page.get_by_role("link", name="folded away").click()
+    opened.page.locator("details .uplot").wait_for()
+    again = Opened(browser, tmp_path / "folded.html")
+    again.ask("dispatchEvent(new Event('beforeprint'))")
+    assert again.page.locator("details figure").is_visible()
+    again.ask("dispatchEvent(new Event('afterprint'))")
+    assert not again.page.locator("details figure").is_visible()
+    assert opened.errors == again.errors == []
+
+
+def test_what_is_drawn_is_no_wider_than_the_paper(browser, path):
+    opened = Opened(browser, path)
+    opened.build()
+    wide = "Math.max(...[...document.querySelectorAll('.uplot, canvas.stage')].map((x) => x.getBoundingClientRect().right))"
+    assert opened.ask(wide) > PAPER
+    opened.ask("dispatchEvent(new Event('beforeprint'))")
+    assert opened.ask(wide) <= PAPER
+    opened.ask("dispatchEvent(new Event('afterprint'))")
+    opened.settle()
+    assert opened.ask(wide) > PAPER
+
+
+def test_the_arc_is_the_effort_that_the_shown_ghost_s_tracker_applied(browser, path):
+    opened = Opened(browser, path)
+    opened.build()
+    opened.ask("Cursor.active.move(0.08)")
+    opened.settle()
+    said = opened.page.locator(".efforts").first
+    as_pd = said.inner_text()
+    assert "planned" in as_pd
+    opened.page.locator("select[aria-label=ghost]").select_option("lqr")
+    as_lqr = said.inner_text()
+    assert as_lqr.split(" of ")[0] != as_pd.split(" of ")[0]
+    assert as_lqr.split("planned")[1] == as_pd.split("planned")[1]
+    opened.page.locator("select[aria-label=ghost]").select_option("")
+    assert "planned" not in said.inner_text()
+
+
+def test_bars_stand_where_their_figures_are(browser, tmp_path):
+    axis = Axis(label="part", unit="deg")
+    rows = [
+        Bar(label="a", spans=[Span(name="n", start=0.0, end=1.0)]),
+        Bar(label="b", spans=[Span(name="n", start=1.0, end=4.0)]),
+    ]
+    chart = Bars(title="bars", axis=axis, rows=rows)
+    write_report(report_of("bars", "", None, [Section(title="s", blocks=[chart])]), tmp_path / "bars.html")
+    opened = Opened(browser, tmp_path / "bars.html", width=400)
+    one, other = (bar.bounding_box() for bar in opened.page.locator(".track .bar").all())
+    assert other["width"] == pytest.approx(3 * one["width"], abs=1)
+    assert other["x"] == pytest.approx(one["x"] + one["width"], abs=1)
+    assert opened.page.get_by_text("part [deg]").is_visible()
     assert opened.errors == []
 
 
