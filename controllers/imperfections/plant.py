@@ -76,9 +76,9 @@ def plant(
 def _rub(model: mujoco.MjModel, machine: Machine) -> None:
     """Add dry friction, hard enough to be dry.
 
-    MuJoCo's gives way: below a speed of eta R / b, eta the friction, R = (1 - d) / d times the joint's inverse inertia and b =
-    2 / (d tc) of its solref and solimp, it is viscous. With MuJoCo's defaults that is 10 rad/s for 2 N.m at the knee's
-    crank, whose own inertia is small; so a machine would creep where it sticks.
+    MuJoCo's gives way: below a speed of eta R / b, eta the friction, R = (1 - d) / d times the joint's inverse inertia and
+    b = 2 / (d tc) of its solref and solimp, it is viscous. With MuJoCo's defaults 0.4 N.m at the knee's coupler are so
+    below 9 rad/s, since its own inertia is small; a machine would creep where it sticks.
     """
     rubs = np.broadcast_to(machine.coulomb, (model.nv,)) > 0
     model.dof_frictionloss[:] += machine.coulomb

@@ -25,7 +25,7 @@ from linkplan.models.payload import BODY_NAME, SHANK
 from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA
-from tests.support.machines import LOOP, everything, follower, reach
+from tests.support.machines import LOOP, everything, reach
 from tests.support.plans import optimal
 
 # A weight at the end of an arm of no mass.
@@ -187,7 +187,7 @@ def test_a_heavier_payload_s_weight_is_felt_at_the_motor():
 
 
 def test_a_loop_s_stiffness_is_that_of_its_time_constant_and_damping_ratio():
-    """Open by r, MuJoCo's constraint asks for -r / (d tc^2 zeta^2), d its impedance (its documentation, Solver parameters)."""
+    """Open by r, MuJoCo's constraint asks for -r / (d tc^2 zeta^2), d its impedance (documentation, Solver parameters)."""
     mechanism, reference = reach()
     tc, zeta = 5e-4, 0.7
     model = plant(mechanism, reference, LOOP, Imperfections(machine=Machine(loop_solref=(tc, zeta))), 1).model
