@@ -64,7 +64,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
         return no_plan(arguments, none.plan)
     tube = tube_said(outcome.experiment)
     name = outcome.experiment.plan.problem.name
-    text = experiment_text(name, outcome.summary, settings.design, settings.seed, tube)
+    text = experiment_text(name, outcome.summary, settings.design, settings.seed, tube, outcome.record["notes"])
     show(arguments, outcome.record, text)
     return DONE if outcome.experiment.plan.status == "optimal" else NO
 

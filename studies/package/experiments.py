@@ -126,7 +126,8 @@ class ExperimentResult:
     def __str__(self) -> str:
         one = self.outcome.experiment
         tube = tube_said(one)
-        return experiment_text(one.plan.problem.name, self.outcome.summary, one.settings.design, one.settings.seed, tube)
+        settings, notes = one.settings, self.outcome.record["notes"]
+        return experiment_text(one.plan.problem.name, self.outcome.summary, settings.design, settings.seed, tube, notes)
 
     def __repr__(self) -> str:
         one = self.outcome.experiment
