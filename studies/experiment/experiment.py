@@ -134,8 +134,8 @@ def fall_note(experiment: Experiment) -> str | None:
             unit, limit = actuator.unit, abs(least if effort < least else most)
             return (
                 f"the goal is held from {end_s:.4g} s on, which takes {abs(effort):.3g} {unit} of {actuator.name}, limit"
-                f" {limit:.3g}: errors are of a fall from there, whatever the tracker; tracking.duration_s = {end_s:.4g} ends"
-                " before it"
+                f" {limit:.3g}: errors are of a fall from there, whatever the tracker; tracking.duration_s = {end_s:.4g}"
+                " ends before it"
             )
     return None
 
