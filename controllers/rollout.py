@@ -8,8 +8,9 @@ mechanism stands then.
 """
 
 import copy
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -49,7 +50,7 @@ class Rollout:
 
     Angles [rad or m]; `commanded` is the tracker's output, `applied` what acted, both (n, n_u) [N.m or N]; `gap_m` (n,) is
     the largest distance between two points that a closure ties; `finite` is False when the simulation blew up, and the log
-    ends there.
+    ends there. `asked_s` (n,) [s] is how long the tracker took to answer, here and now; no other figure depends on it.
     """
 
     tracker: str
@@ -65,6 +66,7 @@ class Rollout:
     finite: bool
     effort_limit: np.ndarray
     conditions: dict
+    asked_s: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
     def error(self) -> np.ndarray:
@@ -123,7 +125,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, 
     n = reference.n
     poses, velocities = np.empty((n, mechanism.n_q)), np.empty((n, mechanism.dof))
     commanded, applied = np.empty((n, len(actuators))), np.empty((n, len(actuators)))
-    contacts, done, finite = 0, n, True
+    contacts, done, finite, asked_s = 0, n, True, np.empty(n)
     law = steps_of(tracker)
     memory = law.start(1)
     mujoco.set_mju_user_warning(_ignore)  # a blow-up is this function's answer, not a line in a log file
@@ -132,7 +134,9 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, 
             check()
             poses[k] = mechanism.q_of(data.qpos, reference.pose[k])
             velocities[k] = mechanism.rates_of(poses[k], data.qvel)[independent]
+            begin = time.perf_counter()
             asked, memory = law.step(k, poses[k : k + 1, independent], velocities[k : k + 1], memory)
+            asked_s[k] = time.perf_counter() - begin
             commanded[k] = asked[0]
             # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.
             applied[k] = np.clip(commanded[max(0, k - loop.delay_periods)], limit[:, 0], limit[:, 1])
@@ -161,6 +165,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, 
         finite=finite,
         effort_limit=np.array(limit),
         conditions=conditions(mechanism, model, reference, loop),
+        asked_s=asked_s[kept],
     )
 
 
@@ -201,14 +206,14 @@ def run_as_it_stands(
         data.ctrl[actuator.channel] = commanded[k, 0] / actuator.gain
         mujoco.mj_step(model, data)
         contacts[k] = data.ncon
-    time = step * np.arange(n)
+    time_s = step * np.arange(n)
     limit = mechanism.effort_limit[:1]
     return Rollout(
         tracker="pd",
-        time_s=time,
+        time_s=time_s,
         position=poses[:, [joint]],
         velocity=velocities,
-        reference=reference(time)[:, None],
+        reference=reference(time_s)[:, None],
         pose=poses,
         commanded=commanded,
         applied=np.clip(commanded, limit[:, 0], limit[:, 1]),

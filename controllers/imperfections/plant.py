@@ -15,6 +15,8 @@ from linkplan.models.payload import BODY_NAME
 
 # MuJoCo answers a loop constraint's time constant below this many steps by taking this many.
 _LEAST_STEPS = 2.0
+# MuJoCo's impedance (d0, d at the width, width) of dry friction that an imperfection adds: that of the built-in loops.
+_DRY = (0.999, 0.999, 0.001)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -54,7 +56,7 @@ def plant(
     for actuator, limit, factor in zip(mechanism.actuators, loop.effort_limit, constants, strict=True):
         admit(model, actuator, *(max(1.0, factor) * limit))
     model.dof_damping[:] += machine.viscous
-    model.dof_frictionloss[:] += machine.coulomb
+    _rub(model, machine)
     _stiffen(model, machine)
     if machine.com_shift_m is not None or machine.length_factor:
         _build_otherwise(model, machine)
@@ -71,6 +73,19 @@ def plant(
     pose[mechanism.independent], rates[mechanism.independent] = s, v
     pose = closed_pose(model, pose, mechanism.dependent)
     return Plant(model=model, pose=pose, rates=closed_rates(model, pose, mechanism.dependent, rates))
+
+
+def _rub(model: mujoco.MjModel, machine: Machine) -> None:
+    """Add dry friction, hard enough to be dry.
+
+    MuJoCo's gives way: below a speed of eta R / b, eta the friction, R = (1 - d) / d times the joint's inverse inertia and
+    b = 2 / (d tc) of its solref and solimp, it is viscous. With MuJoCo's defaults 0.4 N.m at the knee's coupler are so
+    below 9 rad/s, since its own inertia is small; a machine would creep where it sticks.
+    """
+    rubs = np.broadcast_to(machine.coulomb, (model.nv,)) > 0
+    model.dof_frictionloss[:] += machine.coulomb
+    model.dof_solref[rubs] = (_LEAST_STEPS * float(model.opt.timestep), 1.0)
+    model.dof_solimp[rubs, :3] = _DRY
 
 
 def _stiffen(model: mujoco.MjModel, machine: Machine) -> None:

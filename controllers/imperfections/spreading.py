@@ -12,7 +12,8 @@ from mujoco.batch import Batch
 # All fields of a model that an imperfection changes, or that MuJoCo derives from those.
 FIELDS = (
     "body_mass", "body_inertia", "body_ipos", "body_pos", "body_sameframe", "body_subtreemass", "body_invweight0",
-    "dof_M0", "dof_damping", "dof_frictionloss", "dof_invweight0", "dof_length", "site_pos", "site_sameframe",
+    "dof_M0", "dof_damping", "dof_frictionloss", "dof_solref", "dof_solimp",
+    "dof_invweight0", "dof_length", "site_pos", "site_sameframe",
     "geom_pos", "geom_sameframe", "eq_data", "eq_solref", "tendon_length0", "tendon_invweight0", "tendon_actfrcrange",
     "actuator_acc0", "actuator_length0", "actuator_ctrlrange", "actuator_forcerange", "jnt_actfrcrange",
     "cam_pos0", "cam_poscom0", "light_pos0", "light_poscom0",

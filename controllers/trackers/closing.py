@@ -6,6 +6,8 @@ from linkplan.models.mechanism import Mechanism
 
 # The loop is closed by Newton along this many strides from a pose near.
 _STRIDES, _NEWTON_STEPS = 4, 2
+# How often functions of the reduced dynamics are called for that.
+CLOSING_CALLS = {"velocity_map": _STRIDES, "closure_step": _STRIDES * _NEWTON_STEPS, "independent_closure": 1}
 # A loop that is open by more than this [m] was not closed: the position is too far from the pose near.
 CLOSED_NEAR_M = 1e-6
 

@@ -10,6 +10,9 @@ from linkplan.controllers.trackers.lqr import discretise
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped
 
+# How often a Runge-Kutta step asks for the motion's slope.
+FLOWS = 4
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Predictor:

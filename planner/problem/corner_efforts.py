@@ -16,8 +16,8 @@ def corner_efforts(
 ) -> list[ca.SX]:
     """Return the efforts (n_u,) of each corner that a motion (q, v, a) needs.
 
-    Where there are more actuators than degrees of freedom, efforts that make a motion are not the only ones: a corner has the
-    plan's own share of them, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u), and so the plan's u as modelled.
+    Where there are more actuators than degrees of freedom, many efforts make one motion: a corner has the plan's own and the
+    least ones that make up for the difference, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u).
 
     Args:
         mechanism: whose actuators move every degree of freedom.
@@ -50,7 +50,7 @@ def corner_efforts(
 
 
 def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a, u) -> np.ndarray:
-    """Return the efforts (n, n_corners, n_u) [N.m or N] of each corner along samples q (n, n_q), v, a (n, n_s), u (n, n_u)."""
+    """Return each corner's efforts (n, n_corners, n_u) [N.m or N] along samples q (n, n_q), v, a (n, n_s), u (n, n_u)."""
     found = sampled(_function(mechanism, corners), q, v, a, u)
     return found.reshape(len(q), len(corners), mechanism.n_u)
 

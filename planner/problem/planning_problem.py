@@ -135,9 +135,9 @@ class PlanningProblem:
         driven = int(np.linalg.matrix_rank(np.array(mechanism.dynamics.effort_map(mechanism.home)))) if robust.corners else 0
         if robust.corners and driven < mechanism.dof:
             raise ProblemError(
-                "[robust] keeps one motion for every machine within its ranges, which takes actuators that move every degree of"
-                f" freedom; those of '{mechanism.name}' move {driven} of {mechanism.dof}, and how the rest moves depends on the"
-                " machine"
+                "[robust] keeps one motion for every machine within its ranges, which takes actuators that move every degree"
+                f" of freedom; those of '{mechanism.name}' move {driven} of {mechanism.dof}, and how the rest moves depends"
+                " on the machine"
             )
         if robust.payload_factor != (1.0, 1.0) and mechanism.payload is None:
             raise ProblemError("robust.payload_factor needs a mechanism.payload; there is none")

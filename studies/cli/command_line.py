@@ -199,7 +199,7 @@ def _experiment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("plan", metavar="PROBLEM-or-PLAN", help="a built-in problem, a TOML file or a saved plan's folder")
     _anyway(parser)
     parser.add_argument("--samples", type=int, default=200, metavar="N", help="machines (default: %(default)s)")
-    text = "names with commas between them, your own as module:object (default: %(default)s)"
+    text = "names with commas between them, your own as module:object; or all (default: %(default)s)"
     parser.add_argument("--trackers", default="pd,pd+ff,lqr", metavar="NAMES", help=text)
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random numbers (default: %(default)s)")
     text = "how samples lie: latin-hypercube or grid; which imperfection matters: one-at-a-time, morris or sobol"

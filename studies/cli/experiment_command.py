@@ -7,6 +7,7 @@ import functools
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.files.problem_file import problem_from_tables
@@ -29,7 +30,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     from linkplan.studies.experiment.outcome_text import outcome_text
 
     settings = Settings(
-        trackers=tuple(name.strip() for name in arguments.trackers.split(",")),
+        trackers=TRACKERS if arguments.trackers.strip() == "all" else tuple(map(str.strip, arguments.trackers.split(","))),
         samples=arguments.samples,
         seed=arguments.seed,
         design=arguments.design,

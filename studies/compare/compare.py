@@ -1,7 +1,7 @@
 """The study behind `linkplan compare` and `track`: trackers side by side on one plan, as modelled and with a mismatch."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.values import number, whole
 from linkplan.studies.check.softness import gap_sentence, softness_error
+from linkplan.studies.compare.run_time import RunTime, run_time
 from linkplan.studies.compare.user_tracker import Asked, users_tracker
 
 # Below this many control periods in a motion a table of tracking errors says more about sampling than about trackers.
@@ -53,6 +54,7 @@ class Comparison:
     mismatch: Mismatch | None
     mismatched: dict[str, Rollout]
     title: str = "nominal"  # of the first side
+    run_time: dict[str, RunTime] = field(default_factory=dict)
 
 
 def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: int = 1) -> Mismatch:
@@ -193,7 +195,8 @@ def compare(
         for name, tracker in trackers.items():
             say(f"{name}, {'nominal' if case is None else case.name}: {reference.n} control periods")
             results[name] = run(mechanism, reference, tracker, _loop(plan, case))
-    return Comparison(plan=plan, nominal=runs[0], mismatch=mismatch, mismatched=runs[1])
+    needs = {name: run_time(trackers[name], mechanism, rollout) for name, rollout in runs[0].items()}
+    return Comparison(plan=plan, nominal=runs[0], mismatch=mismatch, mismatched=runs[1], run_time=needs)
 
 
 def _loop(plan: Plan, mismatch: Mismatch | None) -> ControlLoop:
@@ -287,6 +290,7 @@ def comparison_record(comparison: Comparison) -> dict:
         "gains": {"kp": plan.problem.tracking.kp, "kd": plan.problem.tracking.kd},
         **side(comparison.nominal),
         "notes": comparison_notes(comparison),
+        "run_time": {name: needs.to_dict() for name, needs in comparison.run_time.items()},
     }
     if comparison.mismatch is not None:
         record["mismatch"] = {"name": comparison.mismatch.name, **side(comparison.mismatched)}

@@ -5,15 +5,17 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from linkplan.studies.experiment.metrics import Metric
 from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS, bottom_legend, page
 
+# Laws that come to the same where no limit is met, or far from a singular pose, and so lie on another's line.
+_DASHED = {"ct": (0, (4, 4)), "mpc": (0, (4, 4))}
 # What is shown of the metrics that begin so, in this order.
 _SHOWN = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
 
 # Widths of the first tracker's lines and of the last one's: what lies beneath is still seen.
-_WIDEST, _THINNEST = 3.4, 1.2
 
 
 def experiment_figure(
@@ -45,11 +47,14 @@ def draw_distribution(axis, results: Mapping[str, np.ndarray], trackers: Sequenc
             smallest = min(smallest, float(values[int(0.05 * len(values))]))
         share = 100 * np.arange(1, len(values) + 1) / max(1, len(all_values))
         colour = TRACKER_COLOURS.get(tracker, SERIES[(i + 3) % len(SERIES)])
-        width = _WIDEST - (_WIDEST - _THINNEST) * i / max(1, len(trackers) - 1)
-        axis.step(values, share, where="post", color=colour, label=tracker, linewidth=width)
+        # Trackers that hardly differ lie on one another: what is drawn later is dashed, and the one below shows between.
+        axis.step(values, share, where="post", color=colour, label=tracker, linestyle=_DASHED.get(tracker, "-"))
     unit = "" if metric.unit == "1" else f" [{metric.unit}]"
     axis.set_xlabel(f"{metric.text}{unit}")
-    axis.set_ylabel("machines [%]")
+    axis.set_ylabel("machines up to there [%]")
     axis.set_ylim(0, 102)
     if smallest > 0 and largest > 20 * smallest:
         axis.set_xscale("log")
+        axis.xaxis.set_minor_formatter(NullFormatter())  # over less than two decades their labels run into one another
+    else:
+        axis.locator_params(axis="x", nbins=5)

@@ -136,6 +136,24 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     )
 
 
+def fall_note(experiment: Experiment) -> str | None:
+    """Return the sentence on a goal that is held after the motion and cannot be within the limits; None where it can."""
+    end_s, reference = experiment.yardstick.end_s, experiment.reference
+    if end_s is None or reference.time_s[-1] <= end_s:
+        return None
+    low, high = experiment.loop.effort_limit.T
+    needed = reference.effort[-1]
+    for actuator, effort, least, most in zip(experiment.plan.problem.mechanism.actuators, needed, low, high, strict=True):
+        if not least <= effort <= most:
+            unit, limit = actuator.unit, abs(least if effort < least else most)
+            return (
+                f"the goal is held from {end_s:.4g} s on, which takes {abs(effort):.3g} {unit} of {actuator.name}, limit"
+                f" {limit:.3g}: errors are of a fall from there, whatever the tracker; tracking.duration_s = {end_s:.4g}"
+                " ends before it"
+            )
+    return None
+
+
 def imperfections_asked(plan: Plan) -> dict:
     """Return the table [imperfections] of a plan's problem, the default one where it has none."""
     return dict(plan.problem.source.get("imperfections") or default_imperfections(plan))

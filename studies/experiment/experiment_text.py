@@ -1,6 +1,7 @@
 """What `linkplan experiment` prints: tables of eighty columns."""
 
 import math
+from collections.abc import Sequence
 
 from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.statistics import Estimate
@@ -8,8 +9,8 @@ from linkplan.studies.experiment.summary import Summary
 from linkplan.studies.output.tables import table
 
 
-def experiment_text(name: str, summary: Summary, design: str, seed: int, tube: str) -> str:
-    """Return an experiment's tables: trackers with 95 % intervals, pairs of them, and the samples to look at."""
+def experiment_text(name: str, summary: Summary, design: str, seed: int, tube: str, notes: Sequence[str] = ()) -> str:
+    """Return an experiment's tables: trackers with 95 % intervals, pairs of them, the samples to look at, and notes."""
     errors = [metric.removeprefix("rms_error_") for metric in summary.metrics if metric.startswith("rms_error_")]
     lines = [
         f"{name}: {summary.samples} machines ({design}, seed {seed}), the same for every tracker",
@@ -50,6 +51,7 @@ def experiment_text(name: str, summary: Summary, design: str, seed: int, tube: s
     lines += ["", "worst samples: " + "; ".join(f"{one.name} {', '.join(map(str, one.worst))}" for one in summary.trackers)]
     for one in summary.trackers:
         lines += [f"{one.name}, {count} failed: {text}" for text, count in one.failures.items()]
+    lines += [f"note: {note}" for note in notes]
     return "\n".join(lines)
 
 

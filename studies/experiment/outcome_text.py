@@ -10,7 +10,8 @@ def outcome_text(outcome: Outcome) -> str:
     experiment, settings = outcome.experiment, outcome.experiment.settings
     name, found = experiment.plan.problem.name, []
     if outcome.distributed:
-        found.append(experiment_text(name, outcome.summary, settings.design, settings.seed, tube_said(experiment)))
+        tube, notes = tube_said(experiment), outcome.record["notes"]
+        found.append(experiment_text(name, outcome.summary, settings.design, settings.seed, tube, notes))
     if outcome.sensitivity is not None:
         found.append(sensitivity_text(name, outcome.sensitivity, settings.seed))
     return "\n\n".join(found)

@@ -21,6 +21,7 @@ from linkplan.studies.experiment.experiment import (
     Settings,
     asked_record,
     experiment_of,
+    fall_note,
     imperfections_asked,
     settings_from,
 )
@@ -148,6 +149,7 @@ def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: d
         "imperfections": imperfections_asked(experiment.plan),
         "control_period_s": experiment.reference.period_s,
         "duration_s": experiment.reference.period_s * experiment.reference.n,
+        "notes": [] if (note := fall_note(experiment)) is None else [note],
         **summary_record(summary),
         **found,
     }

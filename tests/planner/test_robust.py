@@ -7,6 +7,7 @@ import pytest
 
 from linkplan.controllers.reference import sample
 from linkplan.controllers.rollout import ControlLoop, run
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.payload import SHANK
@@ -101,15 +102,18 @@ def test_the_price_is_what_the_machine_as_modelled_does_better():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["knee-sprint", "knee-sine-shank"])
-@pytest.mark.parametrize("kind", ["lqr", "mpc"])
-def test_a_plan_with_a_reserve_is_tracked_with_a_fifth_more_payload_and_a_period_of_delay(kind, name):
+def test_a_plan_with_a_reserve_is_tracked_with_a_fifth_more_payload_and_a_period_of_delay(name):
+    """By lqr and mpc within 0.5 deg; and no tracker opens the loop."""
     plan = planned(name, *HEAVY, "limits.reserve=0.05")
     problem = plan.problem
     reference = sample(problem.mechanism, plan.trajectory, 1e-4, 2 * plan.trajectory.duration_s)
     loop = ControlLoop(effort_limit=problem.limits.actuators_effort, mass_factor=1.2, delay_periods=1)
-    followed = run(problem.mechanism, reference, build_tracker(kind, plan, reference), loop)
-    assert 0.01 < np.degrees(np.abs(followed.error).max()) < 0.5
-    assert followed.gap_m.max() < 10e-6
+    for kind in TRACKERS:
+        followed = run(problem.mechanism, reference, build_tracker(kind, plan, reference), loop)
+        worst = np.degrees(np.abs(followed.error).max())
+        assert worst > 0.01, kind
+        assert worst < 0.5 or kind not in ("lqr", "mpc"), kind
+        assert followed.gap_m.max() < 10e-6, kind
 
 
 @pytest.mark.parametrize(

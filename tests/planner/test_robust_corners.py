@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
+from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import SHANK
 from linkplan.models.poses.assembly import follow
@@ -21,7 +22,7 @@ TWO_MOTORS = TWO_MOTORS.replace("</actuator>", '<motor name="act_C" joint="C" ct
 RANGES = (
     "robust.payload_factor=[0.8, 1.2]",
     "robust.torque_constant_factor=[0.95, 1.05]",
-    "robust.viscous_friction={ A = [0.0, 0.02] }",
+    "robust.viscous_friction={ A = [0.02, 0.02] }",
     "robust.coulomb_friction={ C = [0.0, 1.0] }",
 )
 
@@ -40,7 +41,7 @@ def missing(mechanism: Mechanism, corner: Corner, q, s_rate, s_acceleration, eff
 
     The tree's inverse dynamics with the loop cut, along the loop's null space: pin forces do no work there.
     """
-    model = load_mechanism(TWO_MOTORS, payload=SHANK.scaled(corner.payload_factor)).model
+    _, model = compile_model(TWO_MOTORS, SHANK.scaled(corner.payload_factor))
     model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     null = scipy.linalg.null_space(loop(model, q), rcond=1e-9)
     gamma = null @ np.linalg.inv(null[mechanism.independent])
@@ -74,7 +75,7 @@ def samples(plan: Plan, n: int) -> tuple[np.ndarray, ...]:
 def test_at_every_corner_a_robust_plan_s_efforts_keep_their_limits_and_drive_mujoco_s_own_machine(overrides):
     plan = optimal("knee-reach", *overrides, *RANGES)
     mechanism, corners, limit = plan.problem.mechanism, plan.problem.robust.corners, plan.problem.limits.effort
-    assert len(corners) == 2 * 2 * 2 * 2
+    assert len(corners) == 2 * 2 * 2
     motion = samples(plan, 11)
     efforts = corner_efforts_along(mechanism, corners, *motion)
     assert np.all(np.abs(efforts) <= limit[:, 1] * (1 + 1e-9))
@@ -95,4 +96,5 @@ def test_with_more_motors_than_freedoms_the_machine_as_modelled_has_the_plan_s_o
     same, weak = corner_efforts_along(mechanism, (Corner(), Corner(torque_factor=0.9)), q, v, a, u)[0]
     np.testing.assert_allclose(same, u[0], rtol=1e-10)
     np.testing.assert_allclose(maps @ weak, needed / 0.9, rtol=1e-10)
-    assert abs(np.cross(weak - u[0], maps[0])) < 1e-9  # the least change that does it
+    change = weak - u[0]
+    np.testing.assert_allclose(change[0] * maps[0, 1], change[1] * maps[0, 0], rtol=1e-9)  # the least one that does it

@@ -15,7 +15,7 @@ from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import silent
 from linkplan.studies.experiment import block as blocks
 from linkplan.studies.experiment import conduct as conducting
-from linkplan.studies.experiment.experiment import Settings, experiment_of
+from linkplan.studies.experiment.experiment import Settings, experiment_of, fall_note
 from linkplan.studies.experiment.replay import replay
 from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment
 from linkplan.studies.tasks import unfinished as parts
@@ -69,6 +69,14 @@ def test_the_results_are_the_same_at_any_batch_size_and_number_of_threads(tmp_pa
     done(tmp_path / "many", threads=2, batch=5)
     assert (tmp_path / "one" / RESULTS).read_bytes() == (tmp_path / "many" / RESULTS).read_bytes()
     assert (tmp_path / "one" / RECORD).read_bytes() == (tmp_path / "many" / RECORD).read_bytes()
+
+
+def test_a_goal_that_cannot_be_held_is_told_of():
+    """The five-bar's takes 1.86 N.m at O1, which has 1.4: after the motion it falls whatever tracks it."""
+    held = experiment_of(optimal("five-bar-reach"), FEW)
+    assert "1.86 N.m of act_O1, limit 1.4" in (fall_note(held) or "")
+    assert fall_note(experiment_of(optimal("five-bar-reach", "tracking.duration_s=0.4"), FEW)) is None
+    assert fall_note(experiment_of(optimal("knee-reach"), FEW)) is None
 
 
 @cache

@@ -1,0 +1,92 @@
+"""What a tracker needs at run time: numbers to remember, numbers stored for every instant, operations, microseconds."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from linkplan.controllers.rollout import Rollout
+from linkplan.controllers.trackers.closing import CLOSING_CALLS
+from linkplan.controllers.trackers.computed_torque import ComputedTorque
+from linkplan.controllers.trackers.feedforward import Feedforward
+from linkplan.controllers.trackers.integral_lqr import IntegralLQR
+from linkplan.controllers.trackers.lqr import LQR
+from linkplan.controllers.trackers.mpc import BLOCKS, MPC
+from linkplan.controllers.trackers.pd import PD
+from linkplan.controllers.trackers.prediction import FLOWS
+from linkplan.controllers.trackers.stepping import steps_of
+from linkplan.controllers.trackers.tracker import AnyTracker
+from linkplan.models.mechanism import Mechanism
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunTime:
+    """A tracker's needs in a control period; None where it is not a built-in one's and so not known.
+
+    `remembered` numbers go from one period to the next; `stored` ones are a control instant's of the plan: reference, gains.
+    `operations` are floating-point ones of the law; `operations_at_limit` those where efforts are predicted to meet a limit,
+    the quadratic program's own beside them. `median_us` and `percentile90_us` [us] are this implementation's, one state at
+    a time, on the machine that ran it: figures to compare trackers by, which no result depends on.
+    """
+
+    remembered: int
+    stored: int | None
+    operations: int | None
+    operations_at_limit: int | None
+    median_us: float
+    percentile90_us: float
+
+    def to_dict(self) -> dict:
+        """Return the figures by name."""
+        return {name: getattr(self, name) for name in RunTime.__slots__}
+
+
+def run_time(tracker: AnyTracker, mechanism: Mechanism, rollout: Rollout) -> RunTime:
+    """Return what a tracker needs, its times those of a run."""
+    stored, free, at_limit = _counted(tracker, mechanism)
+    times = 1e6 * rollout.asked_s
+    return RunTime(
+        remembered=int(steps_of(tracker).start(1).shape[1]),
+        stored=stored,
+        operations=free,
+        operations_at_limit=at_limit,
+        median_us=float(np.median(times)),
+        percentile90_us=float(np.percentile(times, 90)),
+    )
+
+
+def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int | None, int | None]:
+    """Return the numbers stored an instant, and the operations of a period away from limits and at one."""
+    n_s, n_u, n_q = mechanism.dof, mechanism.n_u, mechanism.n_q
+    state, dynamics = 2 * n_s, mechanism.dynamics
+    if isinstance(tracker, Feedforward):
+        stored, free, _ = _counted(tracker.feedback, mechanism)
+        return (None, None, None) if free is None or stored is None else (stored + n_u, free + n_u, free + n_u)
+    if isinstance(tracker, PD):
+        free = state + 3 * n_s + 2 * n_u * n_s
+        return state + n_u * n_s, free, free
+    if isinstance(tracker, LQR):
+        free = state + 2 * n_u * state
+        return state + n_u + n_u * state, free, free
+    if isinstance(tracker, IntegralLQR):
+        free = state + 2 * n_u * (state + n_s) + 2 * n_s + 2 * n_u
+        return state + n_u + n_u * (state + n_s), free, free
+    closing = sum(calls * _size(getattr(dynamics, name)) for name, calls in CLOSING_CALLS.items())
+    closing = closing if len(mechanism.dependent) else 0
+    if isinstance(tracker, ComputedTorque):
+        free = 7 * n_s + closing + _size(dynamics.effort_map) + _size(dynamics.inverse_dynamics) + 2 * n_u * n_s
+        return state + n_s + n_q, free, free
+    if isinstance(tracker, MPC):
+        m, n, many = len(tracker.kept), BLOCKS, BLOCKS * n_u
+        free = state + 2 * n_u * m + many * (2 * m + 1)
+        predicted = closing + n * (FLOWS * _size(dynamics.flow) + _size(dynamics.linearisation))
+        # Responses of states to efforts, and the Hessian of a cost that weighs every state.
+        program = m * m * n_u * n * (n - 1) + 2 * many * many * n * m + 2 * n * m * many * m
+        stored = state + n_q + n_u + m * m + n_u * m * (1 + n) + n_u
+        return stored, free, free + predicted + program
+    return None, None, None
+
+
+def _size(function: ca.Function) -> int:
+    """Return the operations of an expression's function."""
+    return int(function.n_instructions()) if function.is_a("SXFunction") else int(function.n_nodes())

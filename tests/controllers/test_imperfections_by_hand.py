@@ -1,0 +1,228 @@
+"""Imperfections of the plant against what Newton's laws say of them, and that no tracker is told."""
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.controllers.ensemble import Ensemble, run_ensemble
+from linkplan.controllers.imperfections.imperfections import (
+    Clock,
+    Drives,
+    Imperfections,
+    Machine,
+    Push,
+    Start,
+)
+from linkplan.controllers.imperfections.plant import plant
+from linkplan.controllers.reference import SampledReference, sample
+from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.stepping import steps_of
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.payload import BODY_NAME, SHANK
+from linkplan.planner.trajectory import Trajectory
+from linkplan.studies.compare.compare import build_tracker
+from tests.support.bodies import HINGE, HINGE_INERTIA
+from tests.support.machines import LOOP, everything, reach
+from tests.support.plans import optimal
+
+# A weight at the end of an arm of no mass.
+ARM_M, ARM_KG = 0.5, 2.0
+ARM = f"""<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint name="J" axis="0 1 0"/>
+<inertial pos="{ARM_M} 0 0" mass="{ARM_KG}" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody>
+<actuator><motor name="motor" joint="J" ctrlrange="-4 4"/></actuator></mujoco>"""
+PERIOD = 1e-3
+
+
+class Asks:
+    """A law that asks for one effort all the time."""
+
+    name = "asks"
+
+    def __init__(self, effort: float = 0.0) -> None:
+        self.asked = effort
+
+    def effort(self, *_):
+        return np.array([self.asked])
+
+
+@cache
+def at_rest(mjcf: str, duration_s: float) -> tuple[Mechanism, SampledReference]:
+    mechanism = load_mechanism(mjcf)
+    still = Trajectory(
+        breaks_s=np.array([0.0, 1.0]), position=np.zeros((2, 1, 1)), velocity=np.zeros((1, 1, 1)),
+        effort=np.zeros((1, 1, 1)), start_pose=np.zeros(1), periodic=False,
+    )  # fmt: skip
+    return mechanism, sample(mechanism, still, PERIOD, duration_s)
+
+
+def turned(effort: float = 0.0, mjcf: str = HINGE, **imperfect) -> Ensemble:
+    """Return the run of a body at rest on a hinge, over a tenth of a second, under an effort that is asked for."""
+    mechanism, reference = at_rest(mjcf, 0.1 + PERIOD)
+    found = run_ensemble(
+        mechanism, reference, Asks(effort), ControlLoop(effort_limit=mechanism.effort_limit), [Imperfections(**imperfect)]
+    )
+    assert found.failure == (None,)
+    return found
+
+
+# Of a pure inertia I: what an effort's impulse makes of its speed.
+
+
+def test_a_torque_constant_multiplies_what_acts_beyond_the_limit_of_the_command_too():
+    """The limit is one of the current: 1.1 times 4 N.m act where 10 are asked for."""
+    found = turned(10.0, drives=Drives(constant_factor=1.1))
+    assert found.velocity[-1, 0, 0] == pytest.approx(1.1 * 4.0 * 0.1 / HINGE_INERTIA, rel=1e-9)
+
+
+def test_a_longer_period_lets_the_same_command_act_for_longer():
+    found = turned(2.0, clock=Clock(period_factor=1.05))
+    assert found.velocity[-1, 0, 0] == pytest.approx(2.0 * 0.105 / HINGE_INERTIA, rel=1e-9)
+
+
+def test_a_push_on_a_joint_gives_its_impulse_over_the_inertia():
+    push = Push(start_s=0.0203, duration_s=0.0134, joint="J", effort=3.0)
+    found = turned(pushes=(push,))
+    assert np.all(found.velocity[:20, 0, 0] == 0)
+    assert found.velocity[-1, 0, 0] == pytest.approx(3.0 * 0.0134 / HINGE_INERTIA, rel=1e-9)
+
+
+def test_a_push_on_a_body_acts_at_its_centre_of_mass_in_the_world_s_axes():
+    """About +y a force along -z on what lies along +x turns forwards: r x F / (m r^2), the arm turned by a thousandth."""
+    push = Push(start_s=0.01, duration_s=0.004, body="arm", force=np.array([7.0, 0.0, -5.0]))
+    found = turned(mjcf=ARM, pushes=(push,))
+    assert found.velocity[-1, 0, 0] == pytest.approx(5.0 * 0.004 / (ARM_KG * ARM_M), rel=2e-3)
+
+
+def test_viscous_friction_lets_speed_decay_exponentially():
+    """MuJoCo damps implicitly: a step divides the speed by 1 + h d / I."""
+    rate = 6.0
+    found = turned(machine=Machine(viscous=rate * HINGE_INERTIA), start=Start(velocity_error=2.0))
+    assert found.velocity[-1, 0, 0] == pytest.approx(2.0 * np.exp(-rate * 0.1), rel=0.01)
+
+
+def test_coulomb_friction_slows_at_a_constant_rate_whatever_the_speed():
+    found = turned(machine=Machine(coulomb=0.9), start=Start(velocity_error=2.0))
+    assert found.velocity[-1, 0, 0] == pytest.approx(2.0 - 0.9 * 0.1 / HINGE_INERTIA, rel=0.01)
+    assert found.velocity[50, 0, 0] == pytest.approx(2.0 - 0.9 * 0.05 / HINGE_INERTIA, rel=0.01)
+
+
+def test_coulomb_friction_stops_what_moves_and_holds_what_pushes_less():
+    assert abs(turned(machine=Machine(coulomb=0.9), start=Start(velocity_error=0.2)).velocity[-1, 0, 0]) < 1e-6
+    held = turned(0.8, machine=Machine(coulomb=0.9))
+    assert abs(held.pose[-1, 0, 0]) < 1e-5
+    assert turned(1.2, machine=Machine(coulomb=0.9)).velocity[-1, 0, 0] == pytest.approx(0.3 * 0.1 / HINGE_INERTIA, rel=0.01)
+
+
+def test_a_start_error_is_where_and_how_fast_the_machine_starts():
+    found = turned(start=Start(position_error=0.02, velocity_error=-0.3))
+    assert found.pose[0, 0, 0] == 0.02
+    assert found.velocity[0, 0, 0] == -0.3
+    assert found.pose[-1, 0, 0] == pytest.approx(0.02 - 0.3 * 0.1, rel=1e-9)
+
+
+# Of the knee: one kinematic loop, driven at O.
+
+
+def acceleration(machine: Machine, speed: float, effort: float = 0.0) -> tuple[float, np.ndarray, float]:
+    """Return the acceleration of O [rad/s2] in MuJoCo at a speed [rad/s], Gamma there, and the reduced inertia [kg m2]."""
+    mechanism, reference = reach()
+    imperfect = Imperfections(machine=machine, start=Start(velocity_error=speed - reference.velocity[0]))
+    built = plant(mechanism, reference, LOOP, imperfect, 1)
+    data = mujoco.MjData(built.model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = built.pose, built.rates, effort
+    mujoco.mj_forward(built.model, data)
+    gamma = np.array(mechanism.dynamics.velocity_map(built.pose)).ravel()
+    return float(data.qacc[0]), gamma, float(mechanism.dynamics.reduced_inertia(built.pose))
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+@pytest.mark.parametrize("speed", [0.3, -3.0])
+def test_friction_at_a_passive_joint_of_the_loop_acts_by_its_share_of_the_motion(joint, speed):
+    """M_r a = ... - Gamma_j (d Gamma_j v + c sign(Gamma_j v)); the loop's constraint gives way by a thousandth."""
+    d, c = 0.05, 0.4
+    at = np.eye(3)[joint]
+    free, gamma, inertia = acceleration(Machine(), speed)
+    viscous = acceleration(Machine(viscous=d * at), speed)[0] - free
+    dry = acceleration(Machine(coulomb=c * at), speed)[0] - free
+    share = gamma[joint]
+    assert abs(share) > 0.1
+    assert viscous == pytest.approx(-share * d * share * speed / inertia, rel=0.01)
+    assert dry == pytest.approx(-share * c * np.sign(share * speed) / inertia, rel=0.01)
+
+
+def test_a_payload_s_factor_is_on_its_mass_and_inertia_and_on_nothing_else():
+    mechanism, reference = reach()
+    heavy = plant(mechanism, reference, LOOP, Imperfections(machine=Machine(mass_factor=1.3)), 1).model
+    extra = heavy.body_mass - mechanism.model.body_mass
+    body = mujoco.mj_name2id(heavy, mujoco.mjtObj.mjOBJ_BODY, BODY_NAME)
+    assert extra[body] == pytest.approx(0.3 * SHANK.mass_kg)
+    assert np.all(np.delete(extra, body) == 0)
+    assert heavy.body_inertia[body] == pytest.approx(1.3 * mechanism.model.body_inertia[body])
+
+
+def test_a_heavier_payload_s_weight_is_felt_at_the_motor():
+    """At rest the reduced dynamics of O are M_r a = -g dV/ds: V by a finite difference of the payload's height."""
+    mechanism, _ = reach()
+    s, h, heights = mechanism.home, 1e-6, []
+    data = mujoco.MjData(mechanism.model)
+    gamma = np.array(mechanism.dynamics.velocity_map(s)).ravel()
+    body = mujoco.mj_name2id(mechanism.model, mujoco.mjtObj.mjOBJ_BODY, BODY_NAME)
+    for step in (-h, h):
+        data.qpos[:] = s + step * gamma
+        mujoco.mj_kinematics(mechanism.model, data)
+        heights.append(float(-mechanism.model.opt.gravity @ data.xipos[body]))
+    wanted = 0.3 * SHANK.mass_kg * (heights[1] - heights[0]) / (2 * h)
+    needed = []
+    for factor in (1.0, 1.3):
+        model = plant(*reach(), LOOP, Imperfections(machine=Machine(mass_factor=factor)), 1).model
+        data = mujoco.MjData(model)
+        data.qpos[:] = s
+        mujoco.mj_forward(model, data)
+        needed.append(float(gamma @ data.qfrc_bias))
+    assert abs(wanted) > 0.1
+    assert needed[1] - needed[0] == pytest.approx(wanted, rel=1e-6)
+
+
+def test_a_loop_s_stiffness_is_that_of_its_time_constant_and_damping_ratio():
+    """Open by r, MuJoCo's constraint asks for -r / (d tc^2 zeta^2), d its impedance (documentation, Solver parameters)."""
+    mechanism, reference = reach()
+    tc, zeta = 5e-4, 0.7
+    model = plant(mechanism, reference, LOOP, Imperfections(machine=Machine(loop_solref=(tc, zeta))), 1).model
+    data = mujoco.MjData(model)
+    data.qpos[:] = mechanism.home + np.array([0.0, 1e-3, 0.0])
+    mujoco.mj_forward(model, data)
+    rows = (data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)) & (np.abs(data.efc_pos) > 1e-6)
+    assert np.any(rows)
+    assert data.efc_aref[rows] == pytest.approx(-data.efc_pos[rows] / (0.999 * (tc * zeta) ** 2), rel=1e-6)
+
+
+# Trackers.
+
+
+def saved(model: mujoco.MjModel) -> bytes:
+    buffer = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
+
+
+@pytest.mark.parametrize("kind", TRACKERS)
+def test_no_imperfection_of_the_machine_is_told_to_the_tracker(kind):
+    """Its commands are its law's, built from the plan alone, at the states that it measures; its model stays as it was."""
+    mechanism, reference = reach()
+    plan = optimal("knee-reach")
+    machine = everything(1)
+    wrong = Imperfections(
+        clock=machine.clock, drives=machine.drives, machine=machine.machine, start=machine.start, pushes=machine.pushes
+    )
+    before = mechanism.fingerprint(), saved(mechanism.model)
+    found = run_ensemble(mechanism, reference, build_tracker(kind, plan, reference), LOOP, [wrong])
+    assert (mechanism.fingerprint(), saved(mechanism.model)) == before
+    assert np.abs(found.pose[:, 0] - reference.pose).max() > 1e-4  # it is another machine
+    law = steps_of(build_tracker(kind, plan, reference))
+    memory = law.start(1)
+    for k in range(reference.n):
+        effort, memory = law.step(k, found.pose[k][:, mechanism.independent], found.velocity[k], memory)
+        np.testing.assert_array_equal(effort, found.commanded[k])
