@@ -2,10 +2,11 @@
 
 The ways are kill -9, SIGTERM and Ctrl-C at a random one of the things that the command does to its folders, a disk that is
 full from there on, and one on which no file may grow beyond a random size; `python -m tests.bench.kills N SEED late` sends
-the signals after a random time, to processes of their own; names of commands and ways choose among them. What must hold: the earlier result or the new one stands there
-whole, nothing of the user's is lost, after the next run there is no litter, the exit code is that of the way, no traceback,
-and what is said of the result is true. An experiment and a batch are taken up where they ended: the same command again must
-then end well, make what a run that was left alone makes (an experiment's files byte by byte), and leave nothing beside it.
+the signals after a random time, to processes of their own; names of commands and ways choose among them. What must hold: the
+earlier result or the new one stands there whole, nothing of the user's is lost, after the next run there is no litter, the
+exit code is that of the way, no traceback, and what is said of the result is true. An experiment and a batch are taken up
+where they ended: the same command again must then end well, make what a run that was left alone makes (an experiment's files
+byte by byte), and leave nothing beside it.
 """
 
 import contextlib
@@ -271,7 +272,8 @@ def judged(
         wrong += [] if true in said else [f"untrue: {said[-300:]}"]
     check_target(out, command.record)  # what the next run begins with
     wrong += faults(out, before, command.record)
-    parts = {"out.unfinished"} if command.resumes and not new else set()
+    # Killed between the result and the removal of its parts, the next run removes them.
+    parts = {"out.unfinished"} if command.resumes and (way == "kill" or not new) else set()
     litter = {p.name for p in root.iterdir()} - parts - {"out", "cache", "batch.toml", "planned", "other.txt"}
     wrong += [f"{name} is litter" for name in litter]
     if (root / "other.txt").read_text(encoding="utf-8") != "beside it":
