@@ -8,9 +8,9 @@ from linkplan.controllers.imperfections.imperfections import Drives, Imperfectio
 from linkplan.controllers.rollout import ControlLoop, run
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
-from tests.controllers.test_linkages import Scripted, hard, standing, wave
 from tests.support.linkages import GRIPPER, RSSR
 from tests.support.mechanisms import replaced
+from tests.support.scripted import Scripted, hard, standing, wave
 from tests.support.tolerances_planner import ROUNDING, SERVO_AS_MOTOR
 
 CUT = replaced(GRIPPER, 'ctrlrange="-0.6 0.6"', 'ctrlrange="-0.01 0.01"')
