@@ -7,7 +7,7 @@ simulator state.
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -20,13 +20,14 @@ from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import Plant, as_modelled, plant
 from linkplan.controllers.imperfections.pushing import pushing
 from linkplan.controllers.imperfections.sensing import measure, sensing
+from linkplan.controllers.imperfections.servos import refuse_unfit, servo_ranges
 from linkplan.controllers.imperfections.spreading import spread
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.trackers.linear import added
 from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.controllers.trackers.tracker import AnyTracker, TrackerWithMemory
-from linkplan.models.errors import LinkplanError, ModelError, ProblemError, one_line
+from linkplan.models.errors import LinkplanError, ProblemError, one_line
 from linkplan.models.interrupts import check
 from linkplan.models.mechanism import Mechanism
 
@@ -62,20 +63,6 @@ class Ensemble:
 def bytes_each(mechanism: Mechanism, instants: int) -> int:
     """Return the memory that the log of one simulation takes."""
     return 8 * instants * (2 + mechanism.n_q + mechanism.dof + 2 * mechanism.n_u)
-
-
-def refuse_unfit(mechanism: Mechanism) -> None:
-    """Refuse a mechanism that cannot be simulated in a batch.
-
-    Raises:
-        ModelError: when it has servos, or ball or free joints.
-    """
-    servos = [actuator.name for actuator in mechanism.actuators if actuator.is_servo]
-    if servos or not mechanism.coordinates.trivial:
-        what = f"actuator {servos[0]} is a servo" if servos else "it has ball or free joints"
-        raise ModelError(
-            f"mechanism '{mechanism.name}': batches of simulations run on hinges and slides driven by motors only; {what}"
-        )
 
 
 def run_ensemble(
@@ -164,33 +151,37 @@ def _simulate(
     actuators = mechanism.actuators
     channels = _columns(np.array([actuator.channel for actuator in actuators], dtype=int))
     outputs = _columns(np.array([actuator.output for actuator in actuators], dtype=int))
-    scale = 1.0 / np.array([actuator.gain for actuator in actuators])
-    bias = np.array([actuator.biases[0] for actuator in actuators])
+    scale = 1.0 / np.array([1.0 if actuator.is_servo else actuator.gain for actuator in actuators])
+    bias = np.array([0.0 if actuator.is_servo else actuator.biases[0] for actuator in actuators])
+    ranges = servo_ranges(mechanism)
     batch = Batch(base, nsim=n, nthread=threads or min(n, os.cpu_count() or 1))
     spread(batch, base, [one.model for one in plants])
     qpos, qvel, ctrl, speeds = (batch.bind(name) for name in ("qpos", "qvel", "ctrl", "actuator_velocity"))
     gap_now = gaps(batch, [one.model for one in plants])
     pushes = pushing(machines, plants, mechanism, substeps)
     forces, efforts = (None, None) if pushes is None else (batch.bind("xfrc_applied"), batch.bind("qfrc_applied"))
-    qpos[:], qvel[:] = [one.pose for one in plants], [one.rates for one in plants]
+    read = _reader(mechanism, independent)
+    qpos[:] = [mechanism.qpos_of(one.pose) for one in plants]
+    qvel[:] = [mechanism.qvel_of(one.pose, one.rates) for one in plants]
 
     timesteps = [float(one.model.opt.timestep) for one in plants]
     delays = [loop.delay_periods + one.clock.delay_periods for one in machines]
     drives = driving([one.drives for one in machines], delays, timesteps, substeps, loop.effort_limit)
-    sensors = sensing([one.sensors for one in machines], qpos[:, independent], qvel[:, independent], reference.period_s)
+    q, v = read(qpos, qvel, np.array([one.pose for one in plants]))
+    sensors = sensing([one.sensors for one in machines], q[:, independent], v, reference.period_s)
     memory = law.start(n)
     ids: np.ndarray | None = None  # of the simulations that run; None for all
     rows: np.ndarray | slice = slice(None)
     built = np.array([failure is None for failure in log.failure])
     if not built.all():
         ids = rows = np.flatnonzero(built)
-        memory, sensors, drives = memory[built], sensors.kept(built), drives.kept(built)
+        memory, sensors, drives, q = memory[built], sensors.kept(built), drives.kept(built), q[built]
         pushes = None if pushes is None else pushes.kept(built)
         if not len(ids):
             return
     for k in range(reference.n):
         check()
-        q, v = qpos[rows].copy(), qvel[rows][:, independent].copy()
+        q, v = read(qpos[rows], qvel[rows], q)
         x = q[:, independent]
         s, s_rate, sensors = measure(sensors, k, x, v)
         command, memory, failed = _asked(law, k, s, s_rate, memory, len(actuators))
@@ -213,6 +204,8 @@ def _simulate(
         acted, speed = 0.0, v
         for j in range(substeps):
             effort, drives = act(drives, k, j)
+            if ranges is not None:
+                effort = ranges.within(effort, qpos[rows], qvel[rows])
             _put(ctrl, rows, channels, (effort - bias) * scale)
             if pushes is not None:
                 forces[rows], efforts[rows] = pushes.over(k * substeps + j)
@@ -224,6 +217,21 @@ def _simulate(
         log.applied[k, rows] = mean
         log.power[k, rows] = added(np.abs(mean * speed))
         log.gap_squared[rows] = np.fmax(log.gap_squared[rows], gap_now(rows))
+
+
+def _reader(
+    mechanism: Mechanism, independent: np.ndarray | slice
+) -> Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Return the function of qpos (n, nq), qvel (n, nv) and poses before (n, n_q) to poses and rates (n, n_s)."""
+    if mechanism.coordinates.trivial:
+        return lambda qpos, qvel, _: (qpos.copy(), qvel[:, independent].copy())
+
+    def read(qpos: np.ndarray, qvel: np.ndarray, before: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        # One after another: rounding of ball joints' rotations must not depend on what stands beside them.
+        q = np.array([mechanism.q_of(one, near) for one, near in zip(qpos, before, strict=True)])
+        return q, np.array([mechanism.rates_of(*one) for one in zip(q, qvel, strict=True)])[:, independent]
+
+    return read
 
 
 def _asked(

@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
+from linkplan.models.mechanism import Mechanism
 
 # Residuals [m or rad] below this are rounding of poses of about a metre; Newton's method gets there in a few steps.
 _CLOSED = 1e-13
@@ -14,15 +15,16 @@ _GOOD_ENOUGH = 1e-9
 _MOST_STEPS = 50
 
 
-def closed_pose(model: mujoco.MjModel, pose: np.ndarray, dependent: np.ndarray) -> np.ndarray:
-    """Return the closed pose (nq,) next to a pose, its independent coordinates kept.
+def closed_pose(model: mujoco.MjModel, mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
+    """Return the closed pose (n_q,) next to a pose, its independent coordinates kept.
 
     Raises:
         AssemblyError: when the loop does not close there.
     """
+    dependent = mechanism.dependent
     q, best, residual = np.array(pose, dtype=float), np.array(pose, dtype=float), np.inf
     for _ in range(_MOST_STEPS):
-        r, J = _equalities(model, q)
+        r, J = _equalities(model, mechanism, q)
         size = float(np.abs(r).max(initial=0.0))
         if not size < residual:
             break
@@ -35,21 +37,24 @@ def closed_pose(model: mujoco.MjModel, pose: np.ndarray, dependent: np.ndarray) 
     return best
 
 
-def closed_rates(model: mujoco.MjModel, pose: np.ndarray, dependent: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Return rates (nv,) whose dependent ones keep the loop closed, J q' = 0."""
-    _, J = _equalities(model, pose)
-    found = np.array(rates, dtype=float)
+def closed_rates(model: mujoco.MjModel, mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -> np.ndarray:
+    """Return rates (n_q,) whose dependent ones keep the loop closed, J q' = 0."""
+    _, J = _equalities(model, mechanism, pose)
+    found, dependent = np.array(rates, dtype=float), mechanism.dependent
     found[dependent] = 0.0
     found[dependent] = -np.linalg.lstsq(J[:, dependent], J @ found, rcond=None)[0]
     return found
 
 
-def _equalities(model: mujoco.MjModel, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the equality constraints' residual (n_r,) and Jacobian (n_r, nv)."""
+def _equalities(model: mujoco.MjModel, mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the equality constraints' residual (n_r,) and Jacobian (n_r, n_q) at a pose (n_q,)."""
     model = copy.copy(model)
     model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     data = mujoco.MjData(model)
-    data.qpos[:] = q
+    data.qpos[:] = mechanism.qpos_of(q)
     mujoco.mj_fwdPosition(model, data)
     rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-    return data.efc_pos[rows].copy(), data.efc_J.reshape(-1, model.nv)[rows].copy()
+    J = data.efc_J.reshape(-1, model.nv)[rows].copy()
+    if not mechanism.coordinates.trivial:
+        J = J @ mechanism.qvel_of(np.tile(q, (model.nv, 1)), np.eye(model.nv)).T
+    return data.efc_pos[rows].copy(), J

@@ -7,6 +7,7 @@ import numpy as np
 
 from linkplan.controllers.imperfections.closing import closed_pose, closed_rates
 from linkplan.controllers.imperfections.imperfections import Imperfections, Machine
+from linkplan.controllers.imperfections.servos import as_motors
 from linkplan.controllers.reference import SampledReference, state_at
 from linkplan.controllers.rollout import ControlLoop, admit, scaled_model
 from linkplan.models.errors import LinkplanError
@@ -55,6 +56,7 @@ def plant(
     constants = np.broadcast_to(imperfect.drives.constant_factor, (mechanism.n_u,))
     for actuator, limit, factor in zip(mechanism.actuators, loop.effort_limit, constants, strict=True):
         admit(model, actuator, *(max(1.0, factor) * limit))
+    as_motors(model, mechanism)
     model.dof_damping[:] += machine.viscous
     _rub(model, machine)
     _stiffen(model, machine)
@@ -71,8 +73,8 @@ def plant(
         return Plant(model=model, pose=reference.pose[0], rates=gamma @ reference.velocity[0])
     pose, rates = np.array(reference.pose[0]), np.zeros(mechanism.n_q)
     pose[mechanism.independent], rates[mechanism.independent] = s, v
-    pose = closed_pose(model, pose, mechanism.dependent)
-    return Plant(model=model, pose=pose, rates=closed_rates(model, pose, mechanism.dependent, rates))
+    pose = closed_pose(model, mechanism, pose)
+    return Plant(model=model, pose=pose, rates=closed_rates(model, mechanism, pose, rates))
 
 
 def _rub(model: mujoco.MjModel, machine: Machine) -> None:

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from linkplan.planner.batch import check_batch
 from linkplan.planner.files.batch_file import Batch
-from linkplan.planner.files.folders import check_target, write_json, write_whole
+from linkplan.planner.files.folders import check_target, write_json
 from linkplan.planner.files.plan_folder import versions
 from linkplan.planner.refinement.history import silent
 from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, plan_block, unpacked
 from linkplan.studies.tasks.engine import Engine, Say, here
 from linkplan.studies.tasks.progress import Progress
 from linkplan.studies.tasks.streaming import streamed
-from linkplan.studies.tasks.unfinished import done, part, put_whole, remove, unfinished, working
+from linkplan.studies.tasks.unfinished import done, finish, part, put_whole, unfinished, working
 
 RECORD = "batch.json"
 
@@ -62,8 +62,7 @@ def run_batch(
 
     with working(folder, asked, "a batch"):
         _conduct(folder, batch, target, engine, parquet, say)
-        write_whole(target, save, RECORD)
-        remove(folder)
+        finish(folder, target, save, RECORD)
     return outcomes[0]
 
 

@@ -1,16 +1,18 @@
 """What a user's own tracker is written in: the files that results depend on, and their hash. Nothing is run to find them."""
 
 import ast
+import contextlib
 import hashlib
-import importlib.util
+import importlib
 import os
 import socket
 import sys
 from collections.abc import Iterator, Mapping
+from importlib.machinery import PathFinder
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from linkplan.models.errors import LinkplanError, ProblemError, one_line
+from linkplan.models.errors import LinkplanError, ProblemError
 
 # Where installed packages say what trackers they have.
 ENTRY_POINTS = "linkplan.trackers"
@@ -25,14 +27,23 @@ def module_of(text: str) -> str:
     return entry_points(group=ENTRY_POINTS)[text].value.split(":", 1)[0]
 
 
+def look_here() -> None:
+    """Let modules be looked for in the working folder first."""
+    here = os.getcwd()
+    if sys.path[:1] not in ([here], [""]):
+        with contextlib.suppress(ValueError):
+            sys.path.remove(here)
+        sys.path.insert(0, here)
+    importlib.invalidate_caches()
+
+
 def source_files(module: str) -> dict[str, Path]:
     """Return the files of a module by name: its own, and those of its package or beside it that it imports.
 
     Raises:
         ProblemError: when there is no such module.
     """
-    if os.getcwd() not in sys.path:
-        sys.path.insert(0, os.getcwd())
+    look_here()
     found: dict[str, Path] = {}
     first = _file_of(module)
     if first is None:
@@ -72,12 +83,13 @@ def refuse_other_sources(hashes: Mapping[str, str]) -> None:
 
 
 def _file_of(module: str) -> Path | None:
-    try:
-        spec = importlib.util.find_spec(module)
-    except (ImportError, ValueError, AttributeError) as error:
-        if isinstance(error, ModuleNotFoundError) or not module.partition(".")[2]:
+    """Return where a module would be loaded from now, whatever is loaded under its name; None where it is no file."""
+    places, spec = None, None
+    for depth in range(1, module.count(".") + 2):
+        spec = PathFinder.find_spec(".".join(module.split(".")[:depth]), places)
+        if spec is None:
             return None
-        raise ProblemError(f"module '{module}' cannot be found: {one_line(error)}") from error
+        places = spec.submodule_search_locations or []
     return Path(spec.origin) if spec is not None and spec.has_location and spec.origin else None
 
 

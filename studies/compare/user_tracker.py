@@ -16,13 +16,13 @@ from linkplan.controllers.trackers.tracker import AnyTracker, Tracker, TrackerWi
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
-from linkplan.studies.compare.tracker_source import ENTRY_POINTS, module_of, source_files, source_hash
+from linkplan.studies.compare.tracker_source import ENTRY_POINTS, look_here, module_of, source_files
 
 # A built-in name, a law, or what makes a law of the reference that it is to follow.
 Asked = str | AnyTracker | Callable[[SampledReference], AnyTracker]
 
-# What the modules of trackers were written in when they were loaded: in a process that lives on they may change.
-_loaded_from: dict[str, str] = {}
+# What the modules of trackers held when they were loaded: in a process that lives on their files may change.
+_loaded_from: dict[str, bytes] = {}
 
 
 def tracker_named(text: str) -> Asked:
@@ -62,19 +62,19 @@ def _loaded(text: str, load: Callable[[], Any]) -> Asked:
 
 
 def _forget_older(text: str) -> None:
-    """Let a tracker's modules be loaded anew where their files have changed since."""
+    """Let a tracker's modules be loaded anew where one of their files has changed since."""
     try:
-        files, digest = source_files(module_of(text)), source_hash(text)
-    except ProblemError:
+        content = {name: path.read_bytes() for name, path in source_files(module_of(text)).items()}
+    except (ProblemError, OSError):
         return  # loading it will say why
-    if _loaded_from.get(text, digest) != digest:
-        for name in files:
+    if any(name in sys.modules and _loaded_from.get(name, held) != held for name, held in content.items()):
+        for name in content:
             sys.modules.pop(name, None)
-        importlib.invalidate_caches()
-    _loaded_from[text] = digest
+    _loaded_from.update(content)
 
 
 def _object_of(module: str, name: str) -> Any:
+    look_here()
     return functools.reduce(getattr, name.split("."), importlib.import_module(module))
 
 

@@ -15,8 +15,6 @@ _DASHED = {"ct": (0, (4, 4)), "mpc": (0, (4, 4))}
 # What is shown of the metrics that begin so, in this order.
 _SHOWN = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
 
-# Widths of the first tracker's lines and of the last one's: what lies beneath is still seen.
-
 
 def experiment_figure(
     results: Mapping[str, np.ndarray], trackers: Sequence[str], metrics: Mapping[str, Metric], title: str, path: Path | None

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.controllers.ensemble import refuse_unfit
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import plant
+from linkplan.controllers.imperfections.servos import refuse_unfit
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.trackers.names import TRACKERS
@@ -114,12 +114,13 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
         effort_limit=np.array(problem.limits.actuators_effort), delay_periods=int(problem.tracking.delay_periods)
     )
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
+    passive = np.isin(mechanism.independent, mechanism.passive_dofs)  # no tracker has a hand in a spin
     middle = np.median(layout.values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # refused now, in one line
     yardstick = Yardstick(
         mechanism=mechanism,
         reference=reference,
-        tube=np.where(hinge, np.radians(settings.tube_deg), settings.tube_m),
+        tube=np.where(passive, np.inf, np.where(hinge, np.radians(settings.tube_deg), settings.tube_m)),
         end_s=trajectory.duration_s if ends else None,
         effort_limit=loop.effort_limit,
     )

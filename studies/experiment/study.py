@@ -10,7 +10,7 @@ import numpy as np
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.folders import check_target, plain_record, write_json, write_whole
+from linkplan.planner.files.folders import check_target, plain_record, write_json
 from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.plan import Plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources, source_hash
@@ -31,7 +31,7 @@ from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_of,
 from linkplan.studies.experiment.summary import Summary, summarise, summary_record
 from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
 from linkplan.studies.tasks.engine import Engine, Say, here
-from linkplan.studies.tasks.unfinished import PLAN, refuse_other, remove, remove_left, unfinished, working
+from linkplan.studies.tasks.unfinished import PLAN, finish, refuse_other, remove_left, unfinished, working
 
 RECORD, RESULTS = "experiment.json", "results.parquet"
 
@@ -101,8 +101,7 @@ def run_experiment(
             outcome = _outcome(experiment, read_results(folder / RESULTS), asked)
             (folder / RESULTS).unlink()
             if target is not None:
-                write_whole(target, lambda place: _save(outcome, folder, place, blocks), RECORD)
-                remove(folder)
+                finish(folder, target, lambda place: _save(outcome, folder, place, blocks), RECORD)
         return outcome
 
     if target is None:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from linkplan.models.errors import PlanFileError
 from linkplan.models.interrupts import shielded
-from linkplan.planner.files.folders import plain_record, write_json
+from linkplan.planner.files.folders import plain_record, write_json, write_whole
 from linkplan.planner.files.work_folders import sweep, sync_folder
 
 try:
@@ -111,6 +111,29 @@ def done(folder: Path) -> set[int]:
 def part(folder: Path, task: int, suffix: str) -> Path:
     """Return where a task's part stands."""
     return folder / PARTS / f"part-{task:05d}.{suffix}"
+
+
+def finish(folder: Path, target: Path, write: Callable[[Path], None], record: str) -> None:
+    """Write a result whole by `write(place)`, and remove its parts as soon as it stands, though a signal come just then.
+
+    Raises:
+        PlanFileError: when the disk refuses, or something in the result's folder is not linkplan's.
+    """
+    before = _folder_at(target)
+    try:
+        write_whole(target, write, record)
+    finally:
+        with shielded():
+            if _folder_at(target) not in (None, before):
+                remove(folder)
+
+
+def _folder_at(target: Path) -> tuple[int, int] | None:
+    try:
+        found = os.stat(target)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
 
 
 def remove(folder: Path) -> None:

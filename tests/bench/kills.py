@@ -2,9 +2,11 @@
 
 The ways are kill -9, SIGTERM and Ctrl-C at a random one of the things that the command does to its folders, a disk that is
 full from there on, and one on which no file may grow beyond a random size; `python -m tests.bench.kills N SEED late` sends
-the signals after a random time, to processes of their own. What must hold: the earlier result or the new one stands there
-whole, nothing of the user's is lost, after the next run there is no litter, the exit code is that of the way, no traceback,
-and what is said of the result is true.
+the signals after a random time, to processes of their own; names of commands and ways choose among them. What must hold: the
+earlier result or the new one stands there whole, nothing of the user's is lost, after the next run there is no litter, the
+exit code is that of the way, no traceback, and what is said of the result is true. An experiment and a batch are taken up
+where they ended: the same command again must then end well, make what a run that was left alone makes (an experiment's files
+byte by byte), and leave nothing beside it.
 """
 
 import contextlib
@@ -64,20 +66,59 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Command:
-    """A command line that writes into `out`, the name of its record, and a folder of the user's inside of the result."""
+    """A command line that writes into `out`, the name of its record, and a folder of the user's inside of the result.
+
+    One that `resumes` leaves its parts beside the result, and goes on from them; `same` are files that are then the same
+    to the last byte as without any ending. One that `keeps` its result does nothing where it stands already.
+    """
 
     words: tuple[str, ...]
     record: str
     inside: str = ""
+    resumes: bool = False
+    keeps: bool = False
+    same: tuple[str, ...] = ()
 
 
+# Three blocks of samples and a beginning, each of them short.
+_STUDY = (
+    *(
+        "experiment",
+        "planned",
+        "--set",
+        "tracking.duration_s=0.005",
+        "--samples",
+        "392",
+        "--trackers",
+        "pd",
+        "--threads",
+        "1",
+    ),
+    *("-o", "out"),
+)
 COMMANDS = {
     "plan": Command(words=("plan", "knee-reach", "-o", "out"), record="plan.json"),
     "compiled": Command(
         words=("plan", "knee-reach", "--set", "solver.compile=always", "--set", "mesh.intervals=10", "-o", "out"),
         record="plan.json",
     ),
-    "batch": Command(words=("batch", "batch.toml", "-o", "out"), record="batch.json", inside="near/"),
+    "batch": Command(
+        words=("batch", "batch.toml", "-o", "out"),
+        record="batch.json",
+        inside="near/",
+        resumes=True,
+        same=("near/trajectory.npz", "far/trajectory.npz"),
+    ),
+    "experiment": Command(
+        words=_STUDY, record="experiment.json", resumes=True, keeps=True, same=("experiment.json", "results.parquet")
+    ),
+    "experiment-2": Command(
+        words=(*_STUDY, "--workers", "2"),
+        record="experiment.json",
+        resumes=True,
+        keeps=True,
+        same=("experiment.json", "results.parquet"),
+    ),
     "compare": Command(words=("compare", "planned", "-o", "out"), record="compare.json"),
     "bode": Command(words=("bode", "optimus-knee", "--at-deg", "3.6", "--measure", "none", "-o", "out"), record="bode.json"),
     "demo": Command(words=("demo", "-o", "out"), record="demo.json", inside="plans/knee-sine/"),
@@ -225,11 +266,15 @@ def judged(
         wrong.append(f"exit code {code}, {said[-300:]}")
     if "Traceback" in said or "fault of linkplan's own" in said:
         wrong.append(f"a traceback: {said[-600:]}")
-    if new == ("nothing was written" in said) and "interrupted" in said:
-        wrong.append(f"untrue: {said[-300:]}")
+    if "interrupted" in said:
+        unfinished = (root / "out.unfinished").is_dir()
+        true = f"in '{out.name}', whole" if new else "the same command goes on" if unfinished else "nothing was written"
+        wrong += [] if true in said else [f"untrue: {said[-300:]}"]
     check_target(out, command.record)  # what the next run begins with
     wrong += faults(out, before, command.record)
-    litter = {p.name for p in root.iterdir()} - {"out", "cache", "batch.toml", "planned", "other.txt"}
+    # Killed between the result and the removal of its parts, the next run removes them.
+    parts = {"out.unfinished"} if command.resumes and (way == "kill" or not new) else set()
+    litter = {p.name for p in root.iterdir()} - parts - {"out", "cache", "batch.toml", "planned", "other.txt"}
     wrong += [f"{name} is litter" for name in litter]
     if (root / "other.txt").read_text(encoding="utf-8") != "beside it":
         wrong.append("the file beside it is lost")
@@ -288,7 +333,7 @@ def ended(name: str, ways: tuple[str, ...], count: int, seed: int, *, by_time: b
         shutil.rmtree(base / "run")
         for number in range(count * len(ways)):
             way, root = ways[number % len(ways)], base / "run"
-            before = prepared(root, name, earlier if rng.random() < 0.8 else None)
+            before = prepared(root, name, earlier if rng.random() < 0.8 and not command.keeps else None)
             if by_time:
                 moment = rng.randint(_STARTED_MS, longest_ms)
                 code, said = late(root, command.words, way, moment)
@@ -299,6 +344,8 @@ def ended(name: str, ways: tuple[str, ...], count: int, seed: int, *, by_time: b
             new, wrong = judged(root, way, code, said, before, command)
             if name == "compiled" and not wrong:
                 wrong = _cache_faults(root, command, rng.random() < 0.2)
+            if command.resumes and not wrong:
+                wrong = _unlike(root, command, earlier)
             found.append(Outcome(command=name, way=way, moment=moment, code=code, new=new, wrong=wrong))
             if wrong:
                 print(found[-1], flush=True)
@@ -315,13 +362,24 @@ def _cache_faults(root: Path, command: Command, look: bool) -> str:
     return f"the next run: exit code {code}, {left} in the cache, {said[-300:]}" if code or left else ""
 
 
+def _unlike(root: Path, command: Command, alone: Path) -> str:
+    """Return what is wrong after the same command again, beside a result that was made without an ending."""
+    code, said = forked(root, command.words, int)
+    if code != 0:
+        return f"the same command again: exit code {code}, {said[-300:]}"
+    wrong = [name for name in command.same if (root / "out" / name).read_bytes() != (alone / name).read_bytes()]
+    left = [path.name for path in root.iterdir() if path.name.startswith((".", "out.unfinished"))]
+    return "; ".join([f"{name} is another than without an ending" for name in wrong] + [f"{name} is left" for name in left])
+
+
 def main() -> int:
     """End each command N times in each way and print what came of it; 1 where something was wrong."""
     count, seed, by_time = int(sys.argv[1]), int(sys.argv[2]), "late" in sys.argv[3:]
     names = [name for name in sys.argv[3:] if name in COMMANDS] or list(COMMANDS)
     wrong = 0
     for name in names:
-        begin, ways = time.monotonic(), LATE if by_time else WAYS
+        begin, asked = time.monotonic(), [way for way in sys.argv[3:] if way in WAYS]
+        ways = tuple(asked) or (LATE if by_time else WAYS)
         found = ended(name, ways, count, seed, by_time=by_time)
         for way in ways:
             of = [outcome for outcome in found if outcome.way == way]

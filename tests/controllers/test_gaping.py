@@ -4,12 +4,9 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
-from linkplan.controllers.ensemble import run_ensemble
 from linkplan.controllers.imperfections.gaping import gaps
-from linkplan.controllers.imperfections.imperfections import Imperfections
-from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
-from tests.support.machines import LOOP, follower, reach
+from tests.support.machines import reach
 
 FOURBAR = """
 <mujoco model="tied">
@@ -50,10 +47,3 @@ def test_points_of_sites():
     now = gaps(batch, [mechanism.model])
     batch.forward()
     assert np.sqrt(now(slice(None))) == pytest.approx(mechanism.gap_m(pose))
-
-
-def test_servos_are_refused_by_name():
-    servo = '<position name="s" joint="O" kp="10" kv="1"/>'
-    mechanism = load_mechanism(FOURBAR.format(tie=TIES["bodies"], drive=servo))
-    with pytest.raises(ModelError, match="actuator s is a servo"):
-        run_ensemble(mechanism, reach()[1], follower(), LOOP, [Imperfections()])

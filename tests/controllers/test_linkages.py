@@ -1,7 +1,5 @@
 """The closed loop in MuJoCo on linkages with servos, tendons, welds and ball joints."""
 
-from dataclasses import dataclass
-
 import mujoco
 import numpy as np
 import pytest
@@ -15,60 +13,18 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from tests.support.linkages import GRIPPER, RSSR
 from tests.support.mechanisms import replaced
+from tests.support.scripted import PERIOD_S, STEPS, Scripted, hard, standing, wave
 from tests.support.tolerances import UNIT_VECTOR
 from tests.support.tolerances_planner import ROLLOUT_GAP_M, ROUNDING, SERVO_AS_MOTOR
 
-PERIOD_S = 1e-3
-STEPS = 100
 # MuJoCo's Euler step of 1e-5 s against the reduced model integrated to 1e-9 over 0.05 s, loops as hard as that step allows
 # [rad or m]: first order in the step. Measured 1e-5.
 SIMULATED = 1e-4
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Scripted:
-    """A tracker that gives the k-th effort of a list, whatever it sees."""
-
-    efforts: np.ndarray
-    name: str = "scripted"
-
-    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        del position, velocity
-        return self.efforts[k]
-
-
-def hard(text: str, timestep: float = 1e-5, integrator: str = "Euler") -> str:
-    """Return a model with loops as hard as its time step allows."""
-    option = f'<option timestep="{timestep}" integrator="{integrator}"/>'
-    return replaced(
-        text, "<default>", f'{option}<default><equality solref="{2.5 * timestep} 1" solimp="0.999 0.9999 0.001"/>'
-    )
-
-
-def standing(mechanism: Mechanism, n: int = STEPS) -> SampledReference:
-    """Return the reference of standing at home."""
-    pose = np.tile(mechanism.home, (n, 1))
-    still = np.zeros((n, mechanism.dof))
-    return SampledReference(
-        period_s=PERIOD_S,
-        time_s=PERIOD_S * np.arange(n),
-        pose=pose,
-        position=pose[:, mechanism.independent],
-        velocity=still,
-        effort=np.zeros((n, mechanism.n_u)),
-        cycle=None,
-    )
-
-
 def scripted(mechanism: Mechanism, efforts: np.ndarray, limit: float = np.inf) -> Rollout:
     limits = np.tile([-limit, limit], (mechanism.n_u, 1))
     return run(mechanism, standing(mechanism, len(efforts)), Scripted(efforts=efforts), ControlLoop(effort_limit=limits))
-
-
-def wave(mechanism: Mechanism, size: float, n: int = 50) -> np.ndarray:
-    """Return efforts (n, n_u) that rise and fall, each actuator's out of step with the others'."""
-    t = PERIOD_S * np.arange(n)[:, None]
-    return size * np.sin(60 * t + np.arange(mechanism.n_u))
 
 
 def integrated(mechanism: Mechanism, efforts: np.ndarray) -> np.ndarray:

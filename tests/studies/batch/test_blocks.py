@@ -1,43 +1,15 @@
 """Batches: the same plans whatever ran them and however often they were killed; refused when something else is asked."""
 
-import json
-
 import pytest
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.batch_file import Batch, Case
 from linkplan.planner.planning import silent
 from linkplan.studies.batch import study
 from linkplan.studies.batch.block import block_count, cases_of
 from linkplan.studies.batch.study import run_batch
 from linkplan.studies.tasks.engine import processes
 from linkplan.studies.tasks.unfinished import PARTS, unfinished
-
-
-def swept(n):
-    """A batch of n cases that take a tenth of a second each, one of them impossible."""
-    cases = [Case(name=f"{i}", settings=(f"motion.goal_deg.O={-40 + i}",)) for i in range(n)]
-    cases[1] = Case(name="1", settings=("motion.duration_s=0.001",))
-    return Batch(problem="knee-reach", common=("mesh.intervals=10", "mesh.tolerance_deg=0.01"), cases=tuple(cases))
-
-
-def same_plans(first, second, n):
-    """Fail where two results differ in anything but the seconds that they took."""
-    names = [str(i) for i in range(n) if i != 1]
-    assert sorted(path.name for path in first.iterdir()) == sorted([".linkplan.json", "batch.json", *names])
-    for name in names:
-        for file in ("trajectory.npz", "trajectory.csv"):
-            assert (first / name / file).read_bytes() == (second / name / file).read_bytes()
-    assert untimed(first) == untimed(second)
-
-
-def untimed(folder):
-    record = json.loads((folder / "batch.json").read_text())
-    for case in record["cases"].values():
-        del case["time_s"]
-        for step in case["history"]:
-            del step["build_s"], step["solve_s"]
-    return record
+from tests.support.batches import same_plans, swept
 
 
 @pytest.mark.parametrize("n", [1, 8, 9, 160, 500, 10_000])

@@ -13,7 +13,7 @@ from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment
 from linkplan.studies.tasks.cluster import cluster
 from linkplan.studies.tasks.engine import here
 from linkplan.studies.tasks.streaming import streamed
-from tests.studies.batch.test_blocks import same_plans, swept
+from tests.support.batches import same_plans, swept
 from tests.support.plans import optimal
 
 distributed = pytest.importorskip("distributed")

@@ -61,7 +61,7 @@ def test_another_engine_can_stand_in_its_place(tasks):
 
 
 def test_what_a_task_is_refused_with_is_one_line_here():
-    with pytest.raises(LinkplanError, match="^task 4 makes no sense$"):
+    with pytest.raises(LinkplanError, match=r"^task 4 makes no sense$"):
         list(streamed(here, refused, [4], silent))
 
 
