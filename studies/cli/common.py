@@ -9,7 +9,6 @@ import numpy as np
 from linkplan.models.catalogue import MODELS, is_folder, is_there, nearest_source
 from linkplan.models.errors import ModelError, PlanFileError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import nearest
 from linkplan.planner.files.folders import check_target
 from linkplan.planner.files.new_file import check_new
 from linkplan.planner.files.plan_folder import read_plan, record, unchecked
@@ -22,12 +21,16 @@ from linkplan.studies.cli.exit_codes import NO
 from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.progress import Progress
 
+# Options that say what else is in a result's folder.
+_WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
+
 
 def output_folder(arguments: argparse.Namespace) -> Path | None:
     """Return the output folder, refused now and not after long work where it cannot be used."""
     if arguments.output is None:
-        if getattr(arguments, "report", False):
-            raise ProblemError("--report writes report.html into the folder of -o, and there is none; say -o DIR too")
+        for option, what in _WITH_OUTPUT.items():
+            if getattr(arguments, option, False):
+                raise ProblemError(f"--{option} writes {what} into the folder of -o, and there is none; say -o DIR too")
         return None
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")
@@ -128,9 +131,8 @@ def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
         return plan_motion(problem_from_tables(name, tables, folder), say)
     for override in overrides:
         if not override.startswith(("tracking.", "imperfections.")):
-            meant = nearest(override.partition(".")[0], ["tracking", "imperfections"])
             raise ProblemError(
-                f"--set {override}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it{meant}"
+                f"--set {override}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it"
             )
     plan, note = read_plan(path, overrides, anyway=arguments.anyway), unchecked(path)
     if note is not None:

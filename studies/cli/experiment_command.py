@@ -65,7 +65,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     name = outcome.experiment.plan.problem.name
     text = experiment_text(name, outcome.summary, settings.design, settings.seed, tube)
     show(arguments, outcome.record, text)
-    return DONE if outcome.experiment.plan.status == "optimal" else NO
+    return DONE if outcome.experiment.plan.passed else NO
 
 
 class _NoPlanError(Exception):

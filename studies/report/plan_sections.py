@@ -87,7 +87,7 @@ def _verdict(plan: Plan, *, said: bool) -> list[Block]:
             )
         ]
     notes = [Text(text=text, tone="note") for text in (*problem.notes, *not_honoured(plan))]
-    message_too = [Text(text=message, tone="good" if plan.status == "optimal" else "bad")] if said else []
+    message_too = [Text(text=message, tone="good" if plan.passed else "bad")] if said else []
     return [*message_too, Facts(rows=rows), *notes]
 
 

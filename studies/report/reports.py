@@ -30,7 +30,7 @@ def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[
 
 def plan_report(plan: Plan) -> Report:
     """Return the report of a plan."""
-    return report_of(f"Plan {plan.problem.name}", plan.message, plan.status == "optimal", plan_sections(plan, verdict=False))
+    return report_of(f"Plan {plan.problem.name}", plan.message, plan.passed, plan_sections(plan, verdict=False))
 
 
 def comparison_report(comparison: Comparison, document: Section | None = None) -> Report:
