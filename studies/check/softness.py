@@ -170,10 +170,10 @@ def gap_sentence(mechanism: Mechanism, gap_m: float, error: str = "") -> str | N
 
 def softness_error(mechanism: Mechanism, pose: np.ndarray) -> str:
     """Return the largest difference of a dependent joint, in simulated poses (n, n_q), from where closed loops have it."""
-    worst = {"deg": (0.0, ""), "m": (0.0, "")}
+    worst, closed = {"deg": (0.0, ""), "m": (0.0, "")}, mechanism.home
     for q in pose[np.unique(np.linspace(0, len(pose) - 1, _POSES).astype(int))]:
-        try:
-            closed = follow(mechanism, q[mechanism.independent][None], q)[0]
+        try:  # from the closed pose before it: a pose whose loops gape wide is no start
+            closed = follow(mechanism, q[mechanism.independent][None], closed)[0]
         except AssemblyError:  # gaping loops may stand where closed ones cannot
             continue
         for index in mechanism.dependent:
