@@ -31,6 +31,8 @@ _LARGEST = 0.01
 _HELPS = 0.5
 # Simulated poses that are compared with closed ones, of a run.
 _POSES = 101
+# From here on figures are shown whole: three digits of them would be written as powers of ten.
+_HUNDRED = 100.0
 # Rounds of the gap's own law, whose impedance depends on it; each at least halves the error.
 _ROUNDS = 60
 
@@ -161,9 +163,12 @@ def gap_sentence(mechanism: Mechanism, gap_m: float, error: str = "") -> str | N
     if not gap_m > WORTH_SAYING * mechanism.extent_m:
         return None
     share = 100 * gap_m / mechanism.extent_m
+    percent = f"{share:.2g}" if share < _HUNDRED else f"{share:.0f}"
+    extent = 1e3 * mechanism.extent_m
+    size = f"{extent:.3g}" if extent < _HUNDRED else f"{extent:.0f}"
     return (
-        f"soft closures: MuJoCo's loops gape by up to {1e3 * gap_m:.3g} mm, {share:.2g} % of the mechanism's"
-        f" {1e3 * mechanism.extent_m:.3g} mm{error}; plans and predictions are of closed loops; {STIFF_KEY} makes them as"
+        f"soft closures: MuJoCo's loops gape by up to {1e3 * gap_m:.3g} mm, {percent} % of the mechanism's"
+        f" {size} mm{error}; plans and predictions are of closed loops; {STIFF_KEY} makes them as"
         " stiff as the timestep admits"
     )
 

@@ -229,6 +229,15 @@ def test_a_sprung_leg_has_a_first_motion():
     assert found.planned, found.why
 
 
+@pytest.mark.parametrize(("closure", "stiff"), [("", True), (' solref="0.004 1" solimp="0.999 0.999 0.001"', False)])
+def test_closures_that_would_gape_in_the_simulator_are_begun_stiff(closure, stiff, tmp_path, ask):
+    text = HOEKEN.format(actuator=MOTOR).replace('<connect name="B"', f'<connect name="B"{closure}')
+    (tmp_path / "hoeken.xml").write_text(text, encoding="utf-8")
+    code, out, _ = ask("new", str(tmp_path / "hoeken.xml"))
+    assert code == 0
+    assert (tomllib.loads(out)["mechanism"].get("solref") == "stiff") is stiff
+
+
 def test_links_drawn_on_one_another_are_named_with_the_line_that_lets_them_pass(tmp_path):
     text = re.sub(r"<contact>.*?</contact>", "", HOEKEN.format(actuator=MOTOR), flags=re.S)
     (tmp_path / "hoeken.xml").write_text(text, encoding="utf-8")
