@@ -41,13 +41,7 @@ class Motion:
         return float(self.time_s[-1] + (self.time_s[1] - self.time_s[0]))
 
     def index_at(self, time_s: float) -> int:
-        """Return the control instant that holds at a time [s].
-
-        Raises:
-            ProblemError: when the run has ended by then.
-        """
-        if time_s > self.time_s[-1] * (1 + 1e-9) + self.reference.period_s:
-            raise ProblemError(f"the run ends at {self.time_s[-1]:.4g} s; there is no picture at {time_s:g} s")
+        """Return the control instant that holds at a time [s]; the last one beyond the end."""
         return int(np.clip(np.searchsorted(self.time_s, time_s + 1e-9, side="right") - 1, 0, len(self.time_s) - 1))
 
 
