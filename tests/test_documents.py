@@ -7,10 +7,15 @@ from pathlib import Path
 import pytest
 import yaml
 
+import linkplan
+from linkplan.studies.export.formats import FORMATS
+
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]
 # Three screens of some forty-five lines.
 MOST_LINES = 140
+# What a line of a block shows of itself on the site, in characters.
+WIDTH = 102
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 
 
@@ -60,6 +65,26 @@ def test_every_page_stands_in_the_tables_of_contents_of_the_site():
     listed = set(" ".join(re.findall(r"^```\{toctree\}\n(.*?)^```", index, flags=re.MULTILINE | re.DOTALL)).split())
     pages = [*(ROOT / "docs").glob("*.md"), *(ROOT / "docs" / "notebooks").glob("*.py")]
     assert {str(page.relative_to(ROOT / "docs").with_suffix("")) for page in pages} - {"index"} <= listed
+
+
+def test_the_page_on_python_has_every_public_name_and_no_other():
+    page = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    told = set(re.findall(r":: linkplan\.(\w+)(?:\(\))?$", page, flags=re.MULTILINE))
+    assert told == set(linkplan.__all__) - {"LinkplanError"}
+    assert "linkplan.models.errors" in page
+
+
+def test_every_format_of_export_stands_beside_the_command():
+    page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^linkplan export .*$", page, flags=re.MULTILINE)
+    assert set(FORMATS) <= set(re.findall(r"\w+", line))
+
+
+def test_blocks_of_commands_are_read_without_scrolling():
+    """A block of the site shows some hundred characters; a command itself may be longer, what explains it may not."""
+    page = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    lines = "".join(re.findall(r"^```sh\n(.*?)^```", page, flags=re.MULTILINE | re.DOTALL)).splitlines()
+    assert [line for line in lines if "#" in line and len(line) > WIDTH] == []
 
 
 def test_the_citation_names_this_version_and_licence():

@@ -61,7 +61,7 @@ def read_batch(path: str | Path) -> Batch:
     if "motion" in tables and "problem" not in tables:
         raise ProblemError(f"batch '{path}' is a problem file, which plan takes; {legal}")
     if "problem" not in tables:
-        raise ProblemError("problem of a batch is a built-in name or a TOML file, got None")
+        raise ProblemError(f"batch '{path}' names no problem; {legal}")
     asked = read(BatchFile, tables, "")
     problem = asked.problem
     if problem not in PROBLEMS:

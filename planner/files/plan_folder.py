@@ -174,6 +174,10 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
     folder = Path(folder)
     if not folder.is_dir():
         raise PlanFileError(f"'{folder}' is not a plan: a plan is a folder with plan.json and trajectory.npz")
+    if not (folder / "plan.json").exists():
+        raise PlanFileError(
+            f"'{folder}' is not a plan: it has no plan.json; a plan is a folder with that and trajectory.npz"
+        )
     said = _read_json(folder / "plan.json")
     missing = [key for key in ("format", "name", "status", "message", "problem") if key not in said]
     if missing:
@@ -189,7 +193,7 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
     trajectory = read_trajectory(folder / "trajectory.npz")
     for override in overrides:
         apply_override(said["problem"], override)
-    problem = _problem_again(said, folder)
+    problem = _problem_again(said, folder, overrides)
     mechanism = problem.mechanism
     sizes = (trajectory.n_s, trajectory.velocity.shape[2], trajectory.n_u, len(trajectory.start_pose))
     if sizes != (mechanism.dof, mechanism.dof, mechanism.n_u, mechanism.n_q):
@@ -221,7 +225,7 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
     )
 
 
-def _problem_again(said: dict, folder: Path) -> PlanningProblem:
+def _problem_again(said: dict, folder: Path, overrides: Sequence[str] = ()) -> PlanningProblem:
     """Return a saved plan's problem, its model from beside the plan or from where it was; refused where that has changed."""
     if isinstance(said["problem"].get("limits"), dict):
         said["problem"]["limits"] = _unbounded(said["problem"]["limits"])
@@ -249,7 +253,8 @@ def _problem_again(said: dict, folder: Path) -> PlanningProblem:
     if changed:
         raise PlanFileError(f"{changed}; plan it again")
     why = refusal or "mechanism.model is no name"
-    raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built again: {why}") from refusal
+    how = f" with {', '.join(overrides)}" if overrides else " again"
+    raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built{how}: {why}") from refusal
 
 
 def _unbounded(value: object) -> object:

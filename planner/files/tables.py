@@ -53,6 +53,8 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
             f"unknown problem '{shown}'{nearest_source(text, BUILT_IN)}: neither a built-in name"
             f" ({', '.join(BUILT_IN)}) nor a file"
         )
+    if path.suffix in (".xml", ".mjcf"):
+        raise ProblemError(f"problem '{shown}' is a model, which check and new take; a problem is a TOML file")
     tables = read_toml(path, f"problem '{text}'")
     if "motion" not in tables and ("sweep" in tables or "case" in tables):
         raise ProblemError(f"'{shown}' is a batch file, which batch takes; a problem has [mechanism] and [motion]")

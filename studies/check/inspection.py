@@ -136,6 +136,12 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     problems += _massless(mechanism)
     if mechanism.n_u == 0:
         problems.append("the model has no actuator that a plan can use")
+    named = [name for k in range(mechanism.model.nkey) if (name := mechanism.model.key(k).name)]
+    if named and "home" not in named and not mechanism.source.keys() & {"home_deg", "home_m"}:
+        notes.append(
+            f"home is the reference pose: of the model's keyframes, {', '.join(named)}, none is called home;"
+            " mechanism.home_deg chooses another pose"
+        )
     notes += mechanism.notes
     reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
     driven = {int(i) for i, most in zip(mechanism.independent, reached, strict=True) if most > NO_ARM * reached.max()}

@@ -31,6 +31,8 @@ _LARGEST = 0.01
 _HELPS = 0.5
 # Simulated poses that are compared with closed ones, of a run.
 _POSES = 101
+# From here on figures are shown whole: three digits of them would be written as powers of ten.
+_HUNDRED = 100.0
 # Rounds of the gap's own law, whose impedance depends on it; each at least halves the error.
 _ROUNDS = 60
 
@@ -161,19 +163,22 @@ def gap_sentence(mechanism: Mechanism, gap_m: float, error: str = "") -> str | N
     if not gap_m > WORTH_SAYING * mechanism.extent_m:
         return None
     share = 100 * gap_m / mechanism.extent_m
+    percent = f"{share:.2g}" if share < _HUNDRED else f"{share:.0f}"
+    extent = 1e3 * mechanism.extent_m
+    size = f"{extent:.3g}" if extent < _HUNDRED else f"{extent:.0f}"
     return (
-        f"soft closures: MuJoCo's loops gape by up to {1e3 * gap_m:.3g} mm, {share:.2g} % of the mechanism's"
-        f" {1e3 * mechanism.extent_m:.3g} mm{error}; plans and predictions are of closed loops; {STIFF_KEY} makes them as"
+        f"soft closures: MuJoCo's loops gape by up to {1e3 * gap_m:.3g} mm, {percent} % of the mechanism's"
+        f" {size} mm{error}; plans and predictions are of closed loops; {STIFF_KEY} makes them as"
         " stiff as the timestep admits"
     )
 
 
 def softness_error(mechanism: Mechanism, pose: np.ndarray) -> str:
     """Return the largest difference of a dependent joint, in simulated poses (n, n_q), from where closed loops have it."""
-    worst = {"deg": (0.0, ""), "m": (0.0, "")}
+    worst, closed = {"deg": (0.0, ""), "m": (0.0, "")}, mechanism.home
     for q in pose[np.unique(np.linspace(0, len(pose) - 1, _POSES).astype(int))]:
-        try:
-            closed = follow(mechanism, q[mechanism.independent][None], q)[0]
+        try:  # from the closed pose before it: a pose whose loops gape wide is no start
+            closed = follow(mechanism, q[mechanism.independent][None], closed)[0]
         except AssemblyError:  # gaping loops may stand where closed ones cannot
             continue
         for index in mechanism.dependent:

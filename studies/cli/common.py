@@ -10,7 +10,6 @@ import numpy as np
 from linkplan.models.catalogue import MODELS, is_folder, is_there, nearest_source
 from linkplan.models.errors import ModelError, PlanFileError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.names import nearest
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import Tables, apply_override, read_tables, refuse_saved_plan
@@ -22,12 +21,16 @@ from linkplan.studies.cli.progress import Progress
 from linkplan.studies.tasks.cluster import cluster
 from linkplan.studies.tasks.engine import MOST_WORKERS, Engine, processes
 
+# Options that say what else is in a result's folder.
+_WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
+
 
 def output_folder(arguments: argparse.Namespace) -> Path | None:
     """Return the output folder, refused now and not after long work where it cannot be used."""
     if arguments.output is None:
-        if getattr(arguments, "report", False):
-            raise ProblemError("--report writes report.html into the folder of -o, and there is none; say -o DIR too")
+        for option, what in _WITH_OUTPUT.items():
+            if getattr(arguments, option, False):
+                raise ProblemError(f"--{option} writes {what} into the folder of -o, and there is none; say -o DIR too")
         return None
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")
@@ -150,9 +153,8 @@ def plan_asked(arguments: argparse.Namespace, say: Progress) -> Plan:
         return plan_motion(problem_from_tables(name, tables, folder), say)
     for override in overrides:
         if not override.startswith(("tracking.", "imperfections.")):
-            meant = nearest(override.partition(".")[0], ["tracking", "imperfections"])
             raise ProblemError(
-                f"--set {override}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it{meant}"
+                f"--set {override}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it"
             )
     from linkplan.planner.files.plan_folder import read_plan, unchecked
 

@@ -72,7 +72,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     if arguments.report and target is not None:
         _write_page(outcome, target)
     show(arguments, outcome.record, outcome_text(outcome))
-    return DONE if outcome.experiment.plan.status == "optimal" else NO
+    return DONE if outcome.experiment.plan.passed else NO
 
 
 def _write_page(outcome: Outcome, target: Path) -> None:

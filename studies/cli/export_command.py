@@ -24,4 +24,4 @@ def run_export(arguments: argparse.Namespace) -> int:
     write_new(target, content)
     said = {"file": str(target), "format": arguments.to, "bytes": len(content), "plan": plan.problem.name}
     show(arguments, said, f"{target}: {plan.problem.name}, {FORMATS[arguments.to]}")
-    return DONE if plan.status == "optimal" else NO
+    return DONE if plan.passed else NO

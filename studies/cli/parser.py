@@ -2,6 +2,7 @@
 
 import argparse
 import itertools
+import re
 import shlex
 import sys
 from collections.abc import Sequence
@@ -15,6 +16,12 @@ from linkplan.studies.cli.streams import put
 
 # Which command takes a file, by the end of its name.
 _TAKEN_BY = {".toml": "plan", ".xml": "check", ".mjcf": "check"}
+# argparse's words for a value that is none, and plain ones.
+_PLAINLY = {
+    r"^argument (\S+): invalid float value: (.*)$": r"\1 is a number, got \2",
+    r"^argument (\S+): invalid int value: (.*)$": r"\1 is a whole number, got \2",
+    r"^argument (\S+?)(/\S+)?: expected one argument$": r"\1 takes a value, and none is given",
+}
 
 
 class Parser(argparse.ArgumentParser):
@@ -33,6 +40,8 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Print the refusal and leave with exit code 2."""
+        for words, said in _PLAINLY.items():
+            message = re.sub(words, said, message)
         put(sys.stderr, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
         raise SystemExit(BAD_INPUT)
 

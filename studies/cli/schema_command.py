@@ -23,6 +23,8 @@ def run_schema(arguments: argparse.Namespace) -> int:
     place = Path(arguments.output)
     if not arguments.output or place.is_dir():
         raise ProblemError(f"-o takes a file, got '{arguments.output}'")
+    if place.exists() and not _is_a_schema(place):
+        raise ProblemError(f"-o: '{place}' is there and not linkplan's; move it or name another file")
     part = place.with_name(f".{place.name}.{os.getpid()}")
     try:
         part.write_text(f"{text}\n", encoding="utf-8")
@@ -32,3 +34,16 @@ def run_schema(arguments: argparse.Namespace) -> int:
     if arguments.json:
         show(arguments, said, text)
     return DONE
+
+
+def _is_a_schema(place: Path) -> bool:
+    """Return whether a file is a schema that linkplan wrote, which a newer one replaces, or empty."""
+    from linkplan.planner.keys.json_schema import DIALECT, FILES
+
+    try:
+        text = place.read_text(encoding="utf-8")
+        said = json.loads(text) if text else {"$schema": DIALECT, "title": "linkplan problem file"}
+    except (OSError, ValueError, RecursionError):
+        return False
+    titles = [f"linkplan {name} file" for name in FILES]
+    return isinstance(said, dict) and said.get("$schema") == DIALECT and said.get("title") in titles

@@ -172,6 +172,8 @@ def saved_experiment(folder: Path) -> Experiment:
     """
     from linkplan.planner.files.plan_folder import read_plan
 
+    if not (folder / RECORD).is_file():
+        raise PlanFileError(f"'{folder}' holds no experiment: it has no {RECORD}")
     return experiment_of(read_plan(folder / PLAN, anyway=True), settings_from(_asked(folder)["settings"]))
 
 

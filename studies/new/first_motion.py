@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError, UnassembledError
+from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError, UnassembledError, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
@@ -93,7 +93,7 @@ class FirstMotion:
     @property
     def planned(self) -> bool:
         """Whether a motion was found that passes its certificate."""
-        return self.plan is not None and self.plan.status == "optimal"
+        return self.plan is not None and self.plan.passed
 
 
 def first_motion(model: str, say: Say) -> FirstMotion:
@@ -122,8 +122,12 @@ def first_motion(model: str, say: Say) -> FirstMotion:
                 tried.append(tables)
             pace = np.clip((time.monotonic() - clock) / (time.process_time() - worked), 1.0, _BUSIEST)
             hurried = tables | {"solver": {"max_time_s": float(pace * max(_LEAST_LEFT_S, _SHARE_OF_TIME * left))}}
-            answer = plan_motion(problem_from_tables(mechanism.name, hurried, mechanism=mechanism), say, rungs)
-            why = "" if answer.status == "optimal" else answer.message
+            try:
+                answer = plan_motion(problem_from_tables(mechanism.name, hurried, mechanism=mechanism), say, rungs)
+            except LinkplanError as error:
+                found = FirstMotion(mechanism=mechanism, tables=tables, plan=None, why=one_line(error))
+                continue
+            why = "" if answer.passed else answer.message
             if answer.history and answer.history[-1].solver_status == OUT_OF_TIME and why:
                 why = f"no motion was found within {_PATIENCE_S:g} s of work; planning it without that bound may find one"
             found = FirstMotion(mechanism=mechanism, tables=tables, plan=answer, why=why)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from linkplan.models.errors import ProblemError
 from linkplan.models.interrupts import check
 from linkplan.planner.files.whole_file import write_file_whole
 from linkplan.planner.plan import Plan
@@ -105,8 +106,15 @@ def _painter(motion: Motion, camera: Camera, settings: RenderSettings, gl: GL) -
 
 
 def picture(motion: Motion, camera: Camera, settings: RenderSettings, paint: Paint) -> np.ndarray:
-    """Return one image: an instant with the plan's ghost, or several instants of the run, the last one strong."""
+    """Return one image: an instant with the plan's ghost, or several instants of the run, the last one strong.
+
+    Raises:
+        ProblemError: when the run has ended by that instant.
+    """
     if settings.at_s is not None:
+        end = float(motion.time_s[-1])
+        if settings.at_s > end + float(motion.time_s[-1] - motion.time_s[-2]):
+            raise ProblemError(f"the run ends at {end:.4g} s; there is no picture of it at {settings.at_s:g} s")
         k = motion.index_at(settings.at_s)
         image = paint(film_scenes(motion, np.array([k]), camera.direction)[0])
         return written(image, frame_lines(motion, k, 1.0), _foot(motion, ghost=True))

@@ -335,6 +335,18 @@ def test_the_command_writes_what_it_prints(tmp_path, capsys):
     assert [path.name for path in tmp_path.iterdir()] == ["linkplan.json"]
 
 
+def test_an_earlier_schema_is_replaced_and_no_other_file(tmp_path, capsys):
+    earlier, others = tmp_path / "linkplan.json", [tmp_path / "notes.txt", tmp_path / "others.json"]
+    for place, text in zip(others, ("mine", '{"$schema": "of others"}'), strict=True):
+        place.write_text(text, encoding="utf-8")
+        assert main(["schema", "-o", str(place)]) == 2
+        assert "is there and not linkplan's" in capsys.readouterr().err
+        assert place.read_text(encoding="utf-8") == text
+    assert main(["schema", "batch", "-o", str(earlier)]) == 0
+    assert main(["schema", "-o", str(earlier)]) == 0
+    assert json.loads(earlier.read_text(encoding="utf-8"))["title"] == "linkplan problem file"
+
+
 def test_the_command_refuses_a_folder_and_other_files_in_a_line(tmp_path, capsys):
     assert main(["schema", "-o", str(tmp_path)]) == 2
     assert "takes a file" in capsys.readouterr().err

@@ -14,6 +14,7 @@ from linkplan.models.poses.reach import reach
 from linkplan.planner.files.folders import plain
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.studies.check.check_report import path_text, quantities
+from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
     measure,
@@ -353,3 +354,18 @@ def test_an_angle_that_is_rounding_of_zero_is_said_as_zero():
     assert joint.said(-1.2e-10) == "0"
     assert joint.said(np.radians(-12.3456)) == "-12.35"
     assert joint.said(np.radians(1e-6)) == "1e-06"
+
+
+KEYED = """<mujoco model="keyed"><worldbody><body><joint name="O" axis="0 1 0"/><geom size="0.1"/></body></worldbody>
+<actuator><motor joint="O" ctrlrange="-1 1"/></actuator><keyframe><key name="{name}" qpos="0.3"/></keyframe></mujoco>"""
+
+
+def test_keyframes_of_which_none_is_home_are_said_since_home_is_then_the_reference_pose():
+    def said(name: str, **mechanism) -> list[str]:
+        found = inspect(load_mechanism(KEYED.format(name=name), **mechanism), ())
+        return [note for note in found.notes if "keyframes" in note]
+
+    (note,) = said("stand")
+    assert note.startswith("home is the reference pose: of the model's keyframes, stand, none is called home")
+    assert said("home") == []
+    assert said("stand", home={"O": 0.3}) == []

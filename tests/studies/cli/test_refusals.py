@@ -1,5 +1,7 @@
 """Bad input on the command line: exit code 2, one line on stderr, nothing on stdout, nothing on disk."""
 
+import shutil
+
 import pytest
 
 from linkplan.studies.cli.main import main
@@ -15,6 +17,8 @@ REFUSALS = [
     (["plan", "."], ["folder"]),
     (["plan", "{broken_toml}"], ["not TOML"]),
     (["plan", "{binary}"], ["UTF-8"]),
+    (["plan", "{open_tree}"], ["is a model, which check and new take", "TOML"]),
+    (["batch", "{empty_toml}"], ["names no problem", "[[case]] or [sweep]"]),
     (["plan", "knee-reach", "--set", "motion.duration=0.2"], ["motion.duration", "did you mean 'duration_s'"]),
     (["plan", "knee-reach", "--set", "motions.kind=reach"], ["motions", "did you mean 'motion'"]),
     (["plan", "knee-reach", "--set", "duration_s"], ["section.key=value"]),
@@ -78,7 +82,15 @@ REFUSALS = [
     (["tune", "knee-reach", "--bandwidth-hz", "9", "--set", "tracking.lqr_position_deg=1e-300"], ["from 1e-09", "1e-300"]),
     (["track", "knee-reach", "--tracker", "smc"], ["smc", "pd, pd+ff, lqr, lqi, gs-pd+ff, ct, mpc"]),
     (["track", "no-such-plan"], ["no-such-plan"]),
-    (["track", "{not_a_plan}"], ["plan.json"]),
+    (["track", "{not_a_plan}"], ["has no plan.json"]),
+    (["track", "{a_plan}", "--sample", "3"], ["holds no experiment", "experiment.json"]),
+    (["track", "{a_plan}", "--set", "tracking.kp=-1"], ["with tracking.kp=-1: tracking.kp is a number of at least 0"]),
+    (["track", "{a_plan}", "--set", "motion.duration_s=1"], ["a saved plan is fixed; only tracking.* and imperfections.*"]),
+    (["compare", "{a_plan}", "--delay-periods", "1.5"], ["--delay-periods is a whole number, got '1.5'"]),
+    (["compare", "{a_plan}", "--mass-factor", "abc"], ["--mass-factor is a number, got 'abc'"]),
+    (["compare", "{a_plan}", "--trackers"], ["--trackers takes a value"]),
+    (["export", "{a_plan}", "--to", "csv", "-o"], ["-o takes a value"]),
+    (["schema", "-o", "{a_file}"], ["is there and not linkplan's"]),
     (["track", "{truncated_plan}"], ["truncated"]),
     (["compare", "knee-reach", "--mass-factor", "0"], ["--mass-factor"]),
     (["compare", "knee-reach", "--delay-periods", "-2"], ["--delay-periods"]),
@@ -98,6 +110,7 @@ def places(tmp_path_factory):
         "binary": ("binary.toml", bytes(range(128, 256))),
         "broken_mjcf": ("broken.xml", b"<mujoco><worldbody>"),
         "empty": ("empty.xml", b""),
+        "empty_toml": ("empty.toml", b""),
         "open_tree": ("open.xml", OPEN_TREE.encode()),
         "a_file": ("file.txt", b"hello"),
     }
@@ -107,8 +120,10 @@ def places(tmp_path_factory):
         places[name] = str(folder / file)
     (folder / "empty_folder").mkdir()
     places["not_a_plan"] = str(folder / "empty_folder")
-    truncated = folder / "truncated"
-    assert main(["plan", "knee-reach", "-o", str(truncated)]) == 0
+    truncated, whole = folder / "truncated", folder / "whole"
+    assert main(["plan", "knee-reach", "-o", str(whole)]) == 0
+    places["a_plan"] = str(whole)
+    shutil.copytree(whole, truncated)
     content = (truncated / "trajectory.npz").read_bytes()
     (truncated / "trajectory.npz").write_bytes(content[: len(content) // 2])
     places["truncated_plan"] = str(truncated)
@@ -138,6 +153,25 @@ def test_bad_input_gets_one_line_and_exit_code_two(argv, words, places, capsys, 
     for word in words:
         assert word in refusal[0]
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["plan", "knee-reach", "--report"],
+        ["plan", "knee-reach", "--parquet"],
+        ["plan", "knee-reach", "--jumps"],
+        ["batch", "sweep.toml", "--parquet"],
+        ["compare", "knee-reach", "--parquet"],
+    ],
+)
+def test_what_would_be_written_into_a_folder_asks_for_one(argv, capsys):
+    assert main(argv) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert f"{argv[-1]} writes " in err
+    assert "say -o DIR too" in err
+    assert len(err.splitlines()) == 1
 
 
 def test_there_are_at_least_forty_refusals():

@@ -10,9 +10,12 @@ import pytest
 from linkplan.models.errors import ModelError
 from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.contacts import contact_pairs
+from linkplan.models.poses.reach import reach
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
-from linkplan.studies.check.softness import soft_closures
+from linkplan.studies.check.contact_findings import contact_findings
+from linkplan.studies.check.softness import soft_closures, softness_error
 from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record, track
 from linkplan.studies.compare.comparison_text import comparison_text
 from linkplan.studies.compare.draw_tracking import comparison_figure
@@ -87,6 +90,41 @@ def test_a_soft_loop_is_said_with_its_gap_and_what_it_does_to_the_joints():
     assert 'mechanism.solref = "stiff"' in note
     assert note in comparison_text(comparison)
     assert comparison_notes(compared("optimus-knee")) == []
+
+
+def test_a_loop_that_gapes_wide_is_off_by_all_of_it():
+    comparison = compared("optimus-knee")
+    mechanism, pose = comparison.plan.problem.mechanism, comparison.nominal["pd"].pose
+    (dependent, *_), off = mechanism.dependent, np.radians(30.0)
+    gaping = np.array(pose)
+    gaping[:, dependent] += off
+    error = softness_error(mechanism, gaping)
+    assert float(re.search(rf"{mechanism.joints[dependent].name} is off by up to ([\d.]+) deg", error)[1]) == pytest.approx(
+        30.0, abs=0.1
+    )
+
+
+# Links drawn on one another, as they are where nothing says that they pass side by side.
+TOUCHING = """<mujoco model="drawn"><worldbody>
+  <body name="base"><geom type="box" size="0.02 0.02 0.02"/>
+    <body name="crank"><joint name="O" axis="0 1 0"/><geom type="capsule" size="0.01" fromto="0 0 0 0 0 0.2"/></body>
+  </body></worldbody>{contact}
+  <actuator><motor joint="O" ctrlrange="-5 5"/></actuator></mujoco>"""
+
+
+def test_contacts_that_act_in_a_run_are_said_with_the_line_that_leaves_them_out():
+    (note,) = comparison_notes(compared(TOUCHING.format(contact="")))
+    assert note.startswith("contacts of geom 0 of base and geom 1 of crank push in MuJoCo")
+    (line,) = re.findall(r"<exclude [^>]*/>", note)
+    (advised,) = contact_findings(*_reached(TOUCHING.format(contact="")), None, "refuse")[0]
+    assert line in advised
+    assert comparison_notes(compared(TOUCHING.format(contact=f"<contact>{line}</contact>"))) == []
+
+
+def _reached(text: str) -> tuple:
+    mechanism = load_mechanism(text)
+    poses = reach(mechanism, 0).poses
+    return mechanism, contact_pairs(mechanism, poses), len(poses)
 
 
 def test_one_key_makes_closures_as_stiff_as_check_recommends():

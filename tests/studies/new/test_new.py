@@ -5,6 +5,7 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from linkplan.models.catalogue import built_in_text
@@ -14,8 +15,10 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import set_key
 from linkplan.planner.keys.key_table import key_table
 from linkplan.planner.keys.reading import KEYS as READER
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
-from linkplan.studies.new.first_motion import FirstMotion, first_motion
+from linkplan.studies.new.first_motion import FirstMotion, first_motion, moves_of
 from linkplan.studies.new.problem_text import problem_text
 from tests.support.data import DATA
 
@@ -156,6 +159,90 @@ def test_its_reference_can_be_taken_as_a_whole():
         whole = whole.replace(set_now, instead)
     problem = problem_from_tables("begun", tomllib.loads(whole))
     assert problem.reference.frequency_hz == 1.0
+
+
+def ring(n: int, motors: int) -> str:
+    """Return a regular loop of n bars and the ground, the first joints driven, as MJCF."""
+    corner = 0.15 * np.exp(2j * np.pi * np.arange(n + 1) / (n + 1))
+    text, before = "", 0.0
+    for k in range(n):
+        at, bar = corner[k] - before, corner[k + 1] - corner[k]
+        text += f'<body name="l{k}" pos="{at.real} 0 {at.imag}"><joint name="j{k}" axis="0 1 0" damping="0.01"/>'
+        text += f'<geom size="0.006" type="capsule" fromto="0 0 0 {bar.real} 0 {bar.imag}" contype="0" conaffinity="0"/>'
+        before = corner[k]
+    last = corner[n] - corner[n - 1]
+    drives = "".join(f'<motor name="m{k}" joint="j{k}" ctrlrange="-10 10"/>' for k in range(motors))
+    return (
+        f'<mujoco model="ring"><worldbody>{text}{"</body>" * n}</worldbody><equality>'
+        f'<connect name="pin" body1="l{n - 1}" body2="world" anchor="{last.real} 0 {last.imag}"/></equality>'
+        f"<actuator>{drives}</actuator></mujoco>"
+    )
+
+
+def tried_of(model: str, monkeypatch) -> list[dict]:
+    """Return the motions that are tried of a mechanism none of whose motions is ever found."""
+    tried = []
+
+    def nothing(problem: PlanningProblem, *_) -> Plan:
+        tried.append(problem)
+        return Plan(problem=problem, status="failed", message="failed: as told")
+
+    monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
+    found = first_motion(model, print)
+    assert not found.planned
+    assert found.why == "failed: as told"
+    assert moves_of(found.tables["motion"])
+    return [problem.motion for problem in tried]
+
+
+def moved(motion) -> int:
+    return int(np.sum(motion.start != motion.goal))
+
+
+def test_many_driven_joints_are_tried_together_and_one_alone_the_larger_motions_first(monkeypatch, tmp_path):
+    (tmp_path / "ring.xml").write_text(ring(7, 5), encoding="utf-8")
+    motions = tried_of(str(tmp_path / "ring.xml"), monkeypatch)
+    assert {moved(motion) for motion in motions} == {1, 5}
+    for count in (1, 5):
+        way = [np.abs(motion.goal - motion.start).max() for motion in motions if moved(motion) == count]
+        assert way[: len(way) // 2] == sorted(way[: len(way) // 2], reverse=True)
+
+
+def test_freedoms_on_springs_are_no_pendulums_whose_swings_a_motion_waits_for(monkeypatch):
+    motions = tried_of(str(DATA / "sprung_leg.xml"), monkeypatch)
+    assert max(motion.duration_s for motion in motions) < 1.0
+    (cart,) = {motion.duration_s for motion in tried_of("cart-pole", monkeypatch)}
+    assert cart > 1.0
+
+
+@pytest.mark.slow
+def test_a_closed_chain_of_eight_links_has_a_first_motion(tmp_path):
+    (tmp_path / "ring.xml").write_text(ring(7, 5), encoding="utf-8")
+    found = begun(str(tmp_path / "ring.xml"))
+    assert found.planned, found.why
+    assert found.plan.certificate.passed
+
+
+@pytest.mark.slow
+def test_a_sprung_leg_has_a_first_motion():
+    found = begun(str(DATA / "sprung_leg.xml"))
+    assert found.planned, found.why
+
+
+@pytest.mark.parametrize(("closure", "stiff"), [("", True), (' solref="0.004 1" solimp="0.999 0.999 0.001"', False)])
+def test_closures_that_would_gape_in_the_simulator_are_begun_stiff(closure, stiff, tmp_path, ask):
+    text = HOEKEN.format(actuator=MOTOR).replace('<connect name="B"', f'<connect name="B"{closure}')
+    (tmp_path / "hoeken.xml").write_text(text, encoding="utf-8")
+    code, out, _ = ask("new", str(tmp_path / "hoeken.xml"))
+    assert code == 0
+    assert (tomllib.loads(out)["mechanism"].get("solref") == "stiff") is stiff
+
+
+def test_links_drawn_on_one_another_are_named_with_the_line_that_lets_them_pass(tmp_path):
+    text = re.sub(r"<contact>.*?</contact>", "", HOEKEN.format(actuator=MOTOR), flags=re.S)
+    (tmp_path / "hoeken.xml").write_text(text, encoding="utf-8")
+    notes = begun(str(tmp_path / "hoeken.xml")).notes
+    assert any('<exclude body1="coupler" body2="rocker"/>' in note for note in notes)
 
 
 def test_a_mechanism_that_nothing_drives_is_refused_with_the_line_that_it_lacks(tmp_path):

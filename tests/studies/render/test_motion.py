@@ -5,6 +5,7 @@ import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.studies.render.motion import frame_times, own_slowness
+from linkplan.studies.render.render import picture
 from linkplan.studies.render.settings import RenderSettings, size_from
 from tests.support.pictures import PERIOD_S, waved
 
@@ -42,6 +43,13 @@ def test_a_short_motion_is_slowed_down_to_some_seconds_by_a_round_factor(duratio
 def test_an_instant_is_the_control_period_that_it_falls_into():
     motion = waved("optimus-knee")
     assert [motion.index_at(t) for t in (0.0, 2.5 * PERIOD_S, 3 * PERIOD_S, 99.0)] == [0, 2, 3, len(motion.time_s) - 1]
+
+
+def test_a_picture_of_an_instant_after_the_run_is_refused_with_its_end():
+    motion = waved("optimus-knee")
+    asked = RenderSettings(suffix=".png", at_s=99.0)
+    with pytest.raises(ProblemError, match=f"ends at {motion.time_s[-1]:.4g} s; there is no picture of it at 99 s"):
+        picture(motion, None, asked, None)
 
 
 @pytest.mark.parametrize(
