@@ -6,6 +6,7 @@ Dask runs the tasks of a worker that is killed on another one by itself.
 import contextlib
 import logging
 from collections.abc import Iterator
+from concurrent.futures import CancelledError
 
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.planner.files.plan_folder import versions
@@ -41,17 +42,10 @@ def cluster(address: str) -> Engine:
             executor = client.get_executor(pure=False)
             stack.callback(executor.shutdown, wait=False)
             threads = min((worker["nthreads"] for worker in workers.values()), default=1)
-            lost = (distributed.KilledWorker, concurrent_cancelled())
-            yield Pool(executor=executor, ahead=_ALL, threads=threads, lost=lost)
+            # Tasks whose scheduler has gone are cancelled.
+            yield Pool(executor=executor, ahead=_ALL, threads=threads, lost=(distributed.KilledWorker, CancelledError))
 
     return opened
-
-
-def concurrent_cancelled() -> type[BaseException]:
-    """Return the error of a task that nobody runs any more: its scheduler has gone."""
-    from concurrent.futures import CancelledError
-
-    return CancelledError
 
 
 def _client(distributed, address: str):
@@ -75,11 +69,13 @@ def _refuse_unfit(client, address: str) -> None:
 
 @contextlib.contextmanager
 def _quiet(name: str) -> Iterator[None]:
-    """Keep what a library logs below an error off stderr."""
-    logger = logging.getLogger(name)
-    before = logger.level
-    logger.setLevel(logging.CRITICAL)
+    """Keep what a library logs off stderr: what went wrong is said here in one line."""
+    names = [other for other in logging.root.manager.loggerDict if other == name or other.startswith(f"{name}.")]
+    before = [(logger, logger.level) for logger in map(logging.getLogger, (name, *names))]
+    for logger, _ in before:
+        logger.setLevel(logging.CRITICAL + 1)
     try:
         yield
     finally:
-        logger.setLevel(before)
+        for logger, level in before:
+            logger.setLevel(level)

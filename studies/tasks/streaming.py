@@ -40,9 +40,9 @@ def streamed(
                 deaths += 1
                 if deaths > _MOST_DEATHS:
                     raise LinkplanError(
-                        f"workers were killed {deaths} times; what is done is kept, and the same command goes on from it"
+                        f"workers were lost {deaths} times; what is done is kept, and the same command goes on from it"
                     ) from error
-                say("a worker was killed; what it was at is run again")
+                say("a worker was lost; what it was at is run again")
 
 
 def _once(pool: Pool, work: Callable[[int, int], Result], tasks: Sequence[int]) -> Iterator[tuple[int, Result]]:
