@@ -173,7 +173,7 @@ def build_parser(only: str | None = None) -> Parser:
 
     text = "print the JSON Schema of problem files, by which editors complete them"
     schema = command("schema", text, output=False, settings=False)
-    schema.add_argument("file", nargs="?", default="problem", metavar="FILE", help="problem or batch (default: %(default)s)")
+    schema.add_argument("file", nargs="?", default="problem", metavar="KIND", help="problem or batch (default: %(default)s)")
     schema.add_argument("-o", "--output", metavar="FILE", help="write it into this file")
 
     completion = command("completion", "print a shell's completion script", output=False, settings=False)
@@ -184,7 +184,7 @@ def build_parser(only: str | None = None) -> Parser:
 
 def _loop(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL-or-PROBLEM", help="a built-in model or problem, or an MJCF or TOML file")
-    parser.add_argument("--tracker", default="pd", metavar="NAME", help="pd, pd+ff or lqr (default: %(default)s)")
+    parser.add_argument("--tracker", default="pd", metavar="LAW", help="pd, pd+ff or lqr (default: %(default)s)")
     parser.add_argument("--period-s", type=float, metavar="T", help="control period [s] (default: the problem's, 1e-4)")
     parser.add_argument("--delay-periods", type=float, metavar="N", help="computing delay in control periods (default: 0)")
     _at(parser, "a pose to analyse; may be given again (default: over the motion or the reach)")
@@ -204,7 +204,7 @@ def _experiment(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all random numbers (default: %(default)s)")
     text = "how samples lie: latin-hypercube or grid; which imperfection matters: one-at-a-time, morris or sobol"
     text += " (default: %(default)s)"
-    parser.add_argument("--design", default="latin-hypercube", metavar="HOW", help=text)
+    parser.add_argument("--design", default="latin-hypercube", metavar="DESIGN", help=text)
     parser.add_argument("--levels", type=int, default=3, metavar="N", help="of a grid (default: %(default)s)")
     text = "success: no hinge is farther from the path (default: %(default)s)"
     parser.add_argument("--tube-deg", type=float, default=1.0, metavar="A", help=text)

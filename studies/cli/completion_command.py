@@ -28,11 +28,15 @@ _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "DIR": ((), ()),
     "FILE": ((), ("*",)),
     "NAME": (TRACKERS, ()),
+    "NAMES": ((*TRACKERS, "all"), ()),
+    "LAW": (("pd", "pd+ff", "lqr"), ()),
+    "DESIGN": (("latin-hypercube", "grid"), ()),
+    "KIND": (("problem", "batch"), ()),
     "HOW": ((*METHODS, "none"), ()),
     "FORMAT": (tuple(FORMATS), ()),
     "SHELL": (SHELLS, ()),
 }
-_WORDS_ONLY = ("NAME", "HOW", "FORMAT", "SHELL")
+_WORDS_ONLY = ("NAME", "NAMES", "LAW", "DESIGN", "KIND", "HOW", "FORMAT", "SHELL")
 # A setting goes on after its "=": no blank is put there.
 _SETTINGS = tuple(f"{section}.{key}=" for section, keys in KEYS.items() for key in keys)
 _BASH_WITHOUT_BLANK = """

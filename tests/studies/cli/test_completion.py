@@ -6,9 +6,12 @@ import sys
 
 import pytest
 
+from linkplan.planner.keys.json_schema import FILES
 from linkplan.studies.cli.command_line import build_parser
 from linkplan.studies.cli.completion_command import completion_script
 from linkplan.studies.cli.shells import SHELLS
+from linkplan.studies.experiment.design import DESIGNS
+from linkplan.studies.frequency.feedback_loops import LAW_NAMES
 
 # What is typed, and what must be among the answers.
 TYPED = [
@@ -24,6 +27,10 @@ TYPED = [
     ("linkplan bode optimus-knee --measure ch", "chirp"),
     ("linkplan export knee-reach --to key", "keyframes"),
     ("linkplan completion f", "fish"),
+    ("linkplan experiment knee-reach --design la", "latin-hypercube"),
+    ("linkplan compare knee-reach --trackers a", "all"),
+    ("linkplan bode knee-reach --tracker l", "lqr"),
+    ("linkplan schema b", "batch"),
 ]
 BASH = """
 source "$1"; shift
@@ -42,6 +49,12 @@ def test_every_command_and_long_option_is_in_every_script(shell):
         assert name in script
         for option in command.options:
             assert option.lstrip("-") in script
+
+
+@pytest.mark.parametrize(("name", "legal"), [("DESIGN", DESIGNS), ("LAW", tuple(LAW_NAMES)), ("KIND", tuple(FILES))])
+def test_words_that_are_completed_are_those_that_are_legal(name, legal):
+    script = completion_script("bash")
+    assert f'_linkplan_{name.lower()}() {{\n  compgen -W "{" ".join(legal)}" -- "$1"\n}}' in script
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")
