@@ -14,6 +14,7 @@ from linkplan.planner.keys.reading import KEYS
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.shells import SHELLS
+from linkplan.studies.experiment.design import DESIGNS
 from linkplan.studies.export.formats import FORMATS
 from linkplan.studies.frequency.method_names import METHODS
 
@@ -30,7 +31,7 @@ _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "NAME": (TRACKERS, ()),
     "NAMES": ((*TRACKERS, "all"), ()),
     "LAW": (("pd", "pd+ff", "lqr"), ()),
-    "DESIGN": (("latin-hypercube", "grid"), ()),
+    "DESIGN": (DESIGNS, ()),
     "KIND": (("problem", "batch"), ()),
     "HOW": ((*METHODS, "none"), ()),
     "FORMAT": (tuple(FORMATS), ()),

@@ -197,6 +197,7 @@ def _document(place: Path, said: dict, plan: Plan, say: Say) -> tuple[Section, s
     said["document"] = document_record(runs)
     document_figure(runs, KP, place / "desired_and_actual.png")
     section = document_section(runs, said["document"], KP)
-    rows = [[x if not isinstance(x, float) else float(x) for x in row] for row in section.blocks[0].rows]
-    heads = [f"{head} [{unit}]" if unit else head for head, unit in section.blocks[0].columns]
-    return section, "the source document's experiment\n" + table(heads, rows)
+    shown = section.blocks[0]
+    assert isinstance(shown, Table)
+    heads = [f"{head} [{unit}]" if unit else head for head, unit in shown.columns]
+    return section, "the source document's experiment\n" + table(heads, [list(row) for row in shown.rows])

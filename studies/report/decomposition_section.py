@@ -1,8 +1,9 @@
-"""A decomposition's part of a report: the parts of every tracker's error, and what each of them is."""
+"""A decomposition's part of a report: the parts of every tracker's error as a table and as bars, and what each of them is."""
 
-from linkplan.studies.decompose.decompose import Decomposition
+from linkplan.studies.decompose.decompose import Decomposition, decomposition_record
 from linkplan.studies.decompose.decomposition_text import notes
 from linkplan.studies.decompose.ladder import RUNGS
+from linkplan.studies.report.cause_sections import decomposition_charts
 from linkplan.studies.report.document import Section, Table, Text
 
 # Figures of a cell.
@@ -19,7 +20,8 @@ def decomposition_section(found: Decomposition, *, depth: int = 1) -> Section:
         heads = [("switched on", ""), *((name, unit) for name in ours)]
         tables.append(Table(title="Parts of the rms error", columns=heads, rows=rows))
     said = [Text(text=text, tone="note") for text in notes(found)]
-    return Section(title=f"Where the error comes from: {found.plan.problem.name}", blocks=[*tables, *said], depth=depth)
+    blocks = [*tables, *decomposition_charts(decomposition_record(found)), *said]
+    return Section(title=f"Where the error comes from: {found.plan.problem.name}", blocks=blocks, depth=depth)
 
 
 def _rounded(value: float) -> float:

@@ -46,15 +46,19 @@ def experiment_sections(outcome: Outcome, again: Again | None, *, depth: int = 1
     sensitivity = outcome.record.get("sensitivity")  # of a design that tells imperfections' influences apart
     drawn = [name for start in _FIRST for name in outcome.summary.metrics if name.startswith(start)]
     others = [name for name in outcome.summary.metrics if name not in drawn]
+    lie = [  # means and distributions are those of machines that lie as the imperfections do
+        Section(title="How the figures are distributed", blocks=_plots(outcome, drawn), depth=below),
+        Section(title="Distributions of the other figures", blocks=_plots(outcome, others), depth=below, folded=True),
+    ]
+    pairs = [Section(title="Trackers in pairs", blocks=[_pairs(outcome)], depth=below)] if outcome.summary.pairs else []
+    tables = _tables(outcome) if outcome.distributed else []
     return [
         Section(
             title=f"Experiment: {experiment.plan.problem.name}",
-            blocks=[_facts(outcome), *_tables(outcome), *_failures(outcome)],
+            blocks=[_facts(outcome), *tables, *_failures(outcome)],
             depth=depth,
         ),
-        *([Section(title="Trackers in pairs", blocks=[_pairs(outcome)], depth=below)] if outcome.summary.pairs else []),
-        Section(title="How the figures are distributed", blocks=_plots(outcome, drawn), depth=below),
-        Section(title="Distributions of the other figures", blocks=_plots(outcome, others), depth=below, folded=True),
+        *([*pairs, *lie] if outcome.distributed else []),
         *([sensitivity_section(sensitivity, depth=below)] if sensitivity else []),
         Section(title="Worst cases", blocks=_worst(outcome, again), depth=below),
         Section(title="Imperfections of the machines", blocks=[_imperfections(experiment)], depth=below),
@@ -154,7 +158,7 @@ def _interval(one: Estimate) -> str | None:
 
 def _plots(outcome: Outcome, names: list[str]) -> list[Block]:
     trackers = outcome.experiment.settings.trackers
-    found = [_distribution(outcome.results, trackers, name, outcome.summary.metrics[name]) for name in names]
+    found = [_distribution(outcome.population, trackers, name, outcome.summary.metrics[name]) for name in names]
     return [plot for plot in found if plot is not None]
 
 
