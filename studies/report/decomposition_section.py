@@ -1,4 +1,4 @@
-"""A decomposition's part of a report: the parts of every tracker's error as a table and as bars, and what each of them is."""
+"""A decomposition's part of a report: the parts of every tracker's error as a table and as bars, and what each is."""
 
 from linkplan.studies.decompose.decompose import Decomposition, decomposition_record
 from linkplan.studies.decompose.decomposition_text import notes
