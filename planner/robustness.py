@@ -27,12 +27,15 @@ class Price:
     def sentence(self) -> str:
         """Return the price in words."""
         unit = f" {self.unit}" if self.unit else ""
+        dearer = f"{100 * self.share:+.3g} %" if self.share < _TIMES else f"{1 + self.share:.3g} times as much"
         return (
             f"price of robustness: {self.name} {self.objective:.6g}{unit} against {self.nominal:.6g}{unit} of the machine as"
-            f" modelled within its whole limits, {100 * self.share:+.3g} %"
+            f" modelled within its whole limits, {dearer}"
         )
 
 
+# From this share on, a price is said as a factor.
+_TIMES = 2.0
 # The nominal plan's objective among a plan's details, in the objective's SI unit.
 _DETAIL = "objective_as_modelled"
 
