@@ -14,7 +14,6 @@ from linkplan.planner.keys.reading import KEYS
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.shells import SHELLS
-from linkplan.studies.experiment.design import DESIGNS
 from linkplan.studies.export.formats import FORMATS
 from linkplan.studies.frequency.method_names import METHODS
 
@@ -31,7 +30,7 @@ _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "NAME": (TRACKERS, ()),
     "NAMES": ((*TRACKERS, "all"), ()),
     "LAW": (("pd", "pd+ff", "lqr"), ()),
-    "DESIGN": (DESIGNS, ()),
+    "DESIGN": (("latin-hypercube", "grid", "one-at-a-time", "morris", "sobol"), ()),
     "KIND": (("problem", "batch"), ()),
     "HOW": ((*METHODS, "none"), ()),
     "FORMAT": (tuple(FORMATS), ()),

@@ -69,7 +69,7 @@ def _efforts(plan: Plan, motion: Motion, group: str, period: float | None) -> li
     problem, mechanism = plan.problem, plan.problem.mechanism
     joints = tuple(joint.name for joint in mechanism.joints)
     corners = problem.robust.corners
-    efforts = corner_efforts_along(mechanism, corners, motion.pose, motion.velocity, motion.acceleration)
+    efforts = corner_efforts_along(mechanism, corners, motion.pose, motion.velocity, motion.acceleration, motion.effort)
     found = []
     for j, actuator in enumerate(mechanism.actuators):
         bounds = tuple(problem.limits.effort[j])

@@ -78,7 +78,7 @@ def test_a_gallery_s_picture_is_drawn_from_a_plan(tmp_path, monkeypatch):
     plan = plan_of("cart-pole-swing-up")
     gallery_figure(plan, tmp_path / "picture.png")
     (axes,) = saved["picture.png"].axes
-    assert (axes.get_xlabel(), axes.get_ylabel()) == ("[m]", "[m]")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "z [m]")
     drawn = curves(axes)
     assert set(drawn) == {"ground", "cart", "pole"}
     last, first = plan.trajectory.position_at([plan.trajectory.duration_s, 0.0])

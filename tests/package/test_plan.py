@@ -153,7 +153,7 @@ def test_a_saved_plan_is_read_as_it_was(plan, tmp_path):
     assert again.objective == plan.objective
     assert again.problem.to_dict() == plan.problem.to_dict()
     assert again.sample(0.08).position == pytest.approx(plan.sample(0.08).position)
-    with pytest.raises(PlanFileError, match=r"plan\.json' cannot be read"):
+    with pytest.raises(PlanFileError, match=r"is not a plan: it has no plan\.json"):
         linkplan.read_plan(tmp_path)
 
 

@@ -97,6 +97,7 @@ def test_the_price_is_what_the_machine_as_modelled_does_better():
     price = price_of(plan)
     assert price.nominal == pytest.approx(optimal("knee-sprint").objective, rel=1e-9)
     assert f"{100 * (plan.objective / price.nominal - 1):+.3g} %" in price.sentence()
+    assert "80 times as much" in replace(price, objective=80 * price.nominal).sentence()
     assert price_of(optimal("knee-sprint")) is None
 
 

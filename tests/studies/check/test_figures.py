@@ -62,7 +62,7 @@ def test_the_drawing_of_two_freedoms_sweeps_both(tmp_path, monkeypatch):
     assert swept == [0, 1]
     assert (tmp_path / "five-bar.png").exists()
     first, second = (f"{joint.name} [deg]" for joint in mechanism.independent_joints)
-    sketch, dependent = ("[m]", "[m]"), "dependent joints [deg]"
+    sketch, dependent = ("x [m]", "z [m]"), "dependent joints [deg]"
     inertia, holding = "reduced inertia [kg m2]", "effort that holds it still [N.m]"
     of_both = [[sketch, (x, dependent), (x, inertia), (x, holding)] for x in (first, second)]
     figure = saved["five-bar.png"]

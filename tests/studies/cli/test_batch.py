@@ -81,7 +81,7 @@ def test_a_saved_case_is_a_plan_like_any_other(batch_file, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", ["problem of a batch", "None"]),
+        ("", ["names no problem", "[[case]] or [sweep]"]),
         ('problem = "knee-reach"', ["[[case]]", "[sweep]", "one of the two"]),
         (f"{CASES}[sweep]\nx = [1]", ["one of the two"]),
         ('problem = "knee-reach"\ncases = []', ["'cases'", "did you mean 'case'"]),
