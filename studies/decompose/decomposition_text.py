@@ -19,7 +19,7 @@ def decomposition_text(found: Decomposition) -> str:
     lines = [f"{found.plan.problem.name}: parts of the rms error over {duration:.4g} s, {machines}, period {period:g} s"]
     for unit in dict.fromkeys(unit for one in found.trackers for unit in one.shares):
         ours = {one.name: one.shares[unit] for one in found.trackers if unit in one.shares}
-        columns = [_column([*shares.parts, shares.rms]) for shares in ours.values()]
+        columns = [whole_column([*shares.parts, shares.rms]) for shares in ours.values()]
         labels = [*(text.partition(":")[0] for text in RUNGS.values()), "rms error"]
         rows = [[label, *cells] for label, *cells in zip(labels, *columns, strict=True)]
         lines += ["", table([f"switched on [{unit}]", *ours], rows)]
@@ -35,7 +35,7 @@ def notes(found: Decomposition) -> list[str]:
     return said
 
 
-def _column(values: list[float]) -> list[str]:
+def whole_column(values: list[float]) -> list[str]:
     """Return numbers with as many decimals as give the last of them, the whole, its figures; an exact zero as "0"."""
     whole = abs(values[-1])
     decimals = max(0, _FIGURES - 1 - math.floor(math.log10(whole))) if whole > 0 else 0

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping
 
+from linkplan.studies.decompose.decomposition_text import whole_column
 from linkplan.studies.report.document import Axis, Bar, Bars, Block, Section, Span, Text
 
 # Colours of what raises a figure and of what lowers it, as in the figures.
@@ -24,13 +25,14 @@ def decomposition_charts(record: Mapping) -> list[Bars]:
             if not isinstance(shares, Mapping) or "rms_error" not in shares:
                 continue
             rows, end = [], 0.0
-            for name, part in shares["parts"].items():
+            *notes, whole_note = whole_column([*shares["parts"].values(), shares["rms_error"]])
+            for (name, part), note in zip(shares["parts"].items(), notes, strict=True):
                 begin, end = end, end + part
                 sign, colour = ("adds to it", _RAISES) if part >= 0 else ("takes away", _LOWERS)
                 span = Span(name=sign, start=begin, end=end, colour=colour)
-                rows.append(Bar(label=words[name].partition(":")[0], spans=[span], note=_said(part)))
+                rows.append(Bar(label=words[name].partition(":")[0], spans=[span], note=note))
             whole = Span(name="rms error", start=0.0, end=shares["rms_error"], colour=None)
-            rows.append(Bar(label="rms error", spans=[whole], note=_said(shares["rms_error"])))
+            rows.append(Bar(label="rms error", spans=[whole], note=whole_note))
             axis = Axis(label="part of the rms error", unit=unit)
             title = f"{tracker}: what the rms error is made of"
             found.append(Bars(title=title, axis=axis, rows=rows, note_name=f"[{unit}]"))

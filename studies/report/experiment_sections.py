@@ -60,7 +60,7 @@ def experiment_sections(outcome: Outcome, again: Again | None, *, depth: int = 1
         ),
         *([*pairs, *lie] if outcome.distributed else []),
         *([sensitivity_section(sensitivity, depth=below)] if sensitivity else []),
-        Section(title="Worst cases", blocks=_worst(outcome, again), depth=below),
+        *([Section(title="Worst cases", blocks=_worst(outcome, again), depth=below)] if outcome.distributed else []),
         Section(title="Imperfections of the machines", blocks=[_imperfections(experiment)], depth=below),
     ]
 
@@ -69,7 +69,7 @@ def _facts(outcome: Outcome) -> Facts:
     experiment, settings = outcome.experiment, outcome.experiment.settings
     reference = experiment.reference
     rows = [
-        ("machines", f"{outcome.summary.samples}, the same for every tracker"),
+        ("machines", f"{experiment.n}, the same for every tracker"),
         ("design", f"{settings.design}, seed {settings.seed}"),
         ("success", f"within {tube_said(experiment)} of the path all the way"),
         ("simulated", f"{reference.period_s * reference.n:.4g} s each, control period {reference.period_s:g} s"),

@@ -65,9 +65,19 @@ def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
     best = max(summary.trackers, key=lambda one: one.success.value)
     shares = ", ".join(f"{one.name} {100 * one.success.value:.3g} %" for one in summary.trackers)
     verdict = f"success on {summary.samples} machines within {tube_said(outcome.experiment)}: {shares}"
+    if not outcome.distributed:
+        verdict = f"what matters most for the rms error: {_foremost(outcome)}"
     sections = [*experiment_sections(outcome, again), *plan_sections(plan)]
     title = f"Trackers of {plan.problem.name} on many machines"
-    return report_of(title, verdict, None if best.success.value > 0 else False, sections)
+    return report_of(title, verdict, None if best.success.value > 0 or not outcome.distributed else False, sections)
+
+
+def _foremost(outcome: Outcome) -> str:
+    """Return every tracker's foremost imperfection by its influence on the first rms error."""
+    record = outcome.record["sensitivity"]
+    metric = next(name for name in record["metrics"] if name.startswith("rms_error"))
+    first = {tracker: found[metric]["ranking"][0] for tracker, found in record["trackers"].items()}
+    return ", ".join(f"{label} ({tracker})" for tracker, label in first.items())
 
 
 def decomposition_report(found: Decomposition) -> Report:

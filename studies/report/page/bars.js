@@ -21,7 +21,7 @@ function barEnds(block) {
 
 /** Return a name that may be broken after its points and underscores. */
 function breakable(name) {
-  return name.split(/(?<=[_.,])/).flatMap((part) => [part, make("wbr")]);
+  return name.split(/(?<=[_,])|(?<=[.])(?![0-9])/).flatMap((part) => [part, make("wbr")]);
 }
 
 /** Return the figure of bars. */
