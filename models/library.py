@@ -30,7 +30,10 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
         name, spec = _read_spec(source)
         if payload is not None:
             attach(spec, payload)
-        model = spec.compile()
+        with warnings.catch_warnings(record=True) as told:  # what MuJoCo's bindings pass on as Python's warnings
+            warnings.simplefilter("always")
+            model = spec.compile()
+        said += [str(one.message) for one in told]
     except (ValueError, mujoco.FatalError, UnicodeDecodeError) as error:
         what = "MJCF text" if is_text(str(source)) else source
         raise ModelError(f"model '{what}' does not compile: {one_line(error)}") from error

@@ -51,6 +51,7 @@ NONSENSE = {
 }
 
 
+@pytest.mark.filterwarnings("error")  # a warning beside the refusal would be a second line
 @pytest.mark.parametrize("case", NONSENSE)
 def test_a_model_of_nonsense_is_refused_in_one_line(case):
     text, word = NONSENSE[case]
