@@ -1,5 +1,7 @@
 """The command line in a test's hands."""
 
+import json
+
 import pytest
 
 from linkplan.studies.cli.main import main
@@ -14,5 +16,17 @@ def ask(capsys):
         code = main(list(argv))
         out, err = capsys.readouterr()
         return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def ask_json(ask):
+    """Run a command with --json; return its exit code and the one object that it prints."""
+
+    def run(*argv: str) -> tuple[int, dict]:
+        code, out, _ = ask(*argv, "--json")
+        assert out.count("\n") == 1
+        return code, json.loads(out)
 
     return run
