@@ -69,8 +69,9 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
         free = state + 2 * n_u * state
         return state + n_u + n_u * state, free, free
     if isinstance(tracker, IntegralLQR):
-        free = state + 2 * n_u * (state + n_s) + 2 * n_s + 2 * n_u
-        return state + n_u + n_u * (state + n_s), free, free
+        n_i = len(tracker.integrated)
+        free = state + 2 * n_u * (state + n_i) + 2 * n_i + 2 * n_u
+        return state + n_u + n_u * (state + n_i), free, free
     closing = sum(calls * _size(getattr(dynamics, name)) for name, calls in CLOSING_CALLS.items())
     closing = closing if len(mechanism.dependent) else 0
     if isinstance(tracker, ComputedTorque):

@@ -18,7 +18,7 @@ _PATH_STEPS = 2**16  # of a slide's encoder, over the model's size
 def default_imperfections(plan: Plan) -> dict:
     """Return the table [imperfections] that stands for a careful build of the plan's mechanism."""
     mechanism = plan.problem.mechanism
-    limit = np.abs(plan.problem.limits.effort).max(axis=1)
+    limit = np.abs(plan.problem.limits.actuators_effort).max(axis=1)
     peak = np.asarray(plan.certificate.peak_effort, dtype=float)
     size = np.where(np.isfinite(limit), limit, np.maximum(peak, 1e-9))
     table: dict = {

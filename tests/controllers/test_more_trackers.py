@@ -6,8 +6,11 @@ import control
 import numpy as np
 import pytest
 
+from linkplan.controllers.ensemble import run_ensemble
+from linkplan.controllers.imperfections.imperfections import Imperfections, Sensors
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout, run
+from linkplan.controllers.trackers.integral_lqr import integrable
 from linkplan.controllers.trackers.lqr import discretise, linearise
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.stepping import steps_of
@@ -166,6 +169,39 @@ def test_the_integral_stands_still_beyond_a_limit():
     np.testing.assert_array_equal(memory, 0)
     _, memory = law.step(40, near, reference.velocity[40, None], law.start(1))
     np.testing.assert_allclose(memory, PERIOD * 1e-4, rtol=SAME_FIGURE)
+
+
+@pytest.mark.parametrize(
+    ("name", "integrated"), [("cart-pole-swing-up", [0]), ("knee-reach", [0]), ("five-bar-reach", [0, 1])]
+)
+def test_as_many_errors_are_integrated_as_efforts_can_keep_at_zero(name, integrated):
+    law = tracker_of("lqi", name)
+    assert list(law.integrated) == integrated
+    assert law.start(3).shape == (3, len(integrated))
+
+
+def test_an_output_with_a_transmission_zero_at_standstill_is_not_integrated():
+    """Of a cart (first) and a pole under one force; of a chain that is driven at its end; of joints without a motor."""
+    leaning, force = np.array([[0.0, -1.0], [0.0, 11.0]]), np.array([[1.0], [-1.0]])
+    assert list(integrable(leaning, force)) == [0]
+    assert list(integrable(leaning[::-1, ::-1], force[::-1])) == [1]
+    assert len(integrable(0 * leaning, force)) == 0  # without weight a push at the pole cannot be met
+    assert list(integrable(leaning, np.eye(2))) == [0, 1]
+    assert len(integrable(leaning, np.array([[1.0, 2.0], [-1.0, -2.0]]))) == 1  # two motors on one joint
+
+
+@pytest.mark.slow
+def test_integral_action_on_a_cart_pole_keeps_the_cart_in_place_where_the_pole_is_read_wrong():
+    plan, reference = optimal("cart-pole-swing-up"), reference_of("cart-pole-swing-up", PERIOD, 6.0)
+    loop = ControlLoop(effort_limit=np.array(plan.problem.limits.effort))
+    wrong = Imperfections(sensors=Sensors(offset=np.array([0.0, np.radians(0.1)])))
+    off = {}
+    for kind in ("lqr", "lqi"):
+        law = tracker_of(kind, "cart-pole-swing-up", PERIOD, 6.0)
+        followed = run_ensemble(plan.problem.mechanism, reference, law, loop, [wrong])
+        off[kind] = float(np.abs(followed.pose[-1, 0, 0] - reference.position[-1, 0]))
+    assert off["lqr"] > 1e-3
+    assert off["lqi"] < 1e-2 * off["lqr"]
 
 
 # MPC.
