@@ -60,7 +60,8 @@ def price_of(plan: Plan, say: Callable[[str], None] = silent) -> Price | None:
     cheaper = plan_motion(nominal, say)
     if cheaper.trajectory is None or cheaper.objective is None or plan.objective is None:
         return None
-    return _price(plan, cheaper.objective)
+    # The plan itself is a motion of the machine as modelled: no nominal optimum is dearer, whatever a local search found.
+    return _price(plan, min(cheaper.objective, plan.objective))
 
 
 def with_price(plan: Plan, price: Price | None) -> Plan:

@@ -61,9 +61,9 @@ def integrable(stiffness: np.ndarray, effort_map: np.ndarray) -> np.ndarray:
 
     no transmission zero at s = 0 and no more outputs than inputs (Davison, The Robust Control of a Servomechanism Problem,
     IEEE TAC 21, 1976). Otherwise no feedback makes the integrals stable. A cart-pole's cart can be kept in place, by a
-    leaning pole; its pole cannot be kept upright against a push anywhere, which takes a cart that accelerates for ever. There
-    are always as many such outputs as efforts that are independent; of several sets the one whose disturbances the rest makes
-    up for with least, in the units given.
+    leaning pole; its pole cannot be kept upright against a push anywhere, which takes a cart that accelerates for ever.
+    There are always as many such outputs as efforts that are independent; of several sets the one whose disturbances the
+    rest makes up for with least, in the units given.
 
     Args:
         stiffness: A_s (n_s, n_s), in units of what weighs alike.

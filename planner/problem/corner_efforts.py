@@ -6,9 +6,16 @@ from collections.abc import Callable, Sequence
 import casadi as ca
 import numpy as np
 
+from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.robust import Corner
+
+# How far a pose is from home [rad or m] at which a mechanism shows what it does not show at a special one.
+_BESIDE = 0.05
+# Generalised efforts below this share of the largest are rounding.
+_ROUNDING = 1e-9
 
 
 def corner_efforts(
@@ -17,36 +24,74 @@ def corner_efforts(
     """Return the efforts (n_u,) of each corner that a motion (q, v, a) needs.
 
     Where there are more actuators than degrees of freedom, many efforts make one motion: a corner has the plan's own and the
-    least ones that make up for the difference, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u).
+    least ones that make up for the difference, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u). Where there are fewer, a
+    motion is one that the actuators can make, and a corner differs by what they can make up for, friction at joints that
+    they drive and the torque constant (`corner_out_of_reach`). The same expression gives those efforts, since
+    (Gamma^T B)^+ Gamma^T B = 1.
 
     Args:
-        mechanism: whose actuators move every degree of freedom.
+        mechanism: whose actuators move every degree of freedom, or are independent of one another.
         corners: of the ranges.
         call: a function of the reduced dynamics by name, of the machine as modelled.
         payload: its numbers (7,), none without one.
         motion: q (n_q,), v and a (n_s,), and the plan's efforts u (n_u,).
     """
     q, v, a, u = motion
-    gamma, effort_map = call("velocity_map", q), call("effort_map", q)
-    rates = gamma @ v
-    needed: dict[float, ca.SX] = {}
+    effort_map = call("effort_map", q)
     found = []
-    for corner in corners:
-        factor = corner.payload_factor
-        if factor not in needed:
-            if factor == 1:
-                needed[factor] = call("inverse_dynamics", q, v, a)
-            else:
-                scaled = ca.vertcat(factor * payload[0], payload[1:4], factor * payload[4:7])
-                needed[factor] = mechanism.parametric_dynamics().inverse_dynamics(q, v, a, scaled)
-        tau = needed[factor]
-        for joint, viscous, coulomb in corner.friction:
-            tau = tau + gamma[joint, :].T * (viscous * rates[joint] + coulomb)
+    for corner, tau in zip(corners, _needed(mechanism, corners, call, payload, (q, v, a)), strict=True):
         if mechanism.n_u == mechanism.dof:
             found.append(ca.solve(effort_map, tau) / corner.torque_factor)
         else:
             found.append(u + ca.pinv(effort_map) @ (tau / corner.torque_factor - effort_map @ u))
     return found
+
+
+def _needed(
+    mechanism: Mechanism, corners: Sequence[Corner], call: Callable[..., ca.SX], payload: ca.SX, motion: tuple[ca.SX, ...]
+) -> list[ca.SX]:
+    """Return the generalised efforts (n_s,) that a motion (q, v, a) needs at each corner, its torque constant aside."""
+    q, v, a = motion
+    gamma = call("velocity_map", q)
+    rates = gamma @ v
+    modelled: dict[float, ca.SX] = {}
+    found = []
+    for corner in corners:
+        factor = corner.payload_factor
+        if factor not in modelled:
+            if factor == 1:
+                modelled[factor] = call("inverse_dynamics", q, v, a)
+            else:
+                scaled = ca.vertcat(factor * payload[0], payload[1:4], factor * payload[4:7])
+                modelled[factor] = mechanism.parametric_dynamics().inverse_dynamics(q, v, a, scaled)
+        tau = modelled[factor]
+        for joint, viscous, coulomb in corner.friction:
+            tau = tau + gamma[joint, :].T * (viscous * rates[joint] + coulomb)
+        found.append(tau)
+    return found
+
+
+def corner_out_of_reach(mechanism: Mechanism, corners: Sequence[Corner]) -> Corner | None:
+    """Return a corner that makes a difference to freedoms that no effort moves; None where efforts make up for all of them.
+
+    At home and at a pose beside it, moving at random: (1 - P P^+) (tau_c - tau) = 0, P = Gamma^T B.
+    """
+    function = _needed_function(mechanism, (Corner(), *corners))
+    rng = np.random.default_rng(0)
+    beside = mechanism.home[mechanism.independent] + _BESIDE * rng.normal(size=mechanism.dof)
+    try:
+        poses = [mechanism.home, close_at(mechanism, beside, mechanism.home)]
+    except AssemblyError:
+        poses = [mechanism.home]
+    for q in poses:
+        P = np.array(mechanism.dynamics.effort_map(q))
+        needed = np.array(function(q, *rng.normal(size=(2, mechanism.dof))))
+        added = needed[:, 1:] - needed[:, :1]
+        left = added - P @ (np.linalg.pinv(P) @ added)
+        for column, corner in enumerate(corners):
+            if np.abs(left[:, column]).max() > _ROUNDING * np.abs(needed).max():
+                return corner
+    return None
 
 
 def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a, u) -> np.ndarray:
@@ -57,8 +102,23 @@ def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v
 
 @functools.lru_cache(maxsize=16)
 def _function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
-    sizes = {"q": mechanism.n_q, "v": mechanism.dof, "a": mechanism.dof, "u": mechanism.n_u}
-    motion = tuple(ca.SX.sym(name, size) for name, size in sizes.items())
-    payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
-    efforts = corner_efforts(mechanism, corners, lambda name, *x: getattr(mechanism.dynamics, name)(*x), payload, motion)
+    motion, payload = _symbols(mechanism)
+    efforts = corner_efforts(mechanism, corners, _calls(mechanism), payload, motion)
     return ca.Function("corners", list(motion), [ca.densify(ca.vertcat(*efforts))])
+
+
+def _needed_function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
+    motion, payload = _symbols(mechanism)
+    needed = _needed(mechanism, corners, _calls(mechanism), payload, motion[:3])
+    return ca.Function("needed", list(motion[:3]), [ca.densify(ca.horzcat(*needed))])
+
+
+def _symbols(mechanism: Mechanism) -> tuple[tuple[ca.SX, ...], ca.SX]:
+    """Return q, v, a, u as symbols, and the payload's numbers."""
+    sizes = {"q": mechanism.n_q, "v": mechanism.dof, "a": mechanism.dof, "u": mechanism.n_u}
+    payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
+    return tuple(ca.SX.sym(name, size) for name, size in sizes.items()), payload
+
+
+def _calls(mechanism: Mechanism) -> Callable[..., ca.SX]:
+    return lambda name, *x: getattr(mechanism.dynamics, name)(*x)

@@ -10,6 +10,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.keys.reading import checked
+from linkplan.planner.problem.corner_efforts import corner_out_of_reach
 from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.objective import Objective, objective_from
@@ -133,14 +134,24 @@ class PlanningProblem:
         """Refuse ranges that mean nothing on this mechanism."""
         robust, mechanism = self.robust, self.mechanism
         driven = int(np.linalg.matrix_rank(np.array(mechanism.dynamics.effort_map(mechanism.home)))) if robust.corners else 0
-        if robust.corners and driven < mechanism.dof:
-            raise ProblemError(
-                "[robust] keeps one motion for every machine within its ranges, which takes actuators that move every degree"
-                f" of freedom; those of '{mechanism.name}' move {driven} of {mechanism.dof}, and how the rest moves depends"
-                " on the machine"
-            )
         if robust.payload_factor != (1.0, 1.0) and mechanism.payload is None:
             raise ProblemError("robust.payload_factor needs a mechanism.payload; there is none")
+        if robust.corners and driven < mechanism.dof:
+            self._check_robust_of_driven(driven)
+
+    def _check_robust_of_driven(self, driven: int) -> None:
+        """Refuse ranges that actuators cannot make up for which move only some degrees of freedom."""
+        robust, mechanism = self.robust, self.mechanism
+        moved = f"the actuators of '{mechanism.name}' move {driven} of {mechanism.dof} degrees of freedom"
+        if driven < mechanism.n_u:
+            raise ProblemError(f"[robust] takes actuators that move every degree of freedom, or each its own; {moved}")
+        lost = corner_out_of_reach(mechanism, robust.corners)
+        if lost is not None:
+            raise ProblemError(
+                f"[robust] keeps one motion for every machine in its ranges; {moved}, and the rest moves otherwise at the"
+                f" corner: {lost.said(tuple(joint.name for joint in mechanism.joints))}; legal are ranges that they make up"
+                " for: the torque constant, friction at joints that they drive"
+            )
 
     def _check_periods(self) -> None:
         """Refuse a motion over more of its reference's periods than a mesh has intervals for."""

@@ -6,7 +6,8 @@ One motion for all machines within the ranges: each needs efforts of its own for
 
 which are affine in payload factor, viscous friction d and Coulomb friction c, and monotone in the factor k on the torque
 constant: limits that hold at the corners hold throughout. With more actuators than degrees of freedom the same holds of the
-plan's efforts and the least ones that make up for the difference, u_c = u + (Gamma^T B)^+ (... / k - Gamma^T B u).
+plan's efforts and the least ones that make up for the difference, u_c = u + (Gamma^T B)^+ (... / k - Gamma^T B u). With
+fewer it holds of ranges that the actuators can make up for: torque constants, friction at joints that they drive.
 """
 
 import itertools

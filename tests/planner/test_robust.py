@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -136,9 +137,67 @@ def test_ranges_that_mean_nothing_are_refused_in_one_line(asked, said):
     assert "\n" not in str(refused.value)
 
 
-def test_freedoms_that_no_actuator_moves_are_refused_with_the_reason():
-    with pytest.raises(LinkplanError, match="'cart-pole' move 1 of 2, and how the rest moves depends on the machine"):
-        load_problem("cart-pole-swing-up", ["robust.torque_constant_factor=[0.9, 1.0]"])
+ON_POLE = 'mechanism.payload={ body = "pole", mass_kg = 0.1, com_m = [0, 0, -0.4], inertia_kgm2 = [0, 0, 0] }'
+
+
+@pytest.mark.parametrize(
+    ("overrides", "lost"),
+    [
+        (["robust.coulomb_friction={ pole = [0.0, 0.1] }"], "pole rubbing"),
+        ([ON_POLE, "robust.payload_factor=[0.8, 1.0]"], "payload 0.8"),
+    ],
+)
+def test_what_efforts_of_an_underactuated_mechanism_cannot_make_up_for_is_refused_with_the_reason(overrides, lost):
+    with pytest.raises(LinkplanError, match=f"'cart-pole' move 1 of 2 degrees of freedom, .* at the corner: {lost}"):
+        load_problem("cart-pole-swing-up", overrides)
+
+
+def test_what_efforts_of_an_underactuated_mechanism_can_make_up_for_is_a_range_like_others():
+    """Another torque constant, friction where the motor is, a payload there: MuJoCo's inverse dynamics of such a machine."""
+    on_cart = ON_POLE.replace("pole", "cart")
+    overrides = [on_cart, "robust.payload_factor=[0.8, 1.3]", "robust.torque_constant_factor=[0.9, 1.0]"]
+    problem = load_problem("cart-pole-swing-up", [*overrides, "robust.viscous_friction={ cart = [0.0, 0.5] }"])
+    mechanism, payload = problem.mechanism, problem.mechanism.payload
+    rng = np.random.default_rng(5)
+    q, v, u = rng.normal(size=(3, 4, 2))
+    a = np.array([np.array(mechanism.dynamics.acceleration(*x)).ravel() for x in zip(q, v, u[:, :1], strict=True)])
+    corner = Corner(payload_factor=1.3, torque_factor=0.9, friction=((0, 0.5, 0.0),))
+    found = corner_efforts_along(mechanism, (corner,), q, v, a, u[:, :1])[:, 0, 0]
+    model = load_mechanism("cart-pole", payload=payload.scaled(1.3)).model
+    model.dof_damping[0] += 0.5
+    for k in range(4):
+        data = mujoco.MjData(model)
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
+        mujoco.mj_inverse(model, data)
+        np.testing.assert_allclose(data.qfrc_inverse, [0.9 * found[k], 0.0], rtol=1e-9, atol=1e-9)
+    assert np.abs(found - u[:, 0]).min() > 1e-3
+
+
+def test_a_motion_within_a_reserve_is_one_of_weaker_motors_too_where_they_move_only_some_freedoms():
+    kept = planned("cart-pole-swing-up", "limits.reserve=0.4")
+    assert kept.certificate.peak_effort[0] == pytest.approx(12.0, rel=1e-6)  # 12.8 N without a limit
+    whole = replace(kept.problem.limits, effort=kept.problem.limits.actuators_effort, reserve=0.0)
+
+    def of_motors(factor: float):
+        problem = replace(kept.problem, limits=whole, robust=Robust(torque_factor=(factor, 1.0)))
+        return certify(problem, kept.trajectory)
+
+    assert of_motors(0.601).passed
+    assert "torque constant 0.59" in of_motors(0.59).failures[0]
+
+
+@pytest.mark.slow
+def test_weaker_motors_of_an_underactuated_mechanism_are_planned_for():
+    plan = planned("cart-pole-swing-up", "robust.torque_constant_factor=[0.6, 1.0]")
+    assert plan.status == "optimal"
+    assert plan.certificate.peak_effort[0] == pytest.approx(12.0, rel=1e-4)
+
+
+def test_a_price_is_never_negative():
+    """The plan itself is a motion of the machine as modelled, also where the search for that one's finds a dearer one."""
+    plan = planned("cart-pole-swing-up", "limits.reserve=0.35")
+    assert plan.objective < optimal("cart-pole-swing-up").objective
+    assert price_of(plan).nominal == plan.objective
 
 
 def test_a_range_of_payloads_needs_a_payload():
