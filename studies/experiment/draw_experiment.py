@@ -15,6 +15,9 @@ _DASHED = {"ct": (0, (4, 4)), "mpc": (0, (4, 4))}
 # What is shown of the metrics that begin so, in this order.
 _SHOWN = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
 
+# Shares up to here are drawn on an axis of this length.
+_SMALL_SHARE = 0.05
+
 
 def experiment_figure(
     results: Mapping[str, np.ndarray], trackers: Sequence[str], metrics: Mapping[str, Metric], title: str, path: Path | None
@@ -43,14 +46,23 @@ def draw_distribution(axis, results: Mapping[str, np.ndarray], trackers: Sequenc
         if len(values):
             largest = max(largest, float(values[-1]))
             smallest = min(smallest, float(values[int(0.05 * len(values))]))
-        share = 100 * np.arange(1, len(values) + 1) / max(1, len(all_values))
+        share = 100 * np.arange(len(values) + 1) / max(1, len(all_values))
         colour = TRACKER_COLOURS.get(tracker, SERIES[(i + 3) % len(SERIES)])
         # Trackers that hardly differ lie on one another: what is drawn later is dashed, and the one below shows between.
-        axis.step(values, share, where="post", color=colour, label=tracker, linestyle=_DASHED.get(tracker, "-"))
+        axis.step(
+            [*values[:1], *values],
+            share[: len(values) + len(values[:1])],
+            where="post",
+            color=colour,
+            label=tracker,
+            linestyle=_DASHED.get(tracker, "-"),
+        )
     unit = "" if metric.unit == "1" else f" [{metric.unit}]"
     axis.set_xlabel(f"{metric.text}{unit}")
     axis.set_ylabel("machines up to there [%]")
     axis.set_ylim(0, 102)
+    if metric.unit == "1" and largest < _SMALL_SHARE:
+        axis.set_xlim(0, _SMALL_SHARE)  # a share below zero is none, and all at zero are no range
     if smallest > 0 and largest > 20 * smallest:
         axis.set_xscale("log")
         axis.xaxis.set_minor_formatter(NullFormatter())  # over less than two decades their labels run into one another
