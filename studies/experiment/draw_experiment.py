@@ -50,8 +50,8 @@ def draw_distribution(axis, results: Mapping[str, np.ndarray], trackers: Sequenc
         colour = TRACKER_COLOURS.get(tracker, SERIES[(i + 3) % len(SERIES)])
         # Trackers that hardly differ lie on one another: what is drawn later is dashed, and the one below shows between.
         axis.step(
-            [*values[:1], *values],
-            share[: len(values) + len(values[:1])],
+            np.append(values[:1], values),
+            share if len(values) else [],
             where="post",
             color=colour,
             label=tracker,
@@ -62,7 +62,7 @@ def draw_distribution(axis, results: Mapping[str, np.ndarray], trackers: Sequenc
     axis.set_ylabel("machines up to there [%]")
     axis.set_ylim(0, 102)
     if metric.unit == "1" and largest < _SMALL_SHARE:
-        axis.set_xlim(0, _SMALL_SHARE)  # a share below zero is none, and all at zero are no range
+        axis.set_xlim(-0.02 * _SMALL_SHARE, _SMALL_SHARE)  # where all are zero a range about it would go below
     if smallest > 0 and largest > 20 * smallest:
         axis.set_xscale("log")
         axis.xaxis.set_minor_formatter(NullFormatter())  # over less than two decades their labels run into one another
