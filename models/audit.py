@@ -41,8 +41,6 @@ def audit(model: mujoco.MjModel) -> tuple[Unhonoured, ...]:
 def _joints(model: mujoco.MjModel):
     for joint in range(model.njnt):
         name, dof, kind = joint_label(model, joint), int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
-        if model.dof_frictionloss[dof] > 0:
-            yield f"frictionloss {model.dof_frictionloss[dof]:g} of joint {name}"
         if model.jnt_springyield[joint] > 0:
             yield f"springyield of joint {name}"
         if kind in (BALL, FREE):
@@ -59,11 +57,8 @@ def _tendons(model: mujoco.MjModel):
     armatures = tendon_armatures(model)
     for tendon in range(model.ntendon):
         name = tendon_label(model, tendon)
-        beyond = [
-            ("frictionloss", model.tendon_frictionloss[tendon] > 0),
-            ("springyield", model.tendon_springyield[tendon] > 0),
-        ]
-        yield from (f"{what} of tendon {name}" for what, present in beyond if present)
+        if model.tendon_springyield[tendon] > 0:
+            yield f"springyield of tendon {name}"
         if wraps(model, tendon):
             limited = model.tendon_limited[tendon] and not disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT)
             forces = [
@@ -71,6 +66,7 @@ def _tendons(model: mujoco.MjModel):
                 ("stiffness", model.tendon_stiffness[tendon] or np.any(model.tendon_stiffnesspoly[tendon])),
                 ("damping", model.tendon_damping[tendon] or np.any(model.tendon_dampingpoly[tendon])),
                 ("armature", armatures[tendon] > 0),
+                ("frictionloss", model.tendon_frictionloss[tendon] > 0),
             ]
             yield from (f"{what} of tendon {name}, which wraps around a geom" for what, present in forces if present)
         elif armatures[tendon] > 0 and spans_branches(model, lengths[tendon], q):

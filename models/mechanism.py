@@ -27,9 +27,11 @@ from linkplan.models.errors import AssemblyError, LockedError, ModelError, Unass
 from linkplan.models.library import compile_model
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
+from linkplan.models.source_table import source_table
 from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import Inertial, build_tree
+from linkplan.models.tree.friction import friction_notes, transition_speed
 from linkplan.models.tree.joints import Joint, index_of, read_joints
 from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import TendonLimit, is_fixed, limited_tendons, tendon_joints
@@ -74,6 +76,7 @@ class Mechanism:
     extent_m: float  # of what moves: a length to compare lengths with
     dynamics: ReducedDynamics
     parametric: ReducedDynamics | None  # with the payload's numbers as inputs, where there is one
+    friction_transition: float  # the speed of dry friction, see `models.tree.friction`
     coordinates: Coordinates
     passive_dofs: tuple[int, ...]
     notes: tuple[str, ...]
@@ -189,6 +192,7 @@ def _fingerprint(mechanism: Mechanism, payload_apart: bool) -> str:
     digest = hashlib.sha256(content.tobytes())
     for choice in (mechanism.independent, mechanism.dependent, mechanism.closure_rows):
         digest.update(choice.tobytes() + b"|")
+    digest.update(np.float64(mechanism.friction_transition).tobytes())
     return digest.hexdigest()
 
 
@@ -200,6 +204,7 @@ def load_mechanism(
     independent: Sequence[str] | None = None,
     solref: str | None = None,
     closure_tolerance_m: float | None = None,
+    friction_transition: float | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, assembled.
 
@@ -212,6 +217,8 @@ def load_mechanism(
         solref: "stiff" for the stiffest equality constraints in simulation that the timestep admits; by default the model's.
         closure_tolerance_m: the gap [m] up to which a motion that the file's rounding alone forbids is free; by default a
             micrometre, or a hundred thousandth of a small mechanism.
+        friction_transition: the speed [rad/s; on a slide or tendon, of the mechanism's extent a second] about which dry
+            friction goes over from one direction to the other; by default half a degree a second.
 
     Raises:
         ModelError: when the model cannot be used, or the named joints cannot be its coordinates.
@@ -219,6 +226,8 @@ def load_mechanism(
     """
     if independent is not None:
         _names_of(independent)
+    asked = {"independent": independent, "closure_tolerance_m": closure_tolerance_m, "solref": solref}
+    asked["friction_transition_deg_s"] = None if friction_transition is None else float(np.degrees(friction_transition))
     payload = payload_from(payload)
     name, model = compile_model(source, payload)
     set_softness(model, solref)
@@ -226,7 +235,8 @@ def load_mechanism(
         raise ModelError(f"model '{name}' has no joint: there is nothing to move")
     reference_qpos = _reference_qpos(model)
     pi = None if payload is None else ca.SX.sym("payload", len(payload.numbers()))
-    tree = build_tree(model, reference_qpos, _varied(model, pi))
+    transition = transition_speed(friction_transition)
+    tree = build_tree(model, reference_qpos, _varied(model, pi), transition)
     joints = read_joints(name, model, tree.coordinates)
     closures = read_closures(model, tree)
     actuators = read_actuators(model)
@@ -275,6 +285,7 @@ def load_mechanism(
         find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent) if closures else ((), [])
     )
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
+    notes += friction_notes(model, transition, extent)
     at_reference = numerical_rank(loop.residual(reference)[1] * unit, share)
     if loop.gap(loop.residual(reference)[0]) <= _CLOSED_REFERENCE_M and at_reference != rank:
         notes.append(f"the model's reference pose is singular: the closure has rank {at_reference} there and {rank} at home")
@@ -298,10 +309,11 @@ def load_mechanism(
         extent_m=extent,
         dynamics=dynamics,
         parametric=None if payload is None else parametric,
+        friction_transition=transition,
         coordinates=tree.coordinates,
         passive_dofs=passive_dofs,
         notes=tuple(notes),
-        source=_table_of(source, payload, home, independent, closure_tolerance_m, solref, joints),
+        source=source_table(source, payload, home, joints, asked),
     )
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
@@ -312,23 +324,6 @@ def _varied(model: mujoco.MjModel, numbers: ca.SX | None) -> dict[int, Inertial]
     """Return the inertial parameters that a payload's numbers (7,) are; none where there is no payload."""
     varied = {} if numbers is None else {model.body(BODY_NAME).id: numbers}
     return {body: Inertial(mass=pi[0], com=pi[1:4], inertia=ca.diag(pi[4:7])) for body, pi in varied.items()}
-
-
-def _table_of(
-    source, payload: Payload | None, home, independent, tolerance_m: float | None, solref, joints: tuple[Joint, ...]
-) -> dict[str, object]:
-    """Return what a mechanism is loaded from as the [mechanism] table of a problem file."""
-    table: dict[str, object] = {"model": str(source)}
-    if payload is not None:
-        table["payload"] = payload.table()
-    for joint in joints:
-        if home is not None and joint.name in home:
-            table.setdefault(f"home_{joint.unit}", {})[joint.name] = joint.shown(home[joint.name])
-    if independent is not None:
-        table["independent"] = list(independent)
-    if tolerance_m is not None:
-        table["closure_tolerance_m"] = tolerance_m
-    return table if solref is None else table | {"solref": solref}
 
 
 def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:

@@ -22,7 +22,7 @@ def stiff_time_constant_s(model: mujoco.MjModel) -> float:
 
 
 def set_softness(model: mujoco.MjModel, asked: object) -> None:
-    """Give a model's equality constraints the softness that is asked for: its own (None), or the stiffest ("stiff").
+    """Give a model's equality constraints and its dry friction the softness asked for: their own (None), or the stiffest.
 
     Raises:
         ModelError: for anything else.
@@ -36,3 +36,18 @@ def set_softness(model: mujoco.MjModel, asked: object) -> None:
         )
     model.eq_solref[:] = stiff_time_constant_s(model), 1.0
     model.eq_solimp[:] = np.array(STIFF_SOLIMP)
+    make_dry(model, model.dof_frictionloss > 0)
+    rubbing = model.tendon_frictionloss > 0
+    model.tendon_solref_fri[rubbing] = stiff_time_constant_s(model), 1.0
+    model.tendon_solimp_fri[rubbing] = np.array(STIFF_SOLIMP)
+
+
+def make_dry(model: mujoco.MjModel, dofs: np.ndarray) -> None:
+    """Make the dry friction of degrees of freedom (nv,) hard enough to be dry.
+
+    MuJoCo's gives way: below a speed of f R / b, f the friction, R = (1 - d) / d times the joint's inverse inertia and
+    b = 2 / (d tc) of its solref and solimp, it is viscous. With MuJoCo's defaults 0.4 N.m at the knee's coupler are so
+    below 9 rad/s, since its own inertia is small; a machine would creep where it sticks.
+    """
+    model.dof_solref[dofs] = stiff_time_constant_s(model), 1.0
+    model.dof_solimp[dofs] = np.array(STIFF_SOLIMP)

@@ -22,7 +22,7 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 ROOMS = {
     "models": (
         "errors", "interrupts", "names", "reading", "catalogue", "payload", "model_door", "library", "digest", "tree",
-        "closure", "reduction", "actuation", "audit", "stiffness", "mechanism", "poses",
+        "closure", "reduction", "actuation", "audit", "stiffness", "source_table", "mechanism", "poses",
     ),
     "planner": (
         "transcription", "trajectory", "keys", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain",

@@ -13,11 +13,10 @@ from linkplan.controllers.rollout import ControlLoop, admit, scaled_model
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.payload import BODY_NAME
+from linkplan.models.stiffness import make_dry
 
 # MuJoCo answers a loop constraint's time constant below this many steps by taking this many.
 _LEAST_STEPS = 2.0
-# MuJoCo's impedance (d0, d at the width, width) of dry friction that an imperfection adds: that of the built-in loops.
-_DRY = (0.999, 0.999, 0.001)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -78,16 +77,10 @@ def plant(
 
 
 def _rub(model: mujoco.MjModel, machine: Machine) -> None:
-    """Add dry friction, hard enough to be dry.
-
-    MuJoCo's gives way: below a speed of eta R / b, eta the friction, R = (1 - d) / d times the joint's inverse inertia and
-    b = 2 / (d tc) of its solref and solimp, it is viscous. With MuJoCo's defaults 0.4 N.m at the knee's coupler are so
-    below 9 rad/s, since its own inertia is small; a machine would creep where it sticks.
-    """
+    """Add dry friction, hard enough to be dry."""
     rubs = np.broadcast_to(machine.coulomb, (model.nv,)) > 0
     model.dof_frictionloss[:] += machine.coulomb
-    model.dof_solref[rubs] = (_LEAST_STEPS * float(model.opt.timestep), 1.0)
-    model.dof_solimp[rubs, :3] = _DRY
+    make_dry(model, rubs)
 
 
 def _stiffen(model: mujoco.MjModel, machine: Machine) -> None:

@@ -56,6 +56,7 @@ class ReducedDynamics:
     effort_map: ca.Function  # q -> Gamma^T B (n_s, n_u)
     inverse_dynamics: ca.Function  # q, v, a -> Gamma^T B u that the motion needs (n_s,)
     residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
+    sliding: ca.Function  # q, v, a, u -> the residual without dry friction, whose slope while things slide is none
     acceleration: ca.Function  # q, v, u -> a (n_s,)
     flow: ca.Function  # q, v, u -> q' (n_q,), v' (n_s,)
     closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N], the least that does it; zero on closures left out
@@ -70,8 +71,11 @@ class ReducedDynamics:
 
 @functools.lru_cache(maxsize=64)
 def _linearisation(dynamics: ReducedDynamics) -> ca.Function:
-    """Return it by the implicit function theorem: M_r da = -(dr/dq Gamma ds + dr/dv dv) + Gamma^T B du, r the residual."""
-    of = dynamics.residual
+    """Return it by the implicit function theorem: M_r da = -(dr/dq Gamma ds + dr/dv dv) + Gamma^T B du, r the residual.
+
+    Of a mechanism that slides: next to rest dry friction would count as damping that no machine has.
+    """
+    of = dynamics.sliding
     inputs = [ca.SX.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in())]
     q, v, _, u, *further = inputs
     left = of(*inputs)
@@ -135,8 +139,11 @@ def reduce_tree(
     if chosen:
         gamma[[int(i) for i in dependent]] = -solve(convective(q, rates))
 
-    tree_effort = ca.Function("tree_effort", [q, qd, qdd, *further], [tree.inverse_dynamics - tree.passive])
+    without = tree.inverse_dynamics - tree.passive
+    tree_effort = ca.Function("tree_effort", [q, qd, qdd, *further], [without - tree.friction])
+    sliding_effort = ca.Function("sliding_effort", [q, qd, qdd, *further], [without])
     needed = tree_effort(q, rates, gamma_map @ a + gamma, *further)
+    sliding = gamma_map.T @ sliding_effort(q, rates, gamma_map @ a + gamma, *further)
     B = effort_matrix
     inverse = gamma_map.T @ needed
     effort_map = gamma_map.T @ B
@@ -183,6 +190,7 @@ def reduce_tree(
         effort_map=function("effort_map", [q], effort_map),
         inverse_dynamics=function("inverse_dynamics", [q, v, a], inverse),
         residual=function("residual", [q, v, a, u], inverse - effort_map @ u),
+        sliding=function("sliding", [q, v, a, u], sliding - effort_map @ u),
         acceleration=function("acceleration", [q, v, u], acceleration),
         flow=function("flow", [q, v, u], rates, acceleration),
         closure_force=function("closure_force", [q, v, a, u], force),

@@ -16,7 +16,9 @@ import mujoco
 import numpy as np
 
 from linkplan.models.tree.coordinates import BALL, FREE, HINGE, SLIDE, Coordinates, read_coordinates, turned_quaternion
+from linkplan.models.tree.friction import TRANSITION, dry_friction
 from linkplan.models.tree.passive import disabled, joint_armature, joint_passive, tendon_inertias, tendon_passive
+from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import tendon_length
 
 
@@ -38,7 +40,7 @@ class Tree:
     """Expressions of a tree's dynamics over its symbols `q`, `qd`, `qdd` (n_q each).
 
     `inverse_dynamics` is M q'' + h without passive forces; `passive` is the generalised force of springs and dampers,
-    positive along +q. [N.m] on a hinge, [N] on a slide. `tendon_lengths` [m] holds None for a tendon whose length has no
+    positive along +q, `friction` that of dry friction. [N.m] on a hinge, [N] on a slide. `tendon_lengths` [m] holds None for a tendon whose length has no
     expression here.
     """
 
@@ -53,6 +55,7 @@ class Tree:
     bias: ca.SX
     gravity: ca.SX
     passive: ca.SX
+    friction: ca.SX
     kinetic_energy: ca.SX
     potential_energy: ca.SX
     velocity_matrix: ca.SX  # T (n_q, n_q), MuJoCo's qvel = T q'
@@ -110,13 +113,16 @@ def frame_in(tree: Tree, ancestor: int, body: int) -> Frame:
 
 
 def build_tree(
-    model: mujoco.MjModel, reference: np.ndarray | None = None, inertials: Mapping[int, Inertial] | None = None
+    model: mujoco.MjModel,
+    reference: np.ndarray | None = None,
+    inertials: Mapping[int, Inertial] | None = None,
+    transition: float = TRANSITION,
 ) -> Tree:
     """Return the symbolic dynamics of a model in its internal coordinates.
 
     On a hinge or slide q_i is MuJoCo's `qpos`, the joint's `ref` included; the rotation applied is qpos - qpos0. The charts
     of ball and free joints are centred at `reference` (nq,), a qpos, `qpos0` by default. Bodies in
-    `inertials` have those in place of the model's own.
+    `inertials` have those in place of the model's own. `transition` is the speed of dry friction, see `models.tree.friction`.
     """
     n_q = model.nv
     coordinates = read_coordinates(model, model.qpos0 if reference is None else reference)
@@ -164,6 +170,7 @@ def build_tree(
         bias=ca.substitute(tau, qdd, ca.SX.zeros(n_q)),
         gravity=weight - held,
         passive=passive + of_tendons + held,
+        friction=dry_friction(model, lengths, q, qd, velocity, T, transition, extent_m(model)),
         kinetic_energy=kinetic,
         potential_energy=potential + spring_energy + tendon_energy + carried,
         velocity_matrix=T,

@@ -60,6 +60,15 @@ class MechanismSection(Section, frozen=True):
     solref: Annotated[
         kinds.Softness, key("closures as stiff in simulation as the timestep admits", default="the model's own")
     ] = ABSENT
+    friction_transition_deg_s: Annotated[
+        kinds.Positive,
+        key(
+            "the speed v_0 about which dry friction f tanh(v / v_0) turns over; of slides and tendons as many rad/s times the"
+            " mechanism's size",
+            "deg/s",
+            "0.5",
+        ),
+    ] = ABSENT
 
 
 class ObjectiveSection(Section, frozen=True):

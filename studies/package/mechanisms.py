@@ -30,6 +30,7 @@ def load_mechanism(
     payload: str | Mapping | None = None,
     solref: str | None = None,
     closure_tolerance_m: float | None = None,
+    friction_transition_deg_s: float | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, its loops closed.
 
@@ -44,6 +45,8 @@ def load_mechanism(
         solref: "stiff" for the stiffest closures in simulation that the model's timestep admits; by default the model's own.
         closure_tolerance_m: the gap [m] up to which a motion that the file's rounding alone forbids is free; a micrometre
             by default, or a hundred thousandth of a small mechanism.
+        friction_transition_deg_s: the speed v_0 about which dry friction f tanh(v / v_0) turns over; 0.5 by default. On
+            slides and tendons as many rad/s times the mechanism's size.
 
     Raises:
         LinkplanError: when the model cannot be used (`ModelError`, naming why), its loops do not close at the pose asked
@@ -51,6 +54,7 @@ def load_mechanism(
     """
     said = {"home_deg": home_deg, "home_m": home_m, "independent": independent, "payload": payload, "solref": solref}
     said["closure_tolerance_m"] = closure_tolerance_m
+    said["friction_transition_deg_s"] = friction_transition_deg_s
     table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
     return mechanism_from_tables({"mechanism": plain(table)})
 
