@@ -218,7 +218,7 @@ def load_mechanism(
         closure_tolerance_m: the gap [m] up to which a motion that the file's rounding alone forbids is free; by default a
             micrometre, or a hundred thousandth of a small mechanism.
         friction_transition: the speed [rad/s; on a slide or tendon, of the mechanism's extent a second] about which dry
-            friction goes over from one direction to the other; by default half a degree a second.
+            friction goes over from one direction to the other; by default two degrees a second.
 
     Raises:
         ModelError: when the model cannot be used, or the named joints cannot be its coordinates.
@@ -227,7 +227,6 @@ def load_mechanism(
     if independent is not None:
         _names_of(independent)
     asked = {"independent": independent, "closure_tolerance_m": closure_tolerance_m, "solref": solref}
-    asked["friction_transition_deg_s"] = None if friction_transition is None else float(np.degrees(friction_transition))
     payload = payload_from(payload)
     name, model = compile_model(source, payload)
     set_softness(model, solref)
@@ -236,6 +235,8 @@ def load_mechanism(
     reference_qpos = _reference_qpos(model)
     pi = None if payload is None else ca.SX.sym("payload", len(payload.numbers()))
     transition = transition_speed(friction_transition)
+    if friction_transition is not None:
+        asked["friction_transition_deg_s"] = float(np.degrees(transition))
     tree = build_tree(model, reference_qpos, _varied(model, pi), transition)
     joints = read_joints(name, model, tree.coordinates)
     closures = read_closures(model, tree)

@@ -14,7 +14,7 @@ def source_table(
     joints: Sequence[Joint],
     asked: Mapping[str, object],
 ) -> dict[str, object]:
-    """Return the table of a model, its payload and where it is assembled, [rad or m], with other keys `asked`, but for None."""
+    """Return the table of a model, its payload, where it is assembled [rad or m], and other keys `asked` but for None."""
     table: dict[str, object] = {"model": str(source)}
     if payload is not None:
         table["payload"] = payload.table()

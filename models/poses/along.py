@@ -6,10 +6,13 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.friction import rubbing_of
 
 # Samples of a function of many outputs that are evaluated side by side: CasADi takes longer to lay out more of them, as one
 # sparse matrix, than it takes to evaluate them.
 _TOGETHER, _MANY = 32, 256
+# Many times the speed about which dry friction turns over: joints that move a hundredth as fast rub in full, too.
+_FAST = 1000.0
 
 
 @functools.lru_cache(maxsize=64)
@@ -47,6 +50,16 @@ def evaluated(function: ca.Function, *arguments: np.ndarray, outputs: int | None
 def joint_rates(mechanism: Mechanism, q: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Return every joint's speed q' = Gamma v (n, n_q)."""
     return np.einsum("kqs,ks->kq", sampled(mechanism.dynamics.velocity_map, q), v)
+
+
+def sliding_friction(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+    """Return the dry friction (n,) [N.m or N] against a mechanism of one degree of freedom moving at poses (n, n_q)."""
+    if not any(rubbing_of(mechanism.model)):
+        return np.zeros(len(q))
+    fast, still = np.full((len(q), 1), _FAST * mechanism.friction_transition), np.zeros((len(q), 1))
+    motion = (q, fast, still, np.zeros((len(q), mechanism.n_u)))
+    whole, without = (sampled(f, *motion)[:, 0, 0] for f in (mechanism.dynamics.residual, mechanism.dynamics.sliding))
+    return whole - without
 
 
 def needed_effort(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

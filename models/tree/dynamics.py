@@ -40,8 +40,8 @@ class Tree:
     """Expressions of a tree's dynamics over its symbols `q`, `qd`, `qdd` (n_q each).
 
     `inverse_dynamics` is M q'' + h without passive forces; `passive` is the generalised force of springs and dampers,
-    positive along +q, `friction` that of dry friction. [N.m] on a hinge, [N] on a slide. `tendon_lengths` [m] holds None for a tendon whose length has no
-    expression here.
+    positive along +q, `friction` that of dry friction. [N.m] on a hinge, [N] on a slide. `tendon_lengths` [m] holds None for
+    a tendon whose length has no expression here.
     """
 
     model: mujoco.MjModel
@@ -121,8 +121,8 @@ def build_tree(
     """Return the symbolic dynamics of a model in its internal coordinates.
 
     On a hinge or slide q_i is MuJoCo's `qpos`, the joint's `ref` included; the rotation applied is qpos - qpos0. The charts
-    of ball and free joints are centred at `reference` (nq,), a qpos, `qpos0` by default. Bodies in
-    `inertials` have those in place of the model's own. `transition` is the speed of dry friction, see `models.tree.friction`.
+    of ball and free joints are centred at `reference` (nq,), a qpos, `qpos0` by default. Bodies in `inertials` have those in
+    place of the model's own. `transition` is the speed of dry friction, see `models.tree.friction`.
     """
     n_q = model.nv
     coordinates = read_coordinates(model, model.qpos0 if reference is None else reference)

@@ -22,15 +22,15 @@ from linkplan.models.tree.coordinates import SLIDE, joint_label
 from linkplan.models.tree.passive import disabled
 from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label
 
-# The speed v_0 by default [rad/s; on a slide or tendon, a second's share of the model's extent]: half a degree a second.
-TRANSITION = np.radians(0.5)
+# The speed v_0 by default [rad/s; on a slide or tendon, a second's share of the model's extent]: two degrees a second.
+TRANSITION = np.radians(2.0)
 # What may be asked for: below, the law is a jump to every mesh; above, friction is viscous.
 _LEAST, _MOST = 1e-4, 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rubbing:
-    """One joint's degree of freedom, or a tendon, with dry friction: `force` [N.m or N], `turns` where its speed is an angle's."""
+    """One joint's degree of freedom, or a tendon, with dry friction: `force` [N.m or N], `turns` where it is a moment."""
 
     name: str
     force: float
@@ -70,8 +70,8 @@ def friction_notes(model: mujoco.MjModel, transition: float, extent_m: float) ->
     turning, sliding = (any(one.turns is turns for one in found) for turns in (True, False))
     speeds = [f"{np.degrees(transition):.3g} deg/s"] * turning + [f"{transition * extent_m:.3g} m/s"] * sliding
     text = (
-        f"dry friction ({each}) is planned as f tanh(v / v_0), v_0 = {' or '.join(speeds)}: in full where things move faster,"
-        " none at rest, where the effort alone holds (mechanism.friction_transition_deg_s)"
+        f"dry friction ({each}) is planned as f tanh(v / v_0), v_0 = {' or '.join(speeds)}: in full where things move"
+        " faster, none at rest, where the effort alone holds (mechanism.friction_transition_deg_s)"
     )
     ways = [(gives_way_below(model, one), one) for one in found]
     slow, worst = max(ways, key=lambda way: way[0] / (1.0 if way[1].turns else extent_m))

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.collisions import with_contacts
+from linkplan.planner.certificate.slow_friction import SLOW_SHARE, slow_share
 from linkplan.planner.closed_chain.case import is_exact
 from linkplan.planner.closed_chain.prescribed import reference_demand
 from linkplan.planner.plan import Plan, tracking_errors
@@ -57,6 +58,14 @@ def finished(
         if demand is not None:
             sentence += f"; {demand.sentence('the reference itself')}"
             details |= {"reference_needs": demand.needed, "reference_needs_at_s": demand.time_s}
+    slow = None if failure is not None else slow_share(problem.mechanism, trajectory)
+    if slow is not None and slow[0] > SLOW_SHARE:
+        share, joint = slow
+        details["slow_friction_share"] = share
+        sentence += (
+            f"; during {share:.0%} of it {joint} moves too slowly for its dry friction, which is less than nine tenths of"
+            " the model's there (mechanism.friction_transition_deg_s)"
+        )
     if failure is not None:
         return replace(plan, status="failed", message=f"failed: {failure}", details=details)
     return replace(plan, message=sentence, details=details)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
+from linkplan.models.tree.friction import rubbing_of
 from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
 from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate
 from linkplan.planner.closed_chain.guess import Guess, motion_of
@@ -127,6 +128,7 @@ def _aims(problem: PlanningProblem, *, kinks: bool) -> Aims:
         strictness=_strictness(problem),
         tolerance_given=problem.mesh.tolerance_deg is not None,
         objective_tolerance=_OBJECTIVE if switches and (lines or bent) else None,
+        layers=any(rubbing_of(problem.mechanism.model)),  # where dry friction turns over
     )
 
 

@@ -78,7 +78,7 @@ EXAMPLES: Mapping[str, Example] = {
     "mechanism.independent": _example("[{independent}]"),
     "mechanism.closure_tolerance_m": _example("1e-6"),
     "mechanism.solref": _example('"stiff"', "closure"),
-    "mechanism.friction_transition_deg_s": _example("0.5"),
+    "mechanism.friction_transition_deg_s": _example("2.0"),
     "motion.kind": _example('"reach"'),
     "motion.start_deg": _example("{ {free_hinge} = {free_hinge_home} }", "free_hinge"),
     "motion.start_m": _example("{ {free_slide} = {free_slide_home} }", "free_slide"),

@@ -63,10 +63,10 @@ class MechanismSection(Section, frozen=True):
     friction_transition_deg_s: Annotated[
         kinds.Positive,
         key(
-            "the speed v_0 about which dry friction f tanh(v / v_0) turns over; of slides and tendons as many rad/s times the"
-            " mechanism's size",
+            "the speed v_0 about which dry friction f tanh(v / v_0) turns over; of slides and tendons as many rad/s times"
+            " the mechanism's size",
             "deg/s",
-            "0.5",
+            "2",
         ),
     ] = ABSENT
 

@@ -198,6 +198,7 @@ def refine(
             break
         # What errs on each finer mesh by as much as before is another motion on each.
         wandering = marked.any() and at.findings is not None and not at.findings.exact and not falls and not over.any()
+        wandering = wandering and not aims.layers
         if n_finer > finest or ((passed is not None or wandering) and not aims.tolerance_given and n_finer > _COMFORTABLE):
             if loose and at.passed and polished < _POLISHED and is_bang_bang(case, solution.transcribed):
                 # Its switches lie inside intervals, which no finer mesh will part: they are read from a motion that passes.

@@ -9,7 +9,7 @@ from math import inf, sqrt
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import sampled
+from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -20,6 +20,8 @@ _EVEN = 0.5
 _TURNS = 2.0 * np.pi
 # And anything without an end, so many times the way between start and goal.
 _SPANS = 1.5
+# What is left of the difference of two frictions below this share of them is rounding, or their rolling over at low speeds.
+_NOTHING = 1e-6
 # Room kept to the ends of the reach, as a share of it.
 _ROOM = 1e-3
 
@@ -28,7 +30,7 @@ _ROOM = 1e-3
 class Plane:
     """A grid over s: positions (n,) of cell ends, and there the reduced inertia and its energy's gains.
 
-    d(M w)/ds = dW[direction]/ds + drag v, exact but for dampers that are not linear.
+    d(M w)/ds = dW[direction]/ds + drag v - rub along the motion, exact but for dampers that are not linear.
     """
 
     s: np.ndarray
@@ -37,13 +39,14 @@ class Plane:
     work: dict[int, list[float]]  # W of weight, springs and full effort in direction +1 or -1, from the first position
     force: dict[int, list[float]]  # dW/ds
     drag: list[float]  # M da/dv
+    rub: list[float]  # dry friction
     top: dict[int, list[float]]  # largest w in either direction from which full effort keeps the speed limits further on
     effort: dict[int, np.ndarray]  # (2 n - 1, n_u) that pushes so, at ends and middles in turn
 
     @property
     def undamped(self) -> bool:
-        """Whether no damper takes energy anywhere."""
-        return not any(self.drag)
+        """Whether no damper and no dry friction takes energy anywhere."""
+        return not any(self.drag) and not any(self.rub)
 
     def at(self, place: float) -> int:
         """Return the cell end at a place."""
@@ -60,17 +63,18 @@ class Plane:
         sign, work, at = (-step if backwards else step), self.work[effort], start
         inertia, drags, top, cells, n = self.inertia, self.drag, self.top[sign], self.cells, len(self.inertia)
         values, energy = [float(w)], inertia[start] * w
-        if not w and step * self.force[effort][start] <= 0:
+        rub = self.rub
+        if not w and step * (self.force[effort][start] - sign * rub[start]) <= 0:
             return np.array(values)  # rest is not left that way, however soon the way would be open again
         if below is None and self.undamped and np.all(np.isinf(self.top[sign])):
             return self._free_leg(start, w, step, effort)
         while 0 <= at + step < n:
             over = at + step
             h = cells[at] if step > 0 else -cells[over]
-            drag = sign * drags[at] * sqrt(2 * w)
+            drag = sign * (drags[at] * sqrt(2 * w) - rub[at])
             free = energy + work[over] - work[at]
             ahead = max(free + h * drag, 0.0) / inertia[over]
-            energy = free + 0.5 * h * (drag + sign * drags[over] * sqrt(2 * ahead))
+            energy = free + 0.5 * h * (drag + sign * (drags[over] * sqrt(2 * ahead) - rub[over]))
             if energy <= 0 or top[over] <= 0:
                 break
             at, w = over, min(energy / inertia[over], top[over], inf if below is None else float(below[over]))
@@ -173,6 +177,7 @@ def plane_of(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: 
     force = {way: inertia * still + (maps * u).sum(axis=1) for way, u in effort.items()}
     gains = {way: np.diff(s) * (f[:-2:2] + 4 * f[1::2] + f[2::2]) / 6 for way, f in force.items()}
     works = {way: np.concatenate([[0.0], np.cumsum(gain)]) for way, gain in gains.items()}
+    rub = sliding_friction(problem.mechanism, poses)
     fastest = _top(problem, poses[::2])
     return Plane(
         s=s,
@@ -180,10 +185,19 @@ def plane_of(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: 
         inertia=inertia[::2].tolist(),
         work={way: work.tolist() for way, work in works.items()},
         force={way: f[::2].tolist() for way, f in force.items()},
-        drag=(0.5 * inertia * (ahead - back))[::2].tolist(),
+        drag=_drag(0.5 * inertia * (ahead - back), rub)[::2].tolist(),
+        rub=rub[::2].tolist(),
         top={way: _kept(fastest, inertia[::2], works[-way], way) for way in effort},
         effort=effort,
     )
+
+
+def _drag(both: np.ndarray, rub: np.ndarray) -> np.ndarray:
+    """Return M da/dv (n,) of dampers, out of what these and dry friction come to at a speed of one, both ways."""
+    if not rub.any():
+        return both
+    damped = np.minimum(both + rub, 0.0)
+    return np.where(damped < -_NOTHING * rub, damped, 0.0)
 
 
 def _top(problem: PlanningProblem, poses: np.ndarray) -> np.ndarray:

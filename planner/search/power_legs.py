@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import sampled
+from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.phase_plane import Guess, Part, parts_of
@@ -144,8 +144,9 @@ def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> _Fie
     still, fast, back = (
         inertia * sampled(dynamics.acceleration, q, np.full((_POSES, 1), v), none)[:, 0, 0] for v in (0.0, 1.0, -1.0)
     )
-    values = np.column_stack([inertia, still, 0.5 * (fast + back) - still, 0.5 * (fast - back), maps])
-    way = float(np.sign(goal - start))
+    way, rub = float(np.sign(goal - start)), sliding_friction(problem.mechanism, q)
+    square, linear = 0.5 * (fast + back) - still, 0.5 * (fast - back) + rub
+    values = np.column_stack([inertia, still - way * rub, square, linear, maps])
     curves = scipy.interpolate.PchipInterpolator(place[:: int(way)], values[:: int(way)])
     return _Field(curves=curves, effort=problem.limits.effort, power=problem.limits.power, way=way)
 

@@ -45,7 +45,7 @@ def load_mechanism(
         solref: "stiff" for the stiffest closures in simulation that the model's timestep admits; by default the model's own.
         closure_tolerance_m: the gap [m] up to which a motion that the file's rounding alone forbids is free; a micrometre
             by default, or a hundred thousandth of a small mechanism.
-        friction_transition_deg_s: the speed v_0 about which dry friction f tanh(v / v_0) turns over; 0.5 by default. On
+        friction_transition_deg_s: the speed v_0 about which dry friction f tanh(v / v_0) turns over; 2 by default. On
             slides and tendons as many rad/s times the mechanism's size.
 
     Raises:

@@ -246,10 +246,8 @@ def test_every_error_is_a_linkplan_error(kind):
 # What the reduced dynamics leave out is named
 
 LEFT_OUT = {
-    "frictionloss": ('name="ja"', 'name="ja" frictionloss="0.2"', ["frictionloss", "ja"], True),
     "springyield": ('name="ja"', 'name="ja" stiffness="1" springyield="1"', ["springyield", "ja"], True),
     "tendon armature": ('name="cable"', 'name="cable" armature="3"', ["armature", "cable"], True),
-    "tendon frictionloss": ('name="cable"', 'name="cable" frictionloss="1"', ["frictionloss", "cable"], True),
     "fluid": ("<worldbody>", '<option density="1.2"/><worldbody>', ["fluid"], True),
     "viscosity": ("<worldbody>", '<option viscosity="1.2"/><worldbody>', ["fluid"], True),
     "servo": ("</tendon>", '</tendon><actuator><position name="servo" joint="ja"/></actuator>', ["servo"], False),

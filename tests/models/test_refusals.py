@@ -131,8 +131,6 @@ def test_a_model_that_cannot_be_used_is_refused_in_one_line_with_the_reason(text
 
 # name: (MJCF, words of what is named; all make plans false)
 FALSE = {
-    "friction": (replaced(WELDED, 'name="O"', 'name="O" frictionloss="0.1"'), ["frictionloss", "O"]),
-    "ball friction": (replaced(RSSR, 'type="ball"', 'type="ball" frictionloss="0.1"'), ["frictionloss", "rod"]),
     "ball spring": (replaced(RSSR, 'type="ball"', 'type="ball" stiffness="2"'), ["stiffness", "ball", "rod"]),
     "ball range": (replaced(RSSR, 'type="ball"', 'type="ball" range="0 1"'), ["range", "ball", "rod"]),
     "a damped motor on a ball": (
@@ -154,10 +152,6 @@ FALSE = {
     "yielding spring": (
         replaced(GRIPPER, 'name="crank_r" stiffness="0.05"', 'name="crank_r" springyield="1" stiffness="0.05"'),
         ["springyield", "crank_r"],
-    ),
-    "tendon friction": (
-        replaced(GRIPPER, '<fixed name="split">', '<fixed name="split" frictionloss="1">'),
-        ["frictionloss", "split"],
     ),
     "water": (replaced(LEG, "<worldbody>", '<option density="1000"/><worldbody>'), ["fluid"]),
     "wind": (replaced(LEG, "<worldbody>", '<option wind="1 0 0"/><worldbody>'), ["fluid"]),

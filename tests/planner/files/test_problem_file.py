@@ -145,7 +145,10 @@ FRICTION = """<mujoco><worldbody><body name="arm"><joint name="J" type="hinge" a
 <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody><equality/>
 <actuator><motor name="motor" joint="J" ctrlrange="-4 4"/></actuator></mujoco>"""
 MODELS = {
-    "frictionloss": (FRICTION, ["frictionloss 0.5 of joint J", "does not honour"]),
+    "springyield": (
+        FRICTION.replace('frictionloss="0.5"', 'stiffness="1" springyield="1"'),
+        ["springyield of joint J", "does not honour"],
+    ),
     "no actuator": (
         FRICTION.replace(' frictionloss="0.5"', "").replace('<motor name="motor" joint="J" ctrlrange="-4 4"/>', ""),
         ["no usable actuator"],
