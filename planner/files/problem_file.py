@@ -122,6 +122,7 @@ def problem_from_tables(
         reference=reference,
         guess=_guess(guess, tables, mechanism, folder),
         contacts=limited.contacts,
+        unhonoured=limited.unhonoured,
         mesh=MeshSettings(**_mesh(tables.get("mesh", {}), objective, rated="effort_rate" in tables.get("limits", {}))),
         solver=SolverSettings(**tables.get("solver", {})),
         tracking=_tracking(tables.get("tracking", {}), mechanism),

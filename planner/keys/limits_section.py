@@ -67,6 +67,9 @@ class LimitsSection(Section, frozen=True):
     contacts: Annotated[
         kinds.Contacts, key("a plan on whose way geoms meet is refused, or noted and planned without their forces")
     ] = "refuse"
+    unhonoured: Annotated[
+        kinds.Contacts, key("a model with forces that plans do not honour is refused, or they are noted and left out")
+    ] = "refuse"
 
 
 class MotorSection(Section, frozen=True):

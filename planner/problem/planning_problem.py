@@ -53,6 +53,7 @@ class PlanningProblem:
     motors: tuple[Motor | None, ...] = ()
     reference: Sine | None = None
     guess: GuessedPath | Trajectory | None = None
+    unhonoured: str = "refuse"  # a model with forces that plans do not honour, or "note" them and leave them out
     contacts: str = "refuse"  # a plan whose geoms meet on the way, or "note" them and plan without their forces
     mesh: MeshSettings = field(default_factory=MeshSettings)
     solver: SolverSettings = field(default_factory=SolverSettings)
@@ -77,13 +78,14 @@ class PlanningProblem:
         object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)
         object.__setattr__(self, "tracking", self.tracking.tracked())
         checked("limits.contacts", self.contacts)
+        checked("limits.unhonoured", self.unhonoured)
         motion, objective = self.motion, self.objective
         falsifying = _falsifying(self.mechanism)
-        if falsifying:
+        if falsifying and self.unhonoured == "refuse":
             raise ProblemError(
                 f"mechanism '{self.mechanism.name}' cannot be planned, its model has forces that the planner does not"
                 " honour:"
-                f" {'; '.join(falsifying)}"
+                f' {"; ".join(falsifying)} (limits.unhonoured = "note" plans without them)'
             )
         if self.mechanism.n_u == 0:
             raise ProblemError(f"mechanism '{self.mechanism.name}' has no usable actuator; a plan needs one")
@@ -243,8 +245,11 @@ class PlanningProblem:
 
     @property
     def not_honoured(self) -> tuple[str, ...]:
-        """What the model says that plans leave out without becoming false, each in a few words."""
-        return tuple(item.text for item in audit(self.mechanism.model))
+        """What the model says that plans leave out, each in a few words; what makes them false is called so."""
+        found = audit(self.mechanism.model)
+        return tuple(
+            f"left out of the plan, which is false by it: {one.text}" if one.falsifies else one.text for one in found
+        )
 
 
 @functools.lru_cache(maxsize=16)
