@@ -394,7 +394,7 @@ def test_what_is_not_honoured_is_left_out_on_request_and_said_in_the_plan():
         "mechanism": {"model": airy},
         "motion": {"kind": "reach", "start_deg": {"J": 0}, "goal_deg": {"J": 9}, "duration_s": 1.0},
     }
-    with pytest.raises(ProblemError, match="limits.unhonoured"):
+    with pytest.raises(ProblemError, match=r"limits\.unhonoured"):
         problem_from_tables("airy", tables)
     problem = problem_from_tables("airy", tables | {"limits": {"unhonoured": "note"}})
     (said,) = problem.not_honoured
