@@ -11,12 +11,14 @@ zeros where they are:
   leg's axes and not the world's, so that a planar loop keeps its two independent rows however the leg turns.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import mujoco
 import numpy as np
 
+from linkplan.models.closure.second_pin import across
 from linkplan.models.errors import ModelError
 from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in, product
 from linkplan.models.tree.size import extent_m
@@ -114,8 +116,48 @@ def _seen(model: mujoco.MjModel, tree: Tree, bodies: list[int]) -> tuple[int, li
 def _connect(model: mujoco.MjModel, tree: Tree, index: int):
     ends = tied_points(model, index)
     frame, frames = _seen(model, tree, [body for body, _ in ends])
-    first, second = (f.p_world_B + f.R_world_B @ ca.DM(p) for f, (_, p) in zip(frames, ends, strict=True))
+    first, second = _places(frames, ends)
+    beside = pin_beside(model, index)
+    if beside is not None:
+        before = _in_order(tied_points(model, beside), ends)
+        own = np.array([[place for _, place in pin] for pin in (before, ends)])
+        apart = across(_places(frames, before), (first, second), own, tree.q)
+        if apart is not None:
+            yield "point", apart, frame, 1.0, None
+            return
     yield "point", first - second, frame, 1.0, None
+
+
+def pin_beside(model: mujoco.MjModel, index: int) -> int | None:
+    """Return the first active connect between the bodies that a connect ties, where that is an earlier one, else None."""
+    bodies = sorted(body for body, _ in tied_points(model, index))
+    if int(model.eq_type[index]) != CONNECT or bodies[0] == bodies[1]:
+        return None
+    for other in range(index):
+        if not model.eq_active0[other] or int(model.eq_type[other]) != CONNECT:
+            continue
+        if sorted(body for body, _ in tied_points(model, other)) == bodies:
+            return other
+    return None
+
+
+def pins_together(model: mujoco.MjModel, closures: Sequence[Closure]) -> list[list[int]]:
+    """Return the rows of phi by closure, and after them those of pins that make a hinge together."""
+    rows = [(gap, list(range(gap.rows.start, gap.rows.stop))) for gap in closures]
+    of = {gap.index: own for gap, own in rows if gap.kind == "point"}
+    beside = [(gap.index, pin_beside(model, gap.index)) for gap in closures if gap.kind == "point"]
+    pairs = [of[first] + of[index] for index, first in beside if first in of]
+    return [own for _, own in rows] + pairs
+
+
+def _places(frames: list[Frame], ends: list[tuple[int, np.ndarray]]) -> tuple[ca.SX, ca.SX]:
+    first, second = (f.p_world_B + f.R_world_B @ ca.DM(p) for f, (_, p) in zip(frames, ends, strict=True))
+    return first, second
+
+
+def _in_order(pin: list[tuple[int, np.ndarray]], of: list[tuple[int, np.ndarray]]) -> list[tuple[int, np.ndarray]]:
+    """Return a pin's two ends in the order in which another names the bodies."""
+    return pin if pin[0][0] == of[0][0] else pin[::-1]
 
 
 def _weld(model: mujoco.MjModel, tree: Tree, index: int):

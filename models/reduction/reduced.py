@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 import casadi as ca
 import numpy as np
 
-from linkplan.models.closure.equations import Closure
+from linkplan.models.closure.equations import Closure, pins_together
 from linkplan.models.closure.redundancy import ProjectedLoops, combination, jacobians_at_random
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.dynamics import Tree
@@ -160,7 +160,7 @@ def reduce_tree(
             force = E.T @ held
         whole = {row for loop in projected for row in loop.rows}  # their forces are the least already
         kept = [row for row in range(phi.numel()) if row in whole or row in chosen]
-        force = _least_norm(ca.Function("J", [q], [ca.densify(jacobian)]), kept, [c.rows for c in closures]) @ force
+        force = _least_norm(ca.Function("J", [q], [ca.densify(jacobian)]), kept, pins_together(tree.model, closures)) @ force
     limited = ca.vertcat(ca.SX(0, 1), *[tree.tendon_lengths[tendon.index] for tendon in limited_tendons(tree.model)])
     kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
@@ -233,7 +233,7 @@ def _solve(A: ca.SX, b: ca.SX) -> ca.SX:
     return factorise(A)(b)
 
 
-def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[slice]) -> ca.DM:
+def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[list[int]]) -> ca.DM:
     """Return the matrix (n_rows, n_rows) from forces on the chosen rows to the least forces on all rows that do the same.
 
     In a planar loop one of a connect's three rows depends on the other two, J_c = C J_chosen with C constant; then
@@ -243,8 +243,7 @@ def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[slice]) -> 
     n_rows = jacobian.size1_out(0)
     spread = np.eye(n_rows)
     samples = jacobians_at_random(jacobian)
-    for gap in gaps:
-        of = list(range(gap.start, gap.stop))
+    for of in gaps:
         kept = [row for row in of if row in chosen]
         if not kept or len(kept) == len(of):
             continue
