@@ -10,7 +10,7 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.compare.compare import rollout_record, track
-from tests.support.spins import BUSH, FIXED_BUSH, ON_A_BALL, ROUND, SPINS
+from tests.support.spins import BUSH, FIXED_BUSH, ON_A_BALL, ROUND, SPINS, TWO_BALLS
 
 # Least effort with a bush left alone and with one fixed to the coupler, relative: what its drag and its moment of inertia
 # take. Measured 7e-4; held at both ends it takes 15 times as much.
@@ -83,6 +83,14 @@ def test_a_spatial_four_bar_is_planned_and_tracked_through_two_turns():
     assert np.degrees(np.abs(rollout.error[:, 0]).max()) < TRACKED_DEG
     assert np.degrees(np.abs(rollout.error[:, 1]).max()) < SPUN_DEG
     assert abs(spun_deg(plan)) > 10
+
+
+@pytest.mark.slow
+def test_a_spatial_four_bar_whose_rocker_is_hinged_by_two_connects_is_planned_through_a_turn():
+    motion = {"kind": "reach", "start_deg": {"O": 0.0}, "goal_deg": {"O": 360.0}, "duration_s": 0.3}
+    plan = planned(TWO_BALLS, motion, mesh={"intervals": 40, "scheme": "radau-5"}, solver={"max_time_s": 3600})
+    assert plan.certificate.passed
+    assert not plan.problem.mechanism.dynamics.projected
 
 
 @pytest.mark.slow
