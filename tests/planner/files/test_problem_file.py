@@ -386,18 +386,3 @@ def test_a_name_that_is_no_independent_joint_is_refused(value, words):
     with pytest.raises(LinkplanError) as raised:
         load_problem(REACH, [f"mechanism.independent={value}"])
     assert_one_line(raised.value, words)
-
-
-def test_what_is_not_honoured_is_left_out_on_request_and_said_in_the_plan():
-    airy = FRICTION.replace("<equality/>", "").replace("<mujoco>", '<mujoco><option density="1.2"/>')
-    tables = {
-        "mechanism": {"model": airy},
-        "motion": {"kind": "reach", "start_deg": {"J": 0}, "goal_deg": {"J": 9}, "duration_s": 1.0},
-    }
-    with pytest.raises(ProblemError, match=r"limits\.unhonoured"):
-        problem_from_tables("airy", tables)
-    problem = problem_from_tables("airy", tables | {"limits": {"unhonoured": "note"}})
-    (said,) = problem.not_honoured
-    assert "false" in said
-    assert "fluid forces" in said
-    assert problem.mechanism.model.opt.density == 1.2, "the simulator keeps it"
