@@ -129,7 +129,7 @@ def dry_friction(
         slowest = transition * (1.0 if one.turns else extent_m)
         if one.dof is not None:
             at_joints[one.dof] -= one.force * ca.tanh(velocity[one.dof] / slowest)
-        elif (length := lengths[one.tendon]) is not None:
+        elif one.tendon is not None and (length := lengths[one.tendon]) is not None:
             arm = ca.jacobian(length, q)
             force -= arm.T * one.force * ca.tanh(arm @ qd / slowest)
     return force + T.T @ at_joints
