@@ -1,6 +1,5 @@
 """Choosing among names: one line with what was asked, what is legal, and the nearest legal name."""
 
-import difflib
 from collections.abc import Iterable
 
 from linkplan.models.errors import ModelError
@@ -28,6 +27,8 @@ def closest(asked: str, legal: Iterable[str]) -> str | None:
     in_our_units = "_".join(_UNITS.get(part, part) for part in str(asked).casefold().split("_"))
     if in_our_units in folded:
         return folded[in_our_units]
+    import difflib
+
     matches = difflib.get_close_matches(str(asked).casefold(), list(folded), n=1, cutoff=_CLOSE)
     return folded[matches[0]] if matches else None
 

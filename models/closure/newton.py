@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
-import scipy
 
 from linkplan.models.closure.rank import RANK_TOLERANCE
 
@@ -77,6 +76,7 @@ def close(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> tuple[np.n
 
 def least_gap(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> float:
     """Return the smallest gap [m] found near `start` where a loop does not close: what stays open at the best."""
+    import scipy
 
     def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         q = np.array(start, dtype=float)

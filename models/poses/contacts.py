@@ -8,7 +8,6 @@ import copy
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from itertools import pairwise
-from xml.sax.saxutils import quoteattr
 
 import mujoco
 import numpy as np
@@ -261,6 +260,8 @@ def _bodies(model: mujoco.MjModel, pair: Pair) -> tuple[str, str]:
 
 def exclusion(bodies: tuple[str, str]) -> str:
     """Return the line of MJCF by which two bodies pass each other, to stand in <contact>."""
+    from xml.sax.saxutils import quoteattr  # loads Python's client of HTTP with it
+
     one, other = (quoteattr(body) for body in bodies)
     return f"<exclude body1={one} body2={other}/>"
 

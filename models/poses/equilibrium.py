@@ -9,7 +9,6 @@ hold everything but what lies in the null space of their effort map R (n_s, n_u)
 from collections.abc import Mapping
 
 import numpy as np
-import scipy
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
@@ -42,6 +41,8 @@ def resting(mechanism: Mechanism, named: Mapping[int, float], unnamed: tuple[int
         named: positions by column of s; what is neither named nor unnamed stands at home.
         unnamed: columns to be found, from home.
     """
+    import scipy
+
     base = mechanism.home[mechanism.independent].copy()
     for column, value in named.items():
         base[column] = value

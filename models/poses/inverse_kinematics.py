@@ -12,7 +12,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import scipy
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
@@ -118,6 +117,8 @@ def independent_rows_of(mechanism: Mechanism, targets: SiteTargets, pose: np.nda
     Their number is the rank of what is asked, the largest of several poses about it: a leg stretched out to its full length
     loses rank in that pose alone. Passive degrees of freedom count for nothing.
     """
+    import scipy
+
     rows = np.flatnonzero(targets.given)
     best: np.ndarray = np.zeros(0, dtype=int)
     for q in _about(mechanism, pose, ranges):
@@ -215,6 +216,8 @@ def _descended(mechanism: Mechanism, targets: SiteTargets, start: np.ndarray, ra
 
 def _step(J: np.ndarray, r: np.ndarray, damping: float, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the step d (n_s,) within [low, high] at which |r + J d|^2 + damping |d|^2 is least."""
+    import scipy
+
     stacked = np.vstack([J, np.sqrt(damping) * np.eye(len(low))])
     wanted = np.concatenate([-r, np.zeros(len(low))])
     step = np.linalg.lstsq(stacked, wanted, rcond=None)[0]

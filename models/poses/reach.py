@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import scipy
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
@@ -119,6 +118,8 @@ def _way(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> np.ndarray |
 
 def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:
     """Return the poses inside a reach at which J_z loses rank though no determinant changes sign."""
+    import scipy
+
     index, found = int(mechanism.independent[coordinate]), []
     for k in dips(mechanism, poses):
         # Next to such a pose Newton has no ground; the motion is smooth, and a spline of its neighbours exact enough.
@@ -221,6 +222,8 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
 
 def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:
     """Return the pose with phi = 0 and det J_z = 0 next to `near`; `near` itself where that does not converge."""
+    import scipy
+
     index = int(mechanism.independent[coordinate])
     free = [*[int(i) for i in mechanism.dependent], index]
     at_home, here = (np.array(mechanism.dynamics.block_singularity(q)).ravel() for q in (mechanism.home, near))

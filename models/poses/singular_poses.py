@@ -7,7 +7,6 @@ show either, also where det J_z touches zero without a change of sign, two loops
 """
 
 import numpy as np
-import scipy
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
@@ -135,6 +134,8 @@ def _semidefinite(forms: np.ndarray) -> np.ndarray | None:
 
     The least eigenvalue is a concave function of the combination: its largest is found, and not a local one.
     """
+    import scipy
+
     traces = np.trace(forms, axis1=1, axis2=2)
     if np.abs(traces).max() < _FLAT:
         return None

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 
 import casadi as ca
 import numpy as np
-import scipy
 
 from linkplan.models.interrupts import check
 from linkplan.models.poses.along import evaluated
@@ -42,6 +41,8 @@ def flow(rate: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, unti
 
     `until` is on the monotonic clock [s]: what is not done by then has failed.
     """
+    import scipy
+
     atol = _ATOL * np.maximum(1.0, np.abs(state))
     # An infeasible motion may diverge: the outcome shows it, and needs no warnings.
     with np.errstate(all="ignore"):

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
@@ -174,6 +173,8 @@ def users_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
 
 def _splined(times: np.ndarray, s: np.ndarray, start_pose: np.ndarray, boundaries_s: np.ndarray | None) -> Guess:
     """Return the cubic spline through positions (n, n_s) at times (n,) as a guess."""
+    import scipy
+
     spline = scipy.interpolate.CubicSpline(times, s)
     guess = _guess_along(spline, float(times[-1]), start_pose)
     return replace(guess, boundaries_s=boundaries_s)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 
 from linkplan.models.poses.along import joint_rates, needed_effort
 from linkplan.models.poses.assembly import follow
@@ -127,6 +126,8 @@ def reference_demand(problem: PlanningProblem, start_pose: np.ndarray) -> Demand
 
     The largest excess relative to its limit; its instant is refined to the reference's own peak.
     """
+    import scipy
+
     mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
     duration = problem.motion.duration_s or reference.period_s
     time = np.linspace(0.0, duration, 2001)

@@ -7,7 +7,6 @@ longer. The shortest way over a grid of places, the leg from start to goal left 
 """
 
 import numpy as np
-import scipy
 
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.phase_grid import Plane, grid_of, plane_of
@@ -27,6 +26,8 @@ def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s:
         start_pose: closed (n_q,), at the start.
         duration_s: of a motion that is a local optimum.
     """
+    import scipy
+
     motion = problem.motion
     if motion.kind != "reach" or motion.stays or motion.waypoints or not np.all(np.isfinite(problem.limits.effort)):
         return True

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
 
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.problem.motion import Motion
@@ -209,6 +208,8 @@ def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: i
 
 def _guess(plane: Plane, parts: list[Part], ways: list, start_pose: np.ndarray) -> Guess:
     """Return parts' legs as a guess: position and velocity by Hermite cubics over time, efforts as they push."""
+    import scipy
+
     visited, times, v, pushes, boundaries = [plane.at(parts[0].places[0])], [0.0], [parts[0].speeds[0]], [], [0]
     for part, legs in zip(parts, ways, strict=True):
         for index, w, effort in legs:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled, sliding_friction
@@ -77,6 +76,8 @@ class _Leg:
 
     def time_at(self, place: float) -> float:
         """Return when it passes a place [s]."""
+        import scipy
+
         return float(scipy.optimize.brentq(lambda t: self.state(t)[0] - place, self.begin, self.end, xtol=1e-15))
 
     def speed_at(self, place: float) -> float:
@@ -135,6 +136,8 @@ def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
 
 def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> _Field:
     """Return what effort and power allow between the first place of a part and its last."""
+    import scipy
+
     dynamics, start, goal = problem.mechanism.dynamics, part.places[0], part.places[-1]
     place = np.linspace(start, goal, _POSES)
     there = follow(problem.mechanism, np.linspace(problem.motion.start[0], start, _POSES)[:, None], start_pose)[-1]
@@ -153,6 +156,8 @@ def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> _Fie
 
 def _legs(field: _Field, part: Part, later: float) -> list[_Leg] | None:
     """Return the leg up to the switch and the one from there, the first begun `later` [s]; None where they do not meet."""
+    import scipy
+
     start, goal, way = part.places[0], part.places[-1], field.way
     values = field.curves(np.linspace(start, goal, _POSES))
     span, force = abs(goal - start), np.abs(values[:, 1]) + np.abs(values[:, 4:]) @ np.abs(field.effort).max(axis=1)

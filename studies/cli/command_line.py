@@ -2,7 +2,6 @@
 
 import argparse
 
-from linkplan.controllers.controls import keys_said
 from linkplan.studies.cli.parser import NoParser, Parser
 from linkplan.studies.cli.shells import SHELLS
 from linkplan.studies.export.formats import FORMATS
@@ -137,7 +136,10 @@ def build_parser(only: str | None = None) -> Parser:
     tune.add_argument("--sensitivity-peak", type=float, metavar="M", help="largest |S| allowed (default: any)")
 
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
-    view.epilog = f"keys in the window: {keys_said()}\n\n{EPILOG}"
+    if only in (None, "view"):
+        from linkplan.controllers.controls import keys_said
+
+        view.epilog = f"keys in the window: {keys_said()}\n\n{EPILOG}"
     view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _anyway(view)
     _tracker(view)

@@ -4,6 +4,7 @@ import argparse
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +19,9 @@ from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.exit_codes import NO
 from linkplan.studies.cli.printing import show
 from linkplan.studies.cli.progress import Progress
-from linkplan.studies.tasks.cluster import cluster
-from linkplan.studies.tasks.engine import MOST_WORKERS, Engine, processes
+
+if TYPE_CHECKING:
+    from linkplan.studies.tasks.engine import Engine
 
 # Options that say what else is in a result's folder.
 _WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
@@ -60,8 +62,11 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
     return target
 
 
-def engine_asked(arguments: argparse.Namespace) -> Engine:
+def engine_asked(arguments: argparse.Namespace) -> "Engine":
     """Return what --workers or --cluster asks to run tasks on."""
+    from linkplan.studies.tasks.cluster import cluster
+    from linkplan.studies.tasks.engine import MOST_WORKERS, processes
+
     if arguments.cluster is not None:
         if arguments.workers is not None:
             raise ProblemError("--workers are processes of this machine and --cluster has its own; say one of them")
