@@ -20,6 +20,8 @@ _NEWTON_STEPS = 3
 # pose few strides are regular.
 _STRETCHES = (1, 4, 16, 64, 128, 256)
 _FIRST = 16
+# A stretch of more numbers than this takes CasADi longer to lay out than several shorter ones to call.
+_MOST_NUMBERS = 40_000
 # A stride is regular where Newton corrects its predictor by less than this share of the step,
 MOST_CORRECTED = 0.25
 # and Gamma turns by less than this share of its size.
@@ -31,14 +33,16 @@ def stride_along(mechanism: Mechanism, q: np.ndarray, positions: np.ndarray, ste
 
     Positions are at most a step (`step_size`, (n_q,) [rad or m]) apart.
     """
-    if not len(mechanism.dependent):
-        poses = np.empty((len(positions), mechanism.n_q))
+    moved = np.any(positions != q[mechanism.independent], axis=0)
+    if not np.any(moved & in_loops(mechanism)):
+        poses = np.tile(q, (len(positions), 1))
         poses[:, mechanism.independent] = positions
         return poses
     gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)[2:]
     state = np.concatenate([q, gamma.T.ravel(), determinants.ravel()])
+    most = max(length for length in _STRETCHES if length == 1 or length * len(state) <= _MOST_NUMBERS)
     found: list[np.ndarray] = [np.empty((0, mechanism.n_q))]
-    begin, longest = 0, _FIRST
+    begin, longest = 0, min(_FIRST, most)
     while begin < len(positions):
         n = min(longest, len(positions) - begin)
         length = next(length for length in _STRETCHES if length >= n)
@@ -48,8 +52,15 @@ def stride_along(mechanism: Mechanism, q: np.ndarray, positions: np.ndarray, ste
         found.append(states[:regular, : mechanism.n_q])
         if regular < n:
             break
-        state, begin, longest = states[-1], begin + n, _STRETCHES[-1]
+        state, begin, longest = states[-1], begin + n, most
     return np.concatenate(found)
+
+
+@functools.lru_cache(maxsize=16)
+def in_loops(mechanism: Mechanism) -> np.ndarray:
+    """Return which independent coordinates (n_s,) the closure depends on; the loops stand still while others move."""
+    depends = np.array(ca.DM(mechanism.dynamics.independent_closure.jac_sparsity(0, 0), 1.0)) != 0
+    return depends[:, mechanism.independent].any(axis=0)
 
 
 def _regular(mechanism: Mechanism, states: np.ndarray, phi: np.ndarray, predicted: np.ndarray, step_size: np.ndarray) -> int:
@@ -73,15 +84,18 @@ def _stretch(mechanism: Mechanism, length: int) -> ca.Function:
     """
     independent, dependent = (index.tolist() for index in (mechanism.independent, mechanism.dependent))
     closure_step, n_q, dof = mechanism.dynamics.closure_step, mechanism.n_q, mechanism.dof
+    place = ca.SX.sym("q", n_q)
+    newton = ca.Function("newton", [place], closure_step.call([place])[:2])  # without Gamma, the larger part of a stride
     state = ca.MX.sym("state", n_q + n_q * dof + closure_step.size1_out(3))
     target = ca.MX.sym("target", dof)
     q, gamma = state[:n_q], ca.reshape(state[n_q : n_q + n_q * dof], n_q, dof)
     trial = q + gamma @ (target - q[independent])
     trial[independent] = target
     predicted = trial[dependent]
-    for _ in range(_NEWTON_STEPS):
-        phi, step, gamma, determinants = closure_step(trial)
-        trial[dependent] += step
+    for _ in range(_NEWTON_STEPS - 1):
+        trial[dependent] += newton(trial)[1]
+    phi, step, gamma, determinants = closure_step(trial)
+    trial[dependent] += step
     after = ca.vertcat(trial, ca.vec(gamma), determinants)
     stride = ca.Function("stride", [state, target], [after, phi, predicted])
     return stride if length == 1 else stride.mapaccum(length)

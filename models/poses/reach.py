@@ -9,6 +9,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import advance, led, step_sizes
+from linkplan.models.poses.continuation import in_loops
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
     closure_rank,
@@ -74,7 +75,9 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
     up, upper, singular_up = _walk(mechanism, coordinate, +1)
     poses = np.array([*down[::-1], mechanism.home, *up])
     index = int(mechanism.independent[coordinate])
-    singular = sorted([*singular_down, *singular_up, *_touched(mechanism, coordinate, poses)], key=lambda pose: pose[index])
+    turns = bool(in_loops(mechanism)[coordinate])
+    touched = _touched(mechanism, coordinate, poses) if turns else []
+    singular = sorted([*singular_down, *singular_up, *touched], key=lambda pose: pose[index])
     lost = [pose for pose in singular if is_branching(mechanism, pose)]
     return Reach(
         coordinate=coordinate,
@@ -84,7 +87,7 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
         singular=tuple(float(pose[index]) for pose in singular),
         branching=tuple((float(pose[index]), closure_rank(mechanism, pose)) for pose in lost),
         single=tuple(float(pose[index]) for pose in lost if has_one_way_on(mechanism, pose)),
-        toggles=_toggles(mechanism, coordinate, poses),
+        toggles=_toggles(mechanism, coordinate, poses) if turns else (),
     )
 
 
@@ -162,8 +165,9 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
     begin, n = 0, _FIRST_STEPS
     while begin < len(path):
         found, arrived = led(mechanism, q, path[begin : begin + n])
-        for trial, outside in zip(found, _leaves_ranges(mechanism, found), strict=True):
-            stop = _range_stop(mechanism, q, trial, coordinate) if outside.any() else None
+        outside = _leaves_ranges(mechanism, found).any(axis=1)
+        for trial, leaves in zip(found, outside.tolist(), strict=True):
+            stop = _range_stop(mechanism, q, trial, coordinate) if leaves else None
             if stop is not None:
                 poses.append(stop[0])
                 return poses, End(position=float(stop[0][index]), reason=_end_of(stop[1]), joint=stop[2]), []

@@ -17,7 +17,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import least_effort, sampled
+from linkplan.models.poses.along import least_effort, sampled, sampled_where_moving
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics
@@ -82,11 +82,11 @@ def measure(
     dynamics, limit = mechanism.dynamics, mechanism.effort_limit if limit is None else limit
     still = np.zeros((len(poses), mechanism.dof))
     ratio = sampled(dynamics.effort_map, poses)
-    inertia = sampled(dynamics.reduced_inertia, poses)
-    weight = sampled(_at_rest(dynamics), poses)[:, :, 0]
+    inertia = sampled_where_moving(dynamics.reduced_inertia, poses)
+    weight = sampled_where_moving(_at_rest(dynamics), poses)[:, :, 0]
     holding = least_effort(weight, ratio)
     unheld = weight - np.einsum("ksu,ku->ks", ratio, holding)
-    force = sampled(dynamics.closure_force, poses, still, still, holding)[:, :, 0]
+    force = sampled_where_moving(dynamics.closure_force, poses, still, still, holding)[:, :, 0]
     sizes = [np.linalg.norm(force[:, mechanism.closure_slice(c)], axis=1) for c in range(len(mechanism.closure_names))]
     return KinematicLoopPath(
         mechanism=mechanism,
@@ -98,7 +98,7 @@ def measure(
         rates=sampled(dynamics.velocity_map, poses),
         reduced_inertia=inertia,
         reflected_inertia=_reflected(ratio, inertia),
-        gravity_effort=sampled(dynamics.gravity_effort, poses)[:, :, 0],
+        gravity_effort=sampled_where_moving(dynamics.gravity_effort, poses)[:, :, 0],
         holding_effort=holding,
         unheld_effort=unheld,
         available_effort=_available(ratio, limit),
