@@ -12,6 +12,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach
+from linkplan.models.reduction.reduced import linearised
 from linkplan.models.tree.sites import site_names
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import AT_THE_END, NO_ARM, feeble_drives, pressed_stops, pushed_one_way, undriven
@@ -254,7 +255,7 @@ def _steerable(mechanism: Mechanism) -> bool:
     dynamics, pose = mechanism.dynamics, mechanism.home
     holding = np.array(dynamics.inverse_dynamics(pose, still, still)).ravel()
     effort = np.linalg.pinv(np.array(dynamics.effort_map(pose))) @ holding
-    by_s, by_v, by_u = (np.array(x) for x in dynamics.linearisation(pose, still, effort))
+    by_s, by_v, by_u = linearised(dynamics, pose, still, effort)
     A = np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [by_s, by_v]])
     rate = max(float(np.abs(np.linalg.eigvals(A)).max()), 1.0)
     scale = np.concatenate([np.ones(n_s), np.full(n_s, rate)])

@@ -10,6 +10,7 @@ import scipy.linalg
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import joint_rates, needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.reduction.reduced import linearised
 from tests.support.closures import FOUR_BARS, N_POSES, Case, case
 from tests.support.mechanisms import (
     CHAINS,
@@ -253,6 +254,15 @@ def test_linearisation_by_speed_and_effort_is_the_difference(name, argument):
         expected = [derivative(lambda h, i=i: acceleration(h, i), 1e-3) for i in range(n)]
         actual = np.array(c.mechanism.dynamics.linearisation(q, v, u)[argument])
         assert relative_error(actual, np.transpose(expected)) < DIFFERENCES
+
+
+@on_every_mechanism
+def test_linearised_at_a_pose_is_the_linearisation_there(name):
+    c = case(name)
+    for q, v, _, u in c.samples():
+        both = zip(linearised(c.mechanism.dynamics, q, v, u), c.mechanism.dynamics.linearisation(q, v, u), strict=True)
+        for actual, expected in both:
+            assert relative_error(actual, np.array(expected)) < REDUCED
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
