@@ -90,9 +90,9 @@ def _linearisation(dynamics: ReducedDynamics) -> ca.Function:
 
 
 def linearised(dynamics: ReducedDynamics, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return da/ds, da/dv (n_s, n_s) and da/du (n_s, n_u) at one pose: `linearisation` there, in a third of its making's time.
+    """Return da/ds, da/dv (n_s, n_s) and da/du (n_s, n_u) at one pose: the `linearisation` there, in a third of the time.
 
-    What is a number at the pose is one in the expressions that are differentiated, and the linear system is solved in numbers.
+    What is a number at the pose is one in the expressions that are differentiated; the linear system is solved in numbers.
     """
     a = ca.DM(dynamics.acceleration(q, v, u))
     x, w = ca.SX.sym("q", len(q)), ca.SX.sym("v", len(v))
