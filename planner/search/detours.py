@@ -26,8 +26,6 @@ def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s:
         start_pose: closed (n_q,), at the start.
         duration_s: of a motion that is a local optimum.
     """
-    import scipy
-
     motion = problem.motion
     if motion.kind != "reach" or motion.stays or motion.waypoints or not np.all(np.isfinite(problem.limits.effort)):
         return True
@@ -41,17 +39,60 @@ def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s:
     start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
     rests = np.linspace(0, len(plane.s) - 1, _PLACES).round().astype(int)
     places = np.unique(np.concatenate([[start, goal], rests, *_furthest(plane, start)]))
+    first, last = np.searchsorted(places, [start, goal])
+    straight = _legs(plane, start, np.array([goal]), 1 if goal > start else -1)[0] if goal != start else np.inf
+    if not np.isfinite(straight):
+        return True  # the way straight there is not open: what was found swings already
+    quick = (1 - _ROOM) * duration_s
+    if _least_detour(_bounds(plane, places), first, last) >= quick:
+        return False
     times = np.full((len(places), len(places)), np.inf)
     for row, place in enumerate(places):
         times[row, row + 1 :] = _legs(plane, int(place), places[row + 1 :], +1)
         times[row, :row] = _legs(plane, int(place), places[:row], -1)
-    first, last = np.searchsorted(places, [start, goal])
-    if not np.isfinite(times[first, last]):
-        return True  # the way straight there is not open: what was found swings already
+    return _least_detour(times, first, last) < quick
+
+
+def _least_detour(times: np.ndarray, first: int, last: int) -> float:
+    """Return the least time [s] from one place to another by several legs of `times` (k, k)."""
+    times = np.array(times)
     times[first, last] = np.inf
-    graph = scipy.sparse.csgraph
-    detour = graph.dijkstra(graph.csgraph_from_dense(times, null_value=np.inf), indices=first)[last]
-    return bool(detour < (1 - _ROOM) * duration_s)
+    least, before = times[first], None
+    while before is None or np.any(least < before):  # ways of a leg more each time (Bellman and Ford)
+        before, least = least, np.minimum(least, (least[:, None] + times).min(axis=0))
+    return float(least[last])
+
+
+def _bounds(plane: Plane, places: np.ndarray) -> np.ndarray:
+    """Return bounds from below (k, k) [s] of the legs' times, nearly as good as those and much sooner known.
+
+    Until a place between its ends a leg is no quicker than full effort from the one, from there on no quicker than full
+    effort would have to begin to come to rest at the other; the best of these bounds is at the place next to the switch.
+    """
+    after = places - places[:, None]
+    bounds = np.full(after.shape, np.inf)
+    for way in (+1, -1):
+        begun = np.where(way * after >= 0, _alone(plane, places, way, way), -np.inf)
+        ended = np.where(way * after <= 0, _alone(plane, places, -way, way), -np.inf)
+        bound = np.max(begun[:, None, :] + ended[None, :, :], axis=2)
+        bounds = np.where(way * after > 0, bound, bounds)
+    return bounds
+
+
+def _alone(plane: Plane, places: np.ndarray, way: int, top: int) -> np.ndarray:
+    """Return the times (k, k) [s] by full effort from rest at each place along a way, within the speeds of way `top`."""
+    inertia, work = np.array(plane.inertia), np.array(plane.work[way])
+    energy = np.minimum(work - work[places][:, None], inertia * np.array(plane.top[top]))
+    v = np.sqrt(2 * np.maximum(energy, 0.0) / inertia)
+    with np.errstate(divide="ignore"):
+        cells = 2 * np.diff(plane.s) / (v[:, 1:] + v[:, :-1])
+    number, at = np.arange(cells.shape[1]), places[:, None]
+    times = np.zeros(v.shape)
+    if way > 0:
+        times[:, 1:] = np.cumsum(np.where(number >= at, cells, 0.0), axis=1)
+    else:
+        times[:, :-1] = np.cumsum(np.where(number < at, cells, 0.0)[:, ::-1], axis=1)[:, ::-1]
+    return np.minimum(times[:, places], np.finfo(float).max)  # shut ways too are numbers
 
 
 def _energies(plane: Plane, place: int, way: int) -> tuple[np.ndarray, np.ndarray]:

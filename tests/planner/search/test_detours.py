@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from linkplan.planner.files.problem_file import load_problem, problem_from_tables
+from linkplan.planner.search import detours
 from linkplan.planner.search.detours import detour_may_pay
-from linkplan.planner.search.phase_plane import least_time_guess
+from linkplan.planner.search.phase_grid import grid_of, plane_of
+from linkplan.planner.search.phase_plane import least_time_guess, parts_of
 from linkplan.planner.search.presolve import start_pose_of
 from tests.support.fourbar_problems import kind_of, random_case
 
@@ -25,6 +27,24 @@ def test_the_sprint_needs_no_closer_look():
 def test_a_motion_that_takes_its_time_asks_for_one():
     may, _ = look(load_problem("knee-sprint"), 0.3)
     assert may
+
+
+@pytest.mark.parametrize("effort", [1.0, 0.1])
+def test_bounds_of_legs_are_below_their_times_and_near_them(effort):
+    problem = load_problem("knee-sprint")
+    (part,) = parts_of(problem.motion)
+    grid = grid_of(problem, part.places, start_pose_of(problem), 400, graded=False)
+    plane = plane_of(problem, *grid, effort * problem.limits.effort)
+    places = np.linspace(0, len(plane.s) - 1, 30).round().astype(int)
+    legs = np.full((30, 30), np.inf)
+    for row, place in enumerate(places.tolist()):
+        legs[row, row + 1 :] = detours._legs(plane, place, places[row + 1 :], +1)
+        legs[row, :row] = detours._legs(plane, place, places[:row], -1)
+    there = np.isfinite(legs)
+    assert there.sum() > 100
+    share = detours._bounds(plane, places)[there] / legs[there]
+    assert share.max() < 1 + 1e-12
+    assert np.median(share) > 0.99
 
 
 @pytest.mark.parametrize("number", NUMBERS)
