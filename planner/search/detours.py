@@ -16,6 +16,8 @@ from linkplan.planner.search.phase_plane import parts_of
 _CELLS, _PLACES = 400, 60
 # A bound within this share of a motion's duration asks for a closer look: five times the grid's own error.
 _ROOM = 0.01
+# The time [s] of a way that is shut, where sums of infinities of either sign would be none.
+_SHUT_S = 1e300
 
 
 def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s: float) -> bool:
@@ -92,7 +94,7 @@ def _alone(plane: Plane, places: np.ndarray, way: int, top: int) -> np.ndarray:
         times[:, 1:] = np.cumsum(np.where(number >= at, cells, 0.0), axis=1)
     else:
         times[:, :-1] = np.cumsum(np.where(number < at, cells, 0.0)[:, ::-1], axis=1)[:, ::-1]
-    return np.minimum(times[:, places], np.finfo(float).max)  # shut ways too are numbers
+    return np.minimum(times[:, places], _SHUT_S)
 
 
 def _energies(plane: Plane, place: int, way: int) -> tuple[np.ndarray, np.ndarray]:
