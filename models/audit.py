@@ -19,7 +19,7 @@ from linkplan.models.actuation.transmission import attachment
 from linkplan.models.closure.equations import equality_name
 from linkplan.models.tree.coordinates import BALL, FREE, joint_label
 from linkplan.models.tree.dynamics import build_tree
-from linkplan.models.tree.passive import disabled, spans_branches, tendon_armatures
+from linkplan.models.tree.passive import compensates, disabled, limits_off, spans_branches, tendon_armatures
 from linkplan.models.tree.tendons import tendon_label, wraps
 
 
@@ -48,7 +48,7 @@ def _joints(model: mujoco.MjModel):
                 yield f"stiffness of ball joint {name}"
             if np.any(model.dof_dampingpoly[dof]):
                 yield f"quadratic or cubic damping of ball joint {name}"
-            if model.jnt_limited[joint] and not disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT):
+            if model.jnt_limited[joint] and not limits_off(model):
                 yield f"range of ball joint {name}"
 
 
@@ -60,7 +60,7 @@ def _tendons(model: mujoco.MjModel):
         if model.tendon_springyield[tendon] > 0:
             yield f"springyield of tendon {name}"
         if wraps(model, tendon):
-            limited = model.tendon_limited[tendon] and not disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT)
+            limited = model.tendon_limited[tendon] and not limits_off(model)
             forces = [
                 ("limit", limited),
                 ("stiffness", model.tendon_stiffness[tendon] or np.any(model.tendon_stiffnesspoly[tendon])),
@@ -86,12 +86,30 @@ def _surroundings(model: mujoco.MjModel):
     for body in range(1, model.nbody):
         if clamped and model.body_gravcomp[body] != 0:
             yield f"gravcomp of body {model.body(body).name or body}, clamped by a joint's actuatorfrcrange"
-    if model.opt.density > 0 or model.opt.viscosity > 0 or np.any(model.opt.wind != 0):
-        yield "fluid forces (option density, viscosity or wind)"
+    yield from _uncompensated(model)
+    if model.opt.density > 0 or model.opt.viscosity > 0:  # wind alone is of an empty space
+        yield "fluid forces (option density or viscosity)"
     if model.nflex:
         yield f"{model.nflex} flex"
-    if model.nplugin:
-        yield f"{model.nplugin} plugin instance(s)"
+    for body in np.flatnonzero(model.body_plugin >= 0).tolist():  # actuators name their own; sensors and shapes do not push
+        yield f"the plugin of body {model.body(body).name or body}"
+    if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP):
+        yield from _asleep(model)
+
+
+def _uncompensated(model: mujoco.MjModel):
+    """Yield what joints' actuators carry of gravity compensation where no actuator acts: the simulator then has none."""
+    if compensates(model) and (model.nactuator == 0 or disabled(model, mujoco.mjtDisableBit.mjDSBL_ACTUATION)):
+        for joint in np.flatnonzero(model.jnt_actgravcomp).tolist():
+            name = joint_label(model, joint)
+            yield f"gravcomp carried by the actuators of joint {name} (actuatorgravcomp), where no actuator acts"
+
+
+def _asleep(model: mujoco.MjModel):
+    """Yield the trees that the simulator leaves asleep, so that no effort moves them until something else does."""
+    for tree in np.flatnonzero(model.tree_sleep_policy == int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)).tolist():
+        body = int(np.flatnonzero(model.body_treeid == tree)[0])
+        yield f'sleep="init" of body {model.body(body).name or body}: the simulator leaves it and what it carries asleep'
 
 
 def _actuators(model: mujoco.MjModel):
@@ -127,8 +145,14 @@ def _actuators(model: mujoco.MjModel):
 
 
 def _equalities(model: mujoco.MjModel):
+    off = (mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     for index in range(model.neq):
-        if not model.eq_active0[index]:
+        if any(disabled(model, bit) for bit in off):
+            yield Unhonoured(
+                text=f"equality constraint {equality_name(model, index)} is switched off by a flag of the model's option",
+                falsifies=False,
+            )
+        elif not model.eq_active0[index]:
             yield Unhonoured(
                 text=f"equality constraint {equality_name(model, index)} is inactive and stays so", falsifies=False
             )

@@ -17,7 +17,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.actuation.transmission import KINDS, TRN_TENDON, attachment, gear_of, has_length, moment
+from linkplan.models.actuation.transmission import KINDS, TRN_SITE, TRN_TENDON, attachment, gear_of, has_length, moment
 from linkplan.models.tree.coordinates import HINGE, SLIDE, joint_label
 from linkplan.models.tree.dynamics import Tree
 from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label, wraps
@@ -113,12 +113,9 @@ def label(model: mujoco.MjModel, index: int) -> str:
 
 def why_not(model: mujoco.MjModel, index: int) -> str | None:
     """Return why a plan cannot use actuator `index`, in a few words, or None where it can."""
-    switched_off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION) or (
-        0 <= int(model.actuator_group[index]) < 31 and model.opt.disableactuator >> int(model.actuator_group[index]) & 1
-    )
     kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
     gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
-    if switched_off:
+    if _switched_off(model, index):
         return "it is switched off"
     if float(model.actuator_delay[index]) != 0.0:
         return "its control is delayed"
@@ -127,19 +124,30 @@ def why_not(model: mujoco.MjModel, index: int) -> str | None:
     if int(model.actuator_dyntype[index]) != int(mujoco.mjtDyn.mjDYN_NONE) or int(model.actuator_actnum[index]) > 0:
         dynamics = mujoco.mjtDyn(int(model.actuator_dyntype[index])).name.removeprefix("mjDYN_").lower()
         return f"it has a state of its own ({dynamics} dynamics)"
-    if kind not in KINDS or int(model.actuator_outnum[index]) != 1 or int(model.actuator_ctrlnum[index]) != 1:
+    if kind not in KINDS or int(model.actuator_outnum[index]) != 1:
         return "a plan knows joint, tendon, slider-crank and site transmissions of one force"
+    if int(model.actuator_ctrlnum[index]) != 1:
+        return f"it has {int(model.actuator_ctrlnum[index])} controls, where a plan has one"
     if gain not in (FIXED, AFFINE) or bias not in (NO_BIAS, AFFINE_BIAS):
         return "its gain or bias is not affine"
     if float(model.actuator_gainprm[index, 0]) == 0.0:
         return "its gain vanishes at rest"
     if not np.any(gear_of(model, index)):
         return "its gear is zero"
+    if has_length(model, index) and kind != TRN_SITE and gear_of(model, index)[0] == 0.0:
+        return "its gear is zero but for axes that it has not: on a hinge, slide or tendon the first number counts"
     if kind == TRN_TENDON and wraps(model, int(model.actuator_trnid[index, 0])):
         return "its tendon wraps around a geom"
     if _moves(model, index) and not has_length(model, index):
         return "it is a servo on a rotation, which MuJoCo takes on a circle"
     return None
+
+
+def _switched_off(model: mujoco.MjModel, index: int) -> bool:
+    """Return whether the model's flags or its groups switch an actuator off: it then gives no force, whatever its bias."""
+    group = int(model.actuator_group[index])
+    by_group = 0 <= group < 31 and bool(model.opt.disableactuator >> group & 1)
+    return by_group or bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION))
 
 
 def _moves(model: mujoco.MjModel, index: int) -> bool:
@@ -158,11 +166,13 @@ def _coefficients(model: mujoco.MjModel, index: int) -> tuple[tuple[float, ...],
 
 def is_idle_at_zero(model: mujoco.MjModel, index: int) -> bool:
     """Return whether an actuator that a plan leaves out, its control at zero, leaves the mechanism alone."""
+    if int(model.actuator_plugin[index]) >= 0:
+        return _switched_off(model, index)
     gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
     affine = gain in (FIXED, AFFINE) and (
         bias == NO_BIAS or (bias == AFFINE_BIAS and not any(_coefficients(model, index)[1]))
     )
-    return affine and (carries_passive(model, index) or not brings_passive(model, index))
+    return (affine or _switched_off(model, index)) and (carries_passive(model, index) or not brings_passive(model, index))
 
 
 def brings_passive(model: mujoco.MjModel, index: int) -> bool:

@@ -17,7 +17,14 @@ import numpy as np
 
 from linkplan.models.tree.coordinates import BALL, FREE, HINGE, SLIDE, Coordinates, read_coordinates, turned_quaternion
 from linkplan.models.tree.friction import TRANSITION, dry_friction
-from linkplan.models.tree.passive import disabled, joint_armature, joint_passive, tendon_inertias, tendon_passive
+from linkplan.models.tree.passive import (
+    compensates,
+    disabled,
+    joint_armature,
+    joint_passive,
+    tendon_inertias,
+    tendon_passive,
+)
 from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import tendon_length
 
@@ -284,6 +291,8 @@ def _rotation(axis: np.ndarray, angle: ca.SX) -> ca.SX:
 def _carried(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM) -> ca.SX:
     """Return the energy [J] that gravity compensation takes off the bodies' weight: sum of gravcomp m g . p."""
     energy = ca.SX(0)
+    if not compensates(model):
+        return energy
     for body in range(1, model.nbody):
         if model.body_gravcomp[body]:
             frame = frames[body]

@@ -9,6 +9,7 @@ import numpy as np
 from linkplan.models.errors import ModelError
 from linkplan.models.names import nearest
 from linkplan.models.tree.coordinates import BALL, FREE, HINGE, Coordinates, joint_label
+from linkplan.models.tree.passive import limits_off
 
 # A position [rad or m] below this is zero to people: assembly closes loops to about 1e-12, and nobody sets an angle finer.
 _NOTHING = 1e-9
@@ -54,7 +55,7 @@ class Joint:
 def read_joints(name: str, model: mujoco.MjModel, coordinates: Coordinates) -> tuple[Joint, ...]:
     """Return the coordinates of a model as joints, one for every degree of freedom of its tree, in MuJoCo's order."""
     joints: list[Joint] = []
-    limits_off = model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT)
+    unlimited = limits_off(model)
     for index in range(model.njnt):
         label, kind = joint_label(model, index), int(model.jnt_type[index])
         if kind in (BALL, FREE):
@@ -68,7 +69,7 @@ def read_joints(name: str, model: mujoco.MjModel, coordinates: Coordinates) -> t
                 for axis, (low, high) in zip("xyz", chart.rotation.limits, strict=True)
             ]
             continue
-        lower, upper = _free_range(name, label, model, index) if not limits_off else (-np.inf, np.inf)
+        lower, upper = _free_range(name, label, model, index) if not unlimited else (-np.inf, np.inf)
         joints.append(Joint(name=label, kind="hinge" if kind == HINGE else "slide", lower=lower, upper=upper))
     names = [joint.name for joint in joints]
     for joint in joints:

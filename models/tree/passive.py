@@ -21,6 +21,21 @@ def disabled(model: mujoco.MjModel, bit: mujoco.mjtDisableBit) -> bool:
     return bool(model.opt.disableflags & int(bit))
 
 
+def compensates(model: mujoco.MjModel) -> bool:
+    """Return whether the simulator compensates the gravity of any body.
+
+    It counts bodies with a positive `gravcomp`, and where there is none it passes over negative ones too; with springs and
+    dampers both switched off it passes over all passive forces, this one among them.
+    """
+    off = (mujoco.mjtDisableBit.mjDSBL_SPRING, mujoco.mjtDisableBit.mjDSBL_DAMPER)
+    return model.ngravcomp > 0 and not all(disabled(model, bit) for bit in off)
+
+
+def limits_off(model: mujoco.MjModel) -> bool:
+    """Return whether the simulator keeps no range of a joint or tendon: limits, or all constraints, are switched off."""
+    return disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT) or disabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+
+
 def joint_armature(model: mujoco.MjModel) -> np.ndarray:
     """Return the armature (n_q,) of joints and of the actuators that drive them directly (reflected by gear^2)."""
     armature = np.array(model.dof_armature, dtype=float)

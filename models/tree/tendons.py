@@ -11,6 +11,7 @@ import casadi as ca
 import mujoco
 
 from linkplan.models.errors import ModelError
+from linkplan.models.tree.passive import limits_off
 
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
@@ -65,7 +66,7 @@ class TendonLimit:
 
 def limited_tendons(model: mujoco.MjModel) -> tuple[TendonLimit, ...]:
     """Return the limits of a model on tendons whose length has an expression here."""
-    if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_LIMIT):
+    if limits_off(model):
         return ()
     found = []
     for tendon in range(model.ntendon):

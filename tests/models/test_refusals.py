@@ -154,7 +154,7 @@ FALSE = {
         ["springyield", "crank_r"],
     ),
     "water": (replaced(LEG, "<worldbody>", '<option density="1000"/><worldbody>'), ["fluid"]),
-    "wind": (replaced(LEG, "<worldbody>", '<option wind="1 0 0"/><worldbody>'), ["fluid"]),
+    "wind": (replaced(LEG, "<worldbody>", '<option wind="1 0 0" density="1.2"/><worldbody>'), ["fluid"]),
     "a servo with a state": (
         replaced(LEG, "<actuator>", '<actuator><position name="hold" joint="rod" kp="3" timeconst="0.1"/>'),
         ["hold", "state"],
