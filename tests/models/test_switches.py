@@ -45,8 +45,8 @@ HONOURED = {
     "equalities off": arm(option=flag('equality="disable"'), actuator=MOTOR, more=TIED),
     "a sensor that is a plugin": arm(
         option='<extension><plugin plugin="mujoco.sensor.touch_grid"><instance name="skin"><config key="size" value="2 2"/>'
-        '<config key="fov" value="9 9"/><config key="gamma" value="0"/><config key="nchannel" value="1"/></instance></plugin>'
-        "</extension>",
+        '<config key="fov" value="9 9"/><config key="gamma" value="0"/><config key="nchannel" value="1"/>'
+        "</instance></plugin></extension>",
         more='<sensor><plugin plugin="mujoco.sensor.touch_grid" instance="skin" objtype="site" objname="hand"/></sensor>',
         actuator=MOTOR,
     ),
@@ -62,11 +62,9 @@ def test_the_dynamics_are_the_simulators_with_a_switch_and_nothing_is_called_fal
 
 
 def test_ranges_are_off_where_all_constraints_are():
-    ranged = arm(shoulder='range="-0.1 0.1"', actuator=MOTOR)
-    assert load_mechanism(ranged).joints[0].upper == 0.1
-    assert (
-        load_mechanism(ranged.replace("<worldbody>", flag('constraint="disable"') + "<worldbody>")).joints[0].upper == np.inf
-    )
+    ranged = {"shoulder": 'range="-0.1 0.1"', "actuator": MOTOR}
+    assert load_mechanism(arm(**ranged)).joints[0].upper == 0.1
+    assert load_mechanism(arm(option=flag('constraint="disable"'), **ranged)).joints[0].upper == np.inf
 
 
 def test_a_loop_that_a_flag_opens_is_named():
@@ -83,6 +81,14 @@ NAMED = {
     "compensation by actuators that are off": (
         arm(option=flag('actuation="disable"'), upper='gravcomp="0.7"', shoulder='actuatorgravcomp="true"', actuator=MOTOR),
         ["gravcomp", "shoulder", "no actuator acts"],
+    ),
+    "an actuator that is a plugin": (
+        arm(
+            option='<extension><plugin plugin="mujoco.pid"><instance name="gains"><config key="kp" value="20"/></instance>'
+            "</plugin></extension>",
+            actuator='<plugin name="hold" joint="elbow" plugin="mujoco.pid" instance="gains" actdim="0"/>',
+        ),
+        ["hold", "plugin", "acts at zero control"],
     ),
 }
 
