@@ -28,6 +28,8 @@ from linkplan.planner.plan import PASSED, STATUSES, Plan, not_honoured
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
 FORMAT = 1
+# The largest number that a float may be: files may hold longer integers.
+_LARGEST = float(np.finfo(float).max)
 # A plan of the largest mesh has some hundred kilobytes of words; more than this is something else.
 MOST_JSON_BYTES = 64_000_000
 
@@ -186,7 +188,8 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
         raise PlanFileError(
             f"'{folder / 'plan.json'}' has status {said['status']!r}; a plan's is one of {', '.join(STATUSES)}"
         )
-    if not isinstance(said.get("details") or {}, dict):
+    details = said.get("details") or {}
+    if not isinstance(details, dict):
         raise PlanFileError(f"'{folder / 'plan.json'}' has details that are no table")
     if said["format"] != FORMAT:
         raise PlanFileError(f"'{folder / 'plan.json'}' has format {said['format']!r}; this linkplan reads {FORMAT}")
@@ -218,11 +221,18 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
         problem=problem,
         status=status,
         message=message,
-        objective=said.get("objective"),
+        objective=_number(said.get("objective")),
         trajectory=trajectory,
         certificate=certificate,
-        details=said.get("details") or {},
+        details={str(name): value for name, told in details.items() if (value := _number(told)) is not None},
     )
+
+
+def _number(value: object) -> float | None:
+    """Return a figure of a record as a number; None of anything else, which an edited file may hold."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    return float(value) if abs(value) <= _LARGEST else None
 
 
 def _problem_again(said: dict, folder: Path, overrides: Sequence[str] = ()) -> PlanningProblem:

@@ -304,6 +304,14 @@ def test_what_is_no_plan_is_refused(what, tmp_path):
         read_plan(path)
 
 
+@pytest.mark.parametrize("value", ["x", True, [1], 10**400, np.nan], ids=["text", "bool", "list", "huge", "nan"])
+def test_a_figure_of_the_record_that_is_no_number_is_none_of_the_plan_s(value, saved):
+    said = json.loads((saved / "plan.json").read_text())
+    (saved / "plan.json").write_text(json.dumps(said | {"objective": value, "details": {"price": value, "kept_s": 2}}))
+    plan = read_plan(saved, anyway=True)
+    assert (plan.objective, plan.details, plan.status) == (None, {"kept_s": 2.0}, "failed")
+
+
 def test_a_motion_that_was_changed_on_disk_no_longer_counts_as_optimal(saved):
     with_arrays(effort=0.5 * stored(saved)["effort"])(saved)
     try:
