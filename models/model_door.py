@@ -4,8 +4,6 @@ MuJoCo's compiler warns of NaN and passes on most else: infinite masses, negativ
 that ask for more memory than there is, includes that are pipes.
 """
 
-import math
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,10 +11,22 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError, one_line
+from linkplan.models.model_size import (
+    MOST_BODIES,
+    MOST_ELEMENTS,
+    MOST_ROOM_BYTES,
+    Element,
+    ModelSize,
+    elements_of,
+    image_bytes,
+    numbers_in,
+    size_of,
+)
 from linkplan.models.reading import read_file, shown
 
 # MJCF files, and the meshes and textures that they name: the largest humanoid's mesh has some 20 MB.
-MOST_BYTES, _MOST_ASSET_BYTES, _MOST_INCLUDES = 32_000_000, 500_000_000, 1000
+MOST_BYTES, _MOST_ASSET_BYTES = 32_000_000, 500_000_000
+_MOST_INCLUDES, _DEEPEST_FILES = 1000, 50
 # No quantity of a mechanism is larger, in SI units; MuJoCo's own bound on states is 1e10, and solver parameters are below.
 _LARGEST = 1e12
 # Longer names are no names: pages and tables show them.
@@ -31,9 +41,8 @@ _COUNTS = {
 }  # fmt: skip
 _MOST_MEMORY = 1_000_000_000
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
-_ATTRIBUTE = re.compile(rb"""(?<!\w)([A-Za-z_]\w*)\s*=\s*("([^"]*)"|'([^']*)')""")
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
-_MOST_BODIES, _DEEPEST = 5000, 400
+# Attributes that name files.
+_FILES = frozenset({"file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"})
 
 # Fields of a compiled model that are not below zero, by what they are.
 _NOT_NEGATIVE = {
@@ -59,30 +68,56 @@ _KINDS = {
 
 
 def refuse_files(path: Path) -> None:
-    """Refuse a model file that names, itself or in what it includes, anything but regular files of bounded size.
+    """Refuse a model file that names, itself or in what it includes or attaches, anything but regular files of bounded size.
 
     Raises:
-        ModelError: naming the file.
+        ModelError: naming the file, or the models that attach each other in a circle.
     """
-    seen, waiting = set(), [path]
-    while waiting:
-        here = waiting.pop()
-        try:
-            key = here.resolve()
-        except (OSError, RuntimeError) as error:  # links in a circle
-            raise ModelError(f"model '{path}' includes '{here}', which cannot be followed: {error}") from error
-        if key in seen:
-            continue
-        seen.add(key)
-        if len(seen) > _MOST_INCLUDES:
-            raise ModelError(f"model '{path}' includes more than {_MOST_INCLUDES} files")
-        content = read_file(here, f"model '{here}'", MOST_BYTES, ModelError)
-        for named in refuse_text(content, here):
-            for place in _places(named, content, path, here):
-                if place.exists() and place.suffix.lower() in (".xml", ".mjcf", "") and _is_included(content, named):
-                    waiting.append(place)
-                elif place.exists():
-                    read_file_head(place, path)
+    made: dict[Path, float] = {}
+    _refuse_file(path, path, path, made, ())
+
+
+def _refuse_file(here: Path, base: Path, model: Path, made: dict[Path, float], above: tuple[Path, ...]) -> float:
+    """Return how many bodies a file makes, with all that it includes and attaches, after refusing what cannot be read."""
+    try:
+        key = here.resolve()
+    except (OSError, RuntimeError) as error:  # links in a circle
+        raise ModelError(f"model '{model}' includes '{here}', which cannot be followed: {error}") from error
+    if key in above:
+        raise ModelError(f"model '{model}' includes or attaches '{here}' in a circle")
+    if key in made:
+        return made[key]
+    if len(made) > _MOST_INCLUDES or len(above) > _DEEPEST_FILES:
+        raise ModelError(
+            f"model '{model}' includes more than {_MOST_INCLUDES} files, or files in files more than {_DEEPEST_FILES} deep"
+        )
+    content = read_file(here, f"model '{here}'", MOST_BYTES, ModelError)
+    made[key] = 0.0
+    text, size = elements_and_size(content, here)
+    within, largest, folders = 0.0, 0.0, asset_folders(text)
+    for element in text:
+        for name, named in element.attributes.items():
+            if name not in _FILES or not named or "\0" in named:
+                continue
+            for place in _places(named, folders, base, here):
+                if not place.exists():
+                    continue
+                if element.name not in ("include", "model"):
+                    read_file_head(place, model)
+                    continue
+                inner = place if element.name == "model" else base  # a model's own files lie beside it
+                bodies = _refuse_file(place, inner, model, made, (*above, key))
+                if element.name == "model":
+                    largest = max(largest, bodies)
+                else:
+                    within += bodies
+    made[key] = size.bodies + within + size.attached * largest
+    if made[key] > MOST_BODIES:
+        raise ModelError(
+            f"model '{model}' makes {made[key]:.6g} bodies by what '{here}' includes and attaches; at most {MOST_BODIES}"
+            " are read"
+        )
+    return made[key]
 
 
 def read_file_head(place: Path, model: Path) -> None:
@@ -93,75 +128,86 @@ def read_file_head(place: Path, model: Path) -> None:
         raise ModelError(
             f"model '{model}' names '{place}' of {place.stat().st_size} bytes; at most {_MOST_ASSET_BYTES} are read"
         )
+    width, height = png_size(place) if place.suffix.lower() == ".png" else (0, 0)
+    if image_bytes(width, height) > MOST_ROOM_BYTES:  # a few kilobytes of file may unfold to any size
+        raise ModelError(
+            f"model '{model}' names '{place}', a picture of {width} x {height} pixels; at most {MOST_ROOM_BYTES:.6g}"
+            " bytes of textures are read"
+        )
 
 
-def _is_included(content: bytes, named: str) -> bool:
-    return re.search(rb"<include\s[^>]*" + re.escape(named.encode()), content) is not None
+def png_size(place: Path) -> tuple[int, int]:
+    """Return the width and height [pixels] that a PNG file declares; zeros where it is none."""
+    head = read_file(place, f"'{place}'", _MOST_ASSET_BYTES, ModelError)[:24]
+    if not head.startswith(b"\x89PNG\r\n\x1a\n") or len(head) < 24:
+        return 0, 0
+    return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")
 
 
-def _places(named: str, content: bytes, model: Path, here: Path) -> Iterator[Path]:
+def asset_folders(text: list[Element]) -> list[str]:
+    """Return the folders that a text's compiler takes assets from, the model's own first."""
+    folders = ("meshdir", "texturedir", "assetdir")
+    found = [element.attributes[name] for element in text for name in folders if name in element.attributes]
+    return ["", *(folder for folder in found if "\0" not in folder)]
+
+
+def _places(named: str, folders: list[str], base: Path, here: Path) -> Iterator[Path]:
     """Yield where MuJoCo may look for a file: beside the model or the including file, below its asset folders."""
-    folders = [""] + [
-        value for name, value in _attributes(content) if name in ("meshdir", "texturedir", "assetdir") and "\0" not in value
-    ]
-    for base in {model.parent, here.parent}:
+    for parent in {base.parent, here.parent}:
         for folder in folders:
-            yield base / folder / named
+            yield parent / folder / named
 
 
-def refuse_text(text: str | bytes, path: Path | None) -> list[str]:
-    """Return the files that an MJCF text names, after refusing one that asks for more room than a model can need.
+def refuse_text(text: str | bytes, path: Path | None) -> None:
+    """Refuse an MJCF text that asks for more room than a model can need.
 
     Raises:
-        ModelError: naming the attribute.
+        ModelError: naming the attribute, or what there is too much of.
     """
     try:
         content = text.encode("utf-8") if isinstance(text, str) else text
     except UnicodeEncodeError as error:
         raise ModelError(f"MJCF text is not text: {error}") from error
+    elements_and_size(content, path)
+
+
+def elements_and_size(content: bytes, path: Path | None) -> tuple[list[Element], ModelSize]:
+    """Return the elements of an MJCF text, and what they make, after refusing one that asks for too much."""
     what = "MJCF text" if path is None else f"model '{path}'"
     if len(content) > MOST_BYTES:
         raise ModelError(f"{what} has {len(content)} bytes; at most {MOST_BYTES} are read")
     if b"\0" in content:
         raise ModelError(f"{what} does not parse: it holds zero bytes")
-    content = _COMMENT.sub(b"", content)
-    if content.count(b"<body") > _MOST_BODIES:
-        raise ModelError(f"{what} has {content.count(b'<body')} bodies; at most {_MOST_BODIES} are read")
-    named = []
-    made = 1
-    for name, value in _attributes(content):
-        if name in ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"):
-            if value and "\0" not in value:
-                named.append(value)
-        elif name in _COUNTS or name == "memory":
+    elements = list(elements_of(content))
+    for element in elements:
+        for name, value in element.attributes.items():
+            if name not in _COUNTS and name != "memory":
+                continue
             asked = _largest(value)
             if name == "size" and asked < 1000:
                 continue
             most = _MOST_MEMORY if name == "memory" else _COUNTS[name]
             if asked > most:
                 raise ModelError(f'{what} has {name} = "{shown(value, 40)}"; at most {most} is read')
-            made *= max(1, int(asked)) if name == "count" else 1
-    if made > _MOST_BODIES:
-        raise ModelError(f"{what} repeats its elements {made} times by count; at most {_MOST_BODIES}")
-    return named
-
-
-def _attributes(content: bytes) -> Iterator[tuple[str, str]]:
-    for found in _ATTRIBUTE.finditer(content):
-        value = found[3] if found[3] is not None else found[4]
-        yield found[1].decode("ascii"), value.decode("utf-8", "surrogateescape")
+    size = size_of(elements)
+    for asked, most, words in (
+        (size.bodies, MOST_BODIES, "bodies, points of flexes among them"),
+        (size.elements, MOST_ELEMENTS, "elements by replicate"),
+        (size.room_bytes, MOST_ROOM_BYTES, "bytes of textures and height fields"),
+    ):
+        if asked > most:
+            raise ModelError(f"{what} makes {asked:.6g} {words}; at most {most:.6g} are read")
+    return elements, size
 
 
 def _largest(value: str) -> float:
-    """Return the largest number of an attribute's value, -1 where there is none."""
+    """Return the largest number of an attribute's value, infinite where one cannot be told, -1 where there is none."""
     most = -1.0
     for word in value.split():
-        unit = _UNITS.get(word[-1:].upper(), 1)
-        try:
-            number = float(word if unit == 1 else word[:-1])
-        except ValueError:
-            continue
-        most = max(most, math.inf if math.isnan(number) else number * unit)
+        unit = _UNITS.get(word[-1:].upper(), 1) if "x" not in word.lower() else 1
+        digits = word if unit == 1 else word[:-1]
+        if any(c.isdigit() for c in digits) or digits.strip("+-").lower() in ("inf", "infinity", "nan"):
+            most = max(most, numbers_in(digits) * unit)
     return most
 
 
