@@ -1,5 +1,6 @@
 """The whole of a batch: its blocks on an engine, their parts as they come, and a folder of plans in the end."""
 
+import contextlib
 import functools
 import tempfile
 from dataclasses import dataclass
@@ -85,9 +86,10 @@ def _conduct(folder: Path, batch: Batch, target: Path | None, engine: Engine, pa
     progress = Progress(n, sum(len(cases_of(block, n)) for block in there), "cases", say)
     work = functools.partial(_work, batch, target, parquet, say if engine is here else None)
     todo = [block for block in range(block_count(n)) if block not in there]
-    for block, answers in streamed(engine, work, todo, say):
-        put_whole(part(folder, block, "zip"), functools.partial(_write, content=packed(answers)))
-        progress.more(len(answers))
+    with contextlib.closing(streamed(engine, work, todo, say)) as results:
+        for block, answers in results:
+            put_whole(part(folder, block, "zip"), functools.partial(_write, content=packed(answers)))
+            progress.more(len(answers))
 
 
 def _write(path: Path, content: bytes) -> None:

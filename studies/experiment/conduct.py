@@ -1,5 +1,6 @@
 """An experiment carried out: its blocks on an engine, their parts written as they come."""
 
+import contextlib
 import functools
 import hashlib
 import socket
@@ -57,9 +58,10 @@ def conduct(
     progress = Progress(experiment.n, sum(len(samples_of(block, experiment.n)) for block in there), "samples", say)
     work = functools.partial(_work, folder, settings, written, sources, threads, batch)
     todo = [block for block in range(block_count(experiment.n)) if block not in there]
-    for block, columns in streamed(engine, work, todo, say):
-        write_part(folder, block, columns)
-        progress.more(len(samples_of(block, experiment.n)))
+    with contextlib.closing(streamed(engine, work, todo, say)) as results:
+        for block, columns in results:
+            write_part(folder, block, columns)
+            progress.more(len(samples_of(block, experiment.n)))
     return experiment
 
 

@@ -1,7 +1,7 @@
 """Tasks on an engine: every result once, as soon as it is there, whatever becomes of single workers."""
 
 import concurrent.futures
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from typing import TypeVar
 
 from linkplan.models.errors import LinkplanError
@@ -17,8 +17,11 @@ Result = TypeVar("Result")
 
 def streamed(
     engine: Engine, work: Callable[[int, int], Result], tasks: Sequence[int], say: Say
-) -> Iterator[tuple[int, Result]]:
+) -> Generator[tuple[int, Result], None, None]:
     """Yield tasks with their results as they come.
+
+    Whoever reads them closes the stream when it is left early: workers are waited for then, and an interrupt of that wait
+    is to reach the caller.
 
     Args:
         engine: what runs them.

@@ -3,13 +3,17 @@
 import builtins
 import concurrent.futures
 import contextlib
+import gc
 import os
 import signal
+import sys
 
 import pytest
 
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.planner.files.batch_file import Batch, Case
 from linkplan.planner.planning import silent
+from linkplan.studies.batch import study
 from linkplan.studies.tasks import cluster as dask_cluster
 from linkplan.studies.tasks import streaming
 from linkplan.studies.tasks.cluster import cluster
@@ -123,3 +127,29 @@ def test_progress_counts_and_says_what_was_done_before():
     assert said[0] == "4 of 10 samples are done already"
     assert said[1].startswith("7 of 10 samples, about 0 s left")
     assert said[2] == "10 of 10 samples"
+
+
+def test_an_interrupt_while_workers_are_waited_for_reaches_the_command(tmp_path, monkeypatch):
+    """A signal between two results, and its repetition while the engine closes: neither is lost in a destructor."""
+
+    @contextlib.contextmanager
+    def waiting(n, say):
+        try:
+            with here(n, say) as pool:
+                yield pool
+        finally:
+            raise KeyboardInterrupt("again")
+
+    def interrupted(*_):
+        raise KeyboardInterrupt("first")
+
+    lost, batch = [], Batch(problem="x", common=(), cases=(Case(name="a", settings=()),))
+    monkeypatch.setattr(sys, "unraisablehook", lost.append)
+    monkeypatch.setattr(study, "put_whole", interrupted)
+    monkeypatch.setattr(study, "_work", lambda *_: [])
+    with pytest.raises(KeyboardInterrupt, match="again"):
+        study._conduct(
+            tmp_path, Batch(problem="x", common=(), cases=(Case(name="a", settings=()),)), None, waiting, False, silent
+        )
+    gc.collect()
+    assert not lost
