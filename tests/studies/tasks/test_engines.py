@@ -148,8 +148,6 @@ def test_an_interrupt_while_workers_are_waited_for_reaches_the_command(tmp_path,
     monkeypatch.setattr(study, "put_whole", interrupted)
     monkeypatch.setattr(study, "_work", lambda *_: [])
     with pytest.raises(KeyboardInterrupt, match="again"):
-        study._conduct(
-            tmp_path, Batch(problem="x", common=(), cases=(Case(name="a", settings=()),)), None, waiting, False, silent
-        )
+        study._conduct(tmp_path, batch, None, waiting, False, silent)
     gc.collect()
     assert not lost
