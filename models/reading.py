@@ -55,7 +55,7 @@ def read_toml(path: Path, what: str) -> dict:
         ProblemError: when it cannot be read or is not TOML.
     """
     try:
-        text = read_file(path, what, MOST_TOML_BYTES).decode("utf-8")
+        text = read_file(path, what, MOST_TOML_BYTES).decode("utf-8-sig")  # Windows' editors begin with a mark
     except UnicodeDecodeError as error:
         raise ProblemError(f"{what} is not UTF-8 text") from error
     return parse_toml(text, what)

@@ -26,6 +26,8 @@ def place_of(target: Path) -> Path:
     Raises:
         PlanFileError: for the working folder, the home folder, what is above them, and paths that cannot be.
     """
+    if Path(target).parts[:1] == ("~",):  # a folder of that name would be asked for its removal once, by "rm -r ~"
+        raise PlanFileError(f"'{target}' begins with a ~ that no shell has replaced; write the home folder's path")
     try:
         place, here = Path(target).resolve(), Path.cwd().resolve()
         os.path.lexists(place)

@@ -5,6 +5,7 @@ import threading
 import time
 
 from linkplan.models.interrupts import check
+from linkplan.models.reading import shown
 from linkplan.studies.cli.streams import put
 from linkplan.studies.cli.terminal import coloured, has_colours, moves, width_of
 
@@ -12,6 +13,8 @@ from linkplan.studies.cli.terminal import coloured, has_colours, moves, width_of
 _TICK_S = 0.2
 # ECMA-48: to the line's beginning, and erase it.
 _AGAIN = "\r\x1b[2K"
+# Lines longer than this name something that is no name.
+_LONGEST = 5000
 
 
 class Progress:
@@ -61,7 +64,7 @@ class Progress:
         self._text, self._moves = "", False
 
     def _line(self, text: str) -> str:
-        return f"  {self._command} {time.monotonic() - self._begin:5.1f} s: {text}"
+        return f"  {self._command} {time.monotonic() - self._begin:5.1f} s: {shown(text, _LONGEST)}"
 
     def _draw(self) -> None:
         if self._text:

@@ -248,3 +248,11 @@ def test_a_result_of_its_own_below_another_stays(tmp_path):
     write_whole(place, result("new"))
     assert (place / "compared" / "case" / "plan.json").read_text() == "mine"
     assert names(place / "compared") == [MANIFEST, "case", "plan.json"]
+
+
+@pytest.mark.parametrize("target", ["~/run", "~"])
+def test_a_home_that_no_shell_put_in_is_refused(target, tmp_path, monkeypatch):
+    """A folder called ~ is one that somebody removes with `rm -r ~`."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PlanFileError, match="no shell"):
+        check_target(Path(target))

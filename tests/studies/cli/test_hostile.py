@@ -78,6 +78,13 @@ def test_names_that_are_no_text_are_refused(tmp_path):
         load_mechanism(tmp_path / "a.xml")
 
 
+def test_a_mark_that_editors_put_before_the_text_is_no_part_of_it(tmp_path):
+    text = built_in_text("knee-reach")
+    (tmp_path / "a.toml").write_text(text, encoding="utf-8-sig", newline="\r\n")
+    assert (tmp_path / "a.toml").read_bytes().startswith(b"\xef\xbb\xbf")
+    assert load_problem(tmp_path / "a.toml").motion.kind == "reach"
+
+
 @pytest.mark.parametrize("content", ["a = " + "[" * 5000, "a = " + "9" * 5000, "[a" + ".a" * 5000 + "]\nb=1"])
 def test_toml_that_breaks_its_reader_is_refused(content, tmp_path):
     (tmp_path / "a.toml").write_text(content)

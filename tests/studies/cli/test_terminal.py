@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from linkplan.studies.cli.progress import Progress
 from linkplan.studies.cli.terminal import painted, wrapped
 
 pty = pytest.importorskip("pty")
@@ -56,6 +57,11 @@ def test_progress_is_one_line_that_is_rewritten_and_gone_before_the_result():
 def test_what_is_said_to_stay_stays(tmp_path):
     _, said = on_a_terminal("plan", "knee-reach", "-o", str(tmp_path / "planned"), columns=200)
     assert re.search(r"\x1b\[2K  plan +[0-9.]+ s: saved in [^\n]*planned\n", said)
+
+
+def test_a_name_with_control_characters_cannot_write_on_the_terminal(capsys):
+    Progress("plan").keep("saved in a\x1b[2J\nb")
+    assert capsys.readouterr().err.endswith(r"saved in a\x1b[2J\nb" + "\n")
 
 
 @pytest.mark.parametrize("environment", [{"NO_COLOR": "1"}, {"TERM": "dumb"}, {"TERM": ""}])
