@@ -12,6 +12,7 @@ from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import CertificateError, LinkplanError, ModelError, PlanFileError, ProblemError, one_line
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.saved import objective_value
+from linkplan.planner.files import tables
 from linkplan.planner.files.plan_folder import read_plan
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.transcription import compiled
@@ -79,7 +80,7 @@ def test_names_that_are_no_text_are_refused(tmp_path):
 
 
 def test_a_mark_that_editors_put_before_the_text_is_no_part_of_it(tmp_path):
-    text = built_in_text("knee-reach")
+    text = tables.built_in_text("knee-reach")
     (tmp_path / "a.toml").write_text(text, encoding="utf-8-sig", newline="\r\n")
     assert (tmp_path / "a.toml").read_bytes().startswith(b"\xef\xbb\xbf")
     assert load_problem(tmp_path / "a.toml").motion.kind == "reach"
