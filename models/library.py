@@ -86,7 +86,8 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     try:
         return shown(path.stem), mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
-        raise ModelError(f"model '{text}' does not parse: {one_line(error)}") from error
+        named = "" if path.suffix.lower() in (".xml", ".urdf") else "; model files are named .xml or .urdf"
+        raise ModelError(f"model '{text}' does not parse: {one_line(error)}{named}") from error
 
 
 def _parse(name: str, text: str) -> mujoco.MjSpec:

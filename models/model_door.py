@@ -10,11 +10,13 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
+from linkplan.models.catalogue import is_there
 from linkplan.models.errors import ModelError, one_line
 from linkplan.models.model_size import (
     MOST_BODIES,
     MOST_ELEMENTS,
     MOST_ROOM_BYTES,
+    MOST_SITES,
     Element,
     ModelSize,
     elements_of,
@@ -100,7 +102,7 @@ def _refuse_file(here: Path, base: Path, model: Path, made: dict[Path, float], a
             if name not in _FILES or not named or "\0" in named:
                 continue
             for place in _places(named, folders, base, here):
-                if not place.exists():
+                if not is_there(place):
                     continue
                 if element.name not in ("include", "model"):
                     read_file_head(place, model)
@@ -177,7 +179,7 @@ def elements_and_size(content: bytes, path: Path | None) -> tuple[list[Element],
     if len(content) > MOST_BYTES:
         raise ModelError(f"{what} has {len(content)} bytes; at most {MOST_BYTES} are read")
     if b"\0" in content:
-        raise ModelError(f"{what} does not parse: it holds zero bytes")
+        raise ModelError(f"{what} does not parse: it holds zero bytes; a model is MJCF or URDF text")
     elements = list(elements_of(content))
     for element in elements:
         for name, value in element.attributes.items():
@@ -192,6 +194,7 @@ def elements_and_size(content: bytes, path: Path | None) -> tuple[list[Element],
     size = size_of(elements)
     for asked, most, words in (
         (size.bodies, MOST_BODIES, "bodies, points of flexes among them"),
+        (size.sites, MOST_SITES, "sites"),
         (size.elements, MOST_ELEMENTS, "elements by replicate"),
         (size.room_bytes, MOST_ROOM_BYTES, "bytes of textures and height fields"),
     ):

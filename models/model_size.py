@@ -10,11 +10,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 # What a text may make: bodies (a flex's points among them), other elements, and what images and height fields take.
-MOST_BODIES, MOST_ELEMENTS, MOST_ROOM_BYTES = 5000, 50_000, 1.2e9
+MOST_BODIES, MOST_SITES, MOST_ELEMENTS, MOST_ROOM_BYTES = 5000, 10_000, 50_000, 1.2e9
 # Bytes that MuJoCo's compiler took at its peak for a channel of a pixel and for a number of a height field, measured.
 _CHANNEL_BYTES, _HEIGHT_BYTES = 2.0, 22.0
 _TOKEN = re.compile(rb"""<(/?)([A-Za-z_][\w.-]*)|(?<!\w)([A-Za-z_]\w*)\s*=\s*("[^"]*"|'[^']*')|(/?)>""")
-_COMMENT = re.compile(rb"<!--.*?-->", re.DOTALL)
+# What is no element, to its end or to the text's: comments, character data, instructions.
+_ASIDE = re.compile(rb"<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)", re.DOTALL)
+# MuJoCo's reader takes no more elements within each other than 500.
+_DEEPEST = 1000
 # A cube's texture has six sides, each as wide as it is high.
 _SIDES, _CHANNELS = 6, 3
 
@@ -30,9 +33,10 @@ class Element:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ModelSize:
-    """How many bodies and other elements are made, what pictures take; `attached` is how often models are attached."""
+    """How many bodies, sites and other elements are made, what pictures take; how often models are attached."""
 
     bodies: float = 0.0
+    sites: float = 0.0
     elements: float = 0.0
     room_bytes: float = 0.0
     attached: float = 0.0
@@ -42,13 +46,11 @@ def elements_of(content: bytes) -> Iterator[Element]:
     """Yield the elements of an MJCF text in order, each with how often the `replicate`s around it make it."""
     around: list[tuple[str, float]] = []
     name, attributes = "", {}
-    for token in _TOKEN.finditer(_COMMENT.sub(b"", content)):
+    for token in _TOKEN.finditer(_ASIDE.sub(b"", content)):
         closing, opened, attribute, value, ends = token.groups()
         if opened is not None and closing:
-            names = [tag for tag, _ in around]
-            tag = _text(opened)
-            if tag in names:
-                del around[len(names) - 1 - names[::-1].index(tag) :]
+            if around and around[-1][0] == _text(opened):  # another one is an error, which MuJoCo's reader finds
+                around.pop()
             name = ""
         elif opened is not None:
             name, attributes = _text(opened), {}
@@ -57,7 +59,7 @@ def elements_of(content: bytes) -> Iterator[Element]:
         elif name:
             times = around[-1][1] if around else 1.0
             yield Element(name=name, attributes=attributes, times=times)
-            if not ends:
+            if not ends and len(around) < _DEEPEST:
                 inner = max(1.0, numbers_in(attributes.get("count", "1"))) if name == "replicate" else 1.0
                 around.append((name, times * inner))
             name = ""
@@ -65,7 +67,7 @@ def elements_of(content: bytes) -> Iterator[Element]:
 
 def size_of(elements: list[Element]) -> ModelSize:
     """Return what the elements of a text make; what it includes or attaches not counted."""
-    bodies = elements_made = room = attached = 0.0
+    bodies = sites = elements_made = room = attached = 0.0
     for element in elements:
         given = element.attributes
         if element.name == "body":
@@ -74,6 +76,8 @@ def size_of(elements: list[Element]) -> ModelSize:
             bodies += element.times * max(1.0, numbers_in(given.get("count", "1")))
         elif element.name == "attach":
             attached += element.times
+        elif element.name == "site":
+            sites += element.times
         elif element.times > 1:
             elements_made += element.times
         if element.name == "hfield":
@@ -82,7 +86,7 @@ def size_of(elements: list[Element]) -> ModelSize:
             width, height = (numbers_in(given.get(side, "0")) for side in ("width", "height"))
             flat = given.get("type", "cube") == "2d"
             room += image_bytes(width, height if flat else width * _SIDES)
-    return ModelSize(bodies=bodies, elements=elements_made, room_bytes=room, attached=attached)
+    return ModelSize(bodies=bodies, sites=sites, elements=elements_made, room_bytes=room, attached=attached)
 
 
 def image_bytes(width: float, height: float) -> float:

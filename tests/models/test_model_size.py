@@ -27,7 +27,18 @@ TOO_LARGE = {
     ),
     "sites by the million": (
         model('<replicate count="1000"><replicate count="1000"><site/></replicate></replicate>'),
+        ["1e+06 sites"],
+    ),
+    "sites by the thousand": (model("<site/>" * 10_001), ["10001 sites"]),
+    "geoms by the million": (
+        model('<replicate count="1000"><replicate count="1000"><geom size="1"/></replicate></replicate>'),
         ["elements", "replicate"],
+    ),
+    "replicates that character data only seem to close": (
+        model(
+            '<replicate count="99"><replicate count="99"><![CDATA[</replicate></replicate>]]><body/></replicate></replicate>'
+        ),
+        ["9802 bodies"],
     ),
     "a cube's six sides": (model(asset='<texture width="16384" builtin="flat"/>'), ["textures"]),
     "many pictures": (model(asset='<texture type="2d" width="8192" height="8192" builtin="flat"/>' * 4), ["textures"]),
@@ -50,6 +61,16 @@ def test_replicates_beside_each_other_add_and_those_within_multiply():
 def test_what_stands_in_a_comment_or_in_a_value_is_no_element():
     text = b"<!-- <body/> --><a b=\"<body/>\" c='>'/><body/>"
     assert [element.name for element in elements_of(text)] == ["a", "body"]
+
+
+@pytest.mark.parametrize("part", ["<!--", "<a>", "<![CDATA[", "<?", "</b>", '<a b="', "<a b='", "<a b=", "</"])
+def test_a_text_of_broken_parts_is_looked_through_in_one_pass(part):
+    assert len(list(elements_of(b"<c>" + part.encode() * 100_000))) <= 100_001
+
+
+def test_an_asset_whose_name_no_system_takes_is_not_found(tmp_path):
+    (tmp_path / "m.xml").write_text(model(asset=f'<mesh name="q" file="{"q" * 300}.stl"/>'))
+    assert_names(refusal(lambda: load_mechanism(tmp_path / "m.xml")), "m.xml", "Error opening file")
 
 
 def test_bodies_side_by_side_by_the_thousand_are_read():
