@@ -137,6 +137,7 @@ def run(words: tuple[str, ...]) -> int:
     demo.LOOPS, demo.ANGLES_DEG = demo.LOOPS[:1], demo.ANGLES_DEG[2:3]
     demo.map_study = demo.map_record = demo.map_figure = lambda *_: {}
     demo.map_text = lambda _: ""
+    demo.map_section = lambda *_: demo.Section(title="", blocks=[])
     demo.Setup = lambda: None
     demo.printed_runs = lambda *_: {}
     sys.argv = ["linkplan", *words]
