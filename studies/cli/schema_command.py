@@ -38,12 +38,14 @@ def run_schema(arguments: argparse.Namespace) -> int:
 
 def _is_a_schema(place: Path) -> bool:
     """Return whether a file is a schema that linkplan wrote, which a newer one replaces, or empty."""
+    from linkplan.models.errors import LinkplanError
+    from linkplan.models.reading import MOST_TOML_BYTES, read_file
     from linkplan.planner.keys.json_schema import DIALECT, FILES
 
     try:
-        text = place.read_text(encoding="utf-8")
+        text = read_file(place, f"'{place}'", MOST_TOML_BYTES).decode("utf-8")  # no device, which would never end
         said = json.loads(text) if text else {"$schema": DIALECT, "title": "linkplan problem file"}
-    except (OSError, ValueError, RecursionError):
+    except (LinkplanError, ValueError, RecursionError):
         return False
     titles = [f"linkplan {name} file" for name in FILES]
     return isinstance(said, dict) and said.get("$schema") == DIALECT and said.get("title") in titles
