@@ -22,6 +22,7 @@ from linkplan.planner.transcription.junctions import find_junctions, places
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.node import NodeFunctions, build_node
+from linkplan.planner.transcription.numbers import without_numbers
 from linkplan.planner.transcription.program import Program, build_program
 from linkplan.planner.transcription.schemes import Scheme
 from linkplan.planner.transcription.triplets import Triplets
@@ -41,13 +42,14 @@ class Transcribed:
     `bang_efforts` (n_segments, n_u) are efforts held over whole segments, `constrained_paths` (n_segments, n_path) path
     quantities held at their upper limit (1) or lower one (-1), `junctions` (n_segments - 1, n_path) where one goes over
     into the other; `least_limit` says that the smallest common factor on the effort limits is sought in place of the
-    objective. `origin` is what a client wants to find again beside its program.
+    objective. `numbers` (n_numbers,) are those of the system's own expressions. `origin` is what a client wants to find again beside its program.
     """
 
     program: Program
     scheme: Scheme
     formulation: Formulation
     parameters: np.ndarray
+    numbers: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
     row_lower: np.ndarray
@@ -137,13 +139,14 @@ def collocate(
     lower, upper = bounds(
         formulation, layout, mesh, durations, None if least_limit else bang_efforts, interval.open_end_z, junctions
     )
-    breaks = mesh.breaks(durations)
+    breaks, (_, numbers) = mesh.breaks(durations), without_numbers(formulation.build_system())
     row_lower, row_upper = _row_bounds(formulation, chosen, interval, mesh, breaks, constrained_paths, junctions)
     return Transcribed(
         program=_program(layout, mesh, interval, linear, formulation.endpoint),
         scheme=chosen,
         formulation=formulation,
-        parameters=_parameters(formulation, chosen, interval.n_open_ends, mesh, breaks),
+        parameters=_parameters(formulation, chosen, interval.n_open_ends, mesh, breaks, numbers),
+        numbers=numbers,
         lower=lower,
         upper=upper,
         row_lower=np.concatenate([row_lower, linear_lower, formulation.endpoint_bounds[:, 0]]),
@@ -175,14 +178,14 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
         formulation, layout, mesh, durations, transcribed.bang_efforts, program.interval.open_end_z, transcribed.junctions
     )
     _, linear_lower, linear_upper = linear_rows(formulation, layout, mesh, None)
-    breaks = mesh.breaks(durations)
+    breaks, open_ends, numbers = mesh.breaks(durations), program.interval.n_open_ends, transcribed.numbers
     row_lower, row_upper = _row_bounds(
         formulation, transcribed.scheme, program.interval, mesh, breaks, transcribed.constrained_paths, transcribed.junctions
     )
     return replace(
         transcribed,
         formulation=formulation,
-        parameters=_parameters(formulation, transcribed.scheme, program.interval.n_open_ends, mesh, mesh.breaks(durations)),
+        parameters=_parameters(formulation, transcribed.scheme, open_ends, mesh, breaks, numbers),
         lower=lower,
         upper=upper,
         row_lower=np.concatenate([row_lower, linear_lower, formulation.endpoint_bounds[:, 0]]),
@@ -194,7 +197,7 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
 
 def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: str) -> IntervalFunctions:
     """Return the functions of one interval: compiled ones where they are wanted or at hand."""
-    system, rows = formulation.build_system(), formulation.rows
+    (system, _), rows = without_numbers(formulation.build_system()), formulation.rows
     at_once = mode == "always" or (mode == "auto" and n_intervals >= _WORTH_COMPILING)
 
     def code(kind: type[CodeT], key: str, build: Callable[[], CodeT]) -> CodeT:
@@ -270,12 +273,18 @@ def _row_bounds(
     )
 
 
-def _parameters(formulation: Formulation, chosen: Scheme, n_open_ends: int, mesh: Mesh, breaks: np.ndarray) -> np.ndarray:
-    """Return the parameters: per interval its share, its own, those of nodes and open ends; the endpoint's."""
+def _parameters(
+    formulation: Formulation, chosen: Scheme, n_open_ends: int, mesh: Mesh, breaks: np.ndarray, numbers: np.ndarray
+) -> np.ndarray:
+    """Return the parameters: per interval its share, its own, those of nodes and open ends; the endpoint's.
+
+    The last of a node's are the numbers (n,) of its system's expressions.
+    """
     at = np.concatenate([chosen.nodes, chosen.open_ends[:n_open_ends]])
     times = breaks[:-1, None] + np.diff(breaks)[:, None] * at
     n = mesh.n_intervals
-    theta = formulation.theta(times).reshape(n, -1)
+    theta = formulation.theta(times)
+    theta = np.concatenate([theta, np.broadcast_to(numbers, (*theta.shape[:2], len(numbers)))], axis=2).reshape(n, -1)
     per_interval = np.hstack([mesh.fraction[:, None], np.tile(formulation.eta, (n, 1)), theta])
     return np.concatenate([per_interval.ravel(), formulation.endpoint_parameters])
 

@@ -93,7 +93,7 @@ def node_key(system: System, at_open_ends: tuple[int, ...] = ()) -> str:
     """Return the cache key of a node's functions: a hash of its expressions and of what makes C of them."""
     digest = hashlib.sha256(_common_key())
     digest.update(system.node.serialize().encode())
-    digest.update(repr(("node", *_sizes(system), system.kinds, at_open_ends)).encode())
+    digest.update(repr(("node", *_sizes(system), system.n_theta, system.kinds, at_open_ends)).encode())
     return f"k{digest.hexdigest()[:32]}"  # a letter first: CasADi makes an identifier of it
 
 
@@ -109,7 +109,7 @@ def chain_key(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFunc
 
 
 def _sizes(system: System) -> tuple[int, ...]:
-    return (system.n_s, system.n_x, system.n_z, system.n_u, system.n_theta, system.n_equations, system.n_path)
+    return (system.n_s, system.n_x, system.n_z, system.n_u, system.n_equations, system.n_path)
 
 
 def cached(key: str, kind: type[CodeT]) -> CodeT | None:
