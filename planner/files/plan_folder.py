@@ -69,7 +69,7 @@ def record(plan: Plan) -> dict:
                 "solve": sum(step.solve_s for step in plan.history),
             },
             "details": plan.details,
-            "history": [{k: getattr(step, k) for k in step.__slots__ if k != "asked"} for step in plan.history],
+            "history": [{name: getattr(step, name) for name in step.saved()} for step in plan.history],
             "notes": list(problem.notes),
             "not_honoured": list(not_honoured(plan)),
             "versions": versions(),

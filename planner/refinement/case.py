@@ -4,6 +4,7 @@ What is planned for stands behind `Case`: a mechanism's problem and a user's dif
 same code.
 """
 
+import functools
 import hashlib
 import time
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from linkplan.planner.solvers.outcome import OUT_OF_TIME
 from linkplan.planner.solvers.solve import Solution, solve
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.transcription.system import Endpoint, System
 
 
 class Certificate(Protocol):
@@ -210,14 +212,15 @@ def attempt(
         )
     except AssemblyError:  # a start whose loops open between the instants at which it was looked at
         return None
-    failed = [step.asked for step in history if step.asked]
-    asked = _asked(transcribed, settings.solver, warm, close) if failed else ""
-    if asked in failed:
+    asked = _asked(transcribed, settings.solver, warm, close)
+    known = next((step for step in history if step.asked == asked), None)
+    if known is not None and known.answer is None:
         return None  # a repair that changes nothing here
-    solution = solve(transcribed, settings.solver, warm=warm, close=close)
-    if not solution.converged and solution.status != OUT_OF_TIME:
-        asked = asked or _asked(transcribed, settings.solver, warm, close)
-    history.append(step_of(what, transcribed, solution, "" if solution.converged else asked))
+    if known is not None:
+        solution = Solution(transcribed=transcribed, **{**known.answer, "build_s": 0.0, "solve_s": 0.0})
+    else:
+        solution = solve(transcribed, settings.solver, warm=warm, close=close)
+    history.append(step_of(what, transcribed, solution, asked if solution.status != OUT_OF_TIME else ""))
     if not solution.converged:
         return None
     motion = case.motion(solution)
@@ -226,14 +229,22 @@ def attempt(
 
 def _asked(transcribed: Transcribed, settings: SolverSettings, warm: bool, close: bool) -> str:
     """Return a hash of a program with its numbers, and of how it is solved."""
-    formulation, mesh = transcribed.formulation, transcribed.program.mesh
-    digest = hashlib.sha256(formulation.build_system().node.serialize().encode())
+    formulation, mesh, linear = transcribed.formulation, transcribed.program.mesh, transcribed.program.linear
+    digest = hashlib.sha256(_expressions(formulation.build_system(), formulation.endpoint))
     how = (settings.name, settings.max_iterations, warm, close, transcribed.scheme.name, transcribed.least_limit)
     digest.update(repr((how, transcribed.scheme.effort_at.shape, formulation.rows)).encode())
     bounds = (transcribed.lower, transcribed.upper, transcribed.row_lower, transcribed.row_upper)
-    for numbers in (mesh.fraction, mesh.segment, transcribed.parameters, *bounds, transcribed.start):
+    rows = (linear.rows, linear.columns, linear.values)
+    for numbers in (mesh.fraction, mesh.segment, *rows, transcribed.parameters, *bounds, transcribed.start):
         digest.update(numbers.tobytes() + b"|")
     return digest.hexdigest()
+
+
+@functools.lru_cache(maxsize=16)
+def _expressions(system: System, endpoint: Endpoint | None) -> bytes:
+    """Return a hash of a system's expressions, and of its endpoint's."""
+    functions = [system.node] if endpoint is None else [system.node, endpoint.function]
+    return hashlib.sha256("|".join(function.serialize() for function in functions).encode()).digest()
 
 
 def _attempted(what: str, scheme: str, mesh: Mesh, history: list[Step]) -> str:

@@ -1,7 +1,8 @@
 """The solves on the way to a plan, one after the other, and the progress that is told of them."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
@@ -29,11 +30,17 @@ class Step:
     build_s: float
     solve_s: float
     integration_error: float | None = None  # of a user's differential equation, as a share of its states' sizes
-    asked: str = ""  # where it failed, a hash of what was solved: it fails again
+    asked: str = ""  # a hash of what was solved: it has the same answer again
+    answer: dict[str, Any] | None = None  # the solution's fields but for its program, where it converged
+
+    @classmethod
+    def saved(cls) -> tuple[str, ...]:
+        """Return the names of what is saved of a step: all but what spares the search a second solve."""
+        return tuple(name for name in cls.__slots__ if name not in ("asked", "answer"))
 
 
 def step_of(what: str, transcribed: Transcribed, solution: Solution, asked: str = "") -> Step:
-    """Return the record of one solve; `asked` as of `Step`."""
+    """Return the record of one solve; `asked` as of `Step`, empty where its answer need not be kept."""
     mesh = transcribed.program.mesh
     return Step(
         what=what,
@@ -47,4 +54,9 @@ def step_of(what: str, transcribed: Transcribed, solution: Solution, asked: str 
         build_s=transcribed.build_s + solution.build_s,
         solve_s=solution.solve_s,
         asked=asked,
+        answer=_answer(solution) if asked and solution.converged else None,
     )
+
+
+def _answer(solution: Solution) -> dict[str, Any]:
+    return {field.name: getattr(solution, field.name) for field in fields(solution) if field.name != "transcribed"}

@@ -36,7 +36,7 @@ def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s:
     if grid is None:
         return True
     plane = plane_of(problem, *grid, problem.limits.effort)
-    if min(plane.drag) < 0:
+    if np.any(plane.drag < 0):
         return True
     start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
     rests = np.linspace(0, len(plane.s) - 1, _PLACES).round().astype(int)
@@ -83,8 +83,8 @@ def _bounds(plane: Plane, places: np.ndarray) -> np.ndarray:
 
 def _alone(plane: Plane, places: np.ndarray, way: int, top: int) -> np.ndarray:
     """Return the times (k, k) [s] by full effort from rest at each place along a way, within the speeds of way `top`."""
-    inertia, work = np.array(plane.inertia), np.array(plane.work[way])
-    energy = np.minimum(work - work[places][:, None], inertia * np.array(plane.top[top]))
+    inertia, work = plane.inertia, plane.work[way]
+    energy = np.minimum(work - work[places][:, None], inertia * plane.top[top])
     v = np.sqrt(2 * np.maximum(energy, 0.0) / inertia)
     with np.errstate(divide="ignore"):
         cells = 2 * np.diff(plane.s) / (v[:, 1:] + v[:, :-1])
@@ -99,7 +99,7 @@ def _alone(plane: Plane, places: np.ndarray, way: int, top: int) -> np.ndarray:
 
 def _energies(plane: Plane, place: int, way: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the energies (n,) that full effort gives along a way from rest at a place, and takes until rest there."""
-    gives, takes = np.array(plane.work[way]), np.array(plane.work[-way])
+    gives, takes = plane.work[way], plane.work[-way]
     return gives - gives[place], takes - takes[place]
 
 
@@ -123,9 +123,9 @@ def _legs(plane: Plane, start: int, ends: np.ndarray, way: int) -> np.ndarray:
     if not len(ends):
         return np.empty(0)
     stretch = slice(start, int(ends[-1]) + 1) if way > 0 else slice(int(ends[0]), start + 1)
-    inertia, top = (np.array(x)[stretch] for x in (plane.inertia, plane.top[way]))
+    inertia, top = (x[stretch] for x in (plane.inertia, plane.top[way]))
     given = np.minimum(_energies(plane, start, way)[0][stretch], inertia * top)
-    takes = np.array(plane.work[-way])
+    takes = plane.work[-way]
     index = np.arange(stretch.start, stretch.stop)
     before = (ends[:, None] - index) * way >= 0
     energy = np.minimum(given, takes[stretch] - takes[ends][:, None])

@@ -34,19 +34,19 @@ class Plane:
     """
 
     s: np.ndarray
-    cells: list[float]  # widths (n - 1,)
-    inertia: list[float]  # M
-    work: dict[int, list[float]]  # W of weight, springs and full effort in direction +1 or -1, from the first position
-    force: dict[int, list[float]]  # dW/ds
-    drag: list[float]  # M da/dv
-    rub: list[float]  # dry friction
-    top: dict[int, list[float]]  # largest w in either direction from which full effort keeps the speed limits further on
+    cells: np.ndarray  # widths (n - 1,)
+    inertia: np.ndarray  # M
+    work: dict[int, np.ndarray]  # W of weight, springs and full effort in direction +1 or -1, from the first position
+    force: dict[int, np.ndarray]  # dW/ds
+    drag: np.ndarray  # M da/dv
+    rub: np.ndarray  # dry friction
+    top: dict[int, np.ndarray]  # largest w in either direction from which full effort keeps the speed limits further on
     effort: dict[int, np.ndarray]  # (2 n - 1, n_u) that pushes so, at ends and middles in turn
 
     @property
     def undamped(self) -> bool:
         """Whether no damper and no dry friction takes energy anywhere."""
-        return not any(self.drag) and not any(self.rub)
+        return not np.any(self.drag) and not np.any(self.rub)
 
     def at(self, place: float) -> int:
         """Return the cell end at a place."""
@@ -60,14 +60,16 @@ class Plane:
         `effort` is the direction of the push. Backwards, the motion runs against the steps: a braking leg from its end. It
         stays `below` w at cell ends (n,).
         """
-        sign, work, at = (-step if backwards else step), self.work[effort], start
-        inertia, drags, top, cells, n = self.inertia, self.drag, self.top[sign], self.cells, len(self.inertia)
-        values, energy = [float(w)], inertia[start] * w
-        rub = self.rub
-        if not w and step * (self.force[effort][start] - sign * rub[start]) <= 0:
-            return np.array(values)  # rest is not left that way, however soon the way would be open again
-        if below is None and self.undamped and np.all(np.isinf(self.top[sign])):
-            return self._free_leg(start, w, step, effort)
+        sign = -step if backwards else step
+        if not w and step * (self.force[effort][start] - sign * self.rub[start]) <= 0:
+            return np.array([float(w)])  # rest is not left that way, however soon the way would be open again
+        if self.undamped:
+            return self._free_leg(start, w, step, effort, self.top[sign], below)
+        # In plain floats: place by place, numpy's take ten times as long.
+        inertia, drags, rub, top, work, cells = (
+            x.tolist() for x in (self.inertia, self.drag, self.rub, self.top[sign], self.work[effort], self.cells)
+        )
+        at, n, values, energy = start, len(inertia), [float(w)], inertia[start] * w
         while 0 <= at + step < n:
             over = at + step
             h = cells[at] if step > 0 else -cells[over]
@@ -82,14 +84,27 @@ class Plane:
             values.append(w)
         return np.array(values)
 
-    def _free_leg(self, start: int, w: float, step: int, effort: int) -> np.ndarray:
-        """Return as `leg` where neither dampers nor speed limits count: energy is the work alone."""
-        index = np.arange(start + step, len(self.inertia) if step > 0 else -1, step)
-        inertia, work = np.array(self.inertia), np.array(self.work[effort])
-        energy = inertia[start] * w + (work[index] - work[start])
-        stops = np.flatnonzero(energy <= 0)
-        n = int(stops[0]) if len(stops) else len(index)
-        return np.concatenate([[float(w)], energy[:n] / inertia[index[:n]]])
+    def _free_leg(
+        self, start: int, w: float, step: int, effort: int, top: np.ndarray, below: np.ndarray | None
+    ) -> np.ndarray:
+        """Return as `leg` where no damper counts: energy is the work alone, and the least that a place admits is kept on.
+
+        E_k = min(E_0 + W_k - W_0, min over places j on the way of (top E_j + W_k - W_j)).
+        """
+        if not start and step < 0:
+            return np.array([float(w)])
+        ahead = slice(start + step, None, step)
+        inertia, work, top = self.inertia[ahead], self.work[effort][ahead], top[ahead]
+        free = self.inertia[start] * w - self.work[effort][start]
+        least = np.full(len(inertia), free)
+        most = top if below is None else np.minimum(top, below[ahead])
+        if np.any(np.isfinite(most)):
+            least = np.minimum(least, np.minimum.accumulate(inertia * most - work))
+        # What a place admits counts from the next one on: a leg ends where its energy does, or where nothing may pass.
+        before = np.concatenate([[free], least[:-1]])
+        stops = np.flatnonzero((before + work <= 0) | (top <= 0))
+        n = int(stops[0]) if len(stops) else len(inertia)
+        return np.concatenate([[float(w)], (least[:n] + work[:n]) / inertia[:n]])
 
 
 def grid_of(
@@ -181,12 +196,12 @@ def plane_of(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray, limit: 
     fastest = _top(problem, poses[::2])
     return Plane(
         s=s,
-        cells=np.diff(s).tolist(),
-        inertia=inertia[::2].tolist(),
-        work={way: work.tolist() for way, work in works.items()},
-        force={way: f[::2].tolist() for way, f in force.items()},
-        drag=_drag(0.5 * inertia * (ahead - back), rub)[::2].tolist(),
-        rub=rub[::2].tolist(),
+        cells=np.diff(s),
+        inertia=inertia[::2],
+        work=works,
+        force={way: f[::2] for way, f in force.items()},
+        drag=_drag(0.5 * inertia * (ahead - back), rub)[::2],
+        rub=rub[::2],
         top={way: _kept(fastest, inertia[::2], works[-way], way) for way in effort},
         effort=effort,
     )
@@ -209,7 +224,7 @@ def _top(problem: PlanningProblem, poses: np.ndarray) -> np.ndarray:
     return 0.5 * fastest**2
 
 
-def _kept(fastest: np.ndarray, inertia: np.ndarray, braking: np.ndarray, way: int) -> list[float]:
+def _kept(fastest: np.ndarray, inertia: np.ndarray, braking: np.ndarray, way: int) -> np.ndarray:
     """Return the largest w (n,) from which a motion can keep what is fastest (n,) further on, by braking in time.
 
     Args:
@@ -220,8 +235,9 @@ def _kept(fastest: np.ndarray, inertia: np.ndarray, braking: np.ndarray, way: in
     """
     energy = inertia * fastest
     if np.all(np.isinf(energy)):
-        return energy.tolist()
-    order = range(len(energy) - 2, -1, -1) if way > 0 else range(1, len(energy))
+        return energy
+    kept, spent = energy.tolist(), braking.tolist()  # in plain floats: place by place, numpy's take ten times as long
+    order = range(len(kept) - 2, -1, -1) if way > 0 else range(1, len(kept))
     for k in order:
-        energy[k] = max(min(energy[k], energy[k + way] - (braking[k + way] - braking[k])), 0.0)
-    return (energy / inertia).tolist()
+        kept[k] = max(min(kept[k], kept[k + way] - (spent[k + way] - spent[k])), 0.0)
+    return np.array(kept) / inertia

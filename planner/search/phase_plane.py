@@ -240,7 +240,7 @@ def _guess(plane: Plane, parts: list[Part], ways: list, start_pose: np.ndarray) 
         boundaries_s=t[boundaries] if len(boundaries) > 2 else None,
         swings=sum(len(legs) for legs in ways),
     )
-    top = np.where(np.array(v) > 0, np.array(plane.top[+1])[visited], np.array(plane.top[-1])[visited])
+    top = np.where(np.array(v) > 0, plane.top[+1][visited], plane.top[-1][visited])
     if np.any((0.5 * np.square(v) >= (1 - _SAME) * top) & (top > 0)):
         return guess  # along speed limits efforts are what these ask for
     switched = np.setdiff1d(np.flatnonzero(np.diff(pushed)) + 1, boundaries)
