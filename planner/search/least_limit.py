@@ -20,6 +20,8 @@ from linkplan.planner.transcription.mesh import Mesh, halved
 _STARTS, _MOST_TRIED = 3, 20
 # Finer meshes on which the factor that is named is looked for, and the change between two of them that ends it.
 _FINER, _SETTLED = 3, 1e-4
+# Factors of one mesh that are no further apart are those of the same motion, relative.
+_THE_SAME = 1e-7
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -30,6 +32,7 @@ class LeastLimit:
     trajectory: Trajectory
     mesh: Mesh
     durations: np.ndarray  # (n_segments,) [s]
+    first: float  # the factor on the mesh as given
 
 
 def least_limit_of_starts(problem: PlanningProblem, guess: Guess, history: list[Step]) -> LeastLimit | None:
@@ -41,7 +44,8 @@ def least_limit_of_starts(problem: PlanningProblem, guess: Guess, history: list[
     others = (start for _, start in perturbed if closes(problem.mechanism, start))
     best = None
     for start in (guess, *itertools.islice(others, _STARTS - 1)):
-        found = least_limit(problem, start, *first_mesh(problem, start), history)
+        known = None if best is None else best.first
+        found = least_limit(problem, start, *first_mesh(problem, start), history, known=known)
         if found is not None and (best is None or found.factor < best.factor):
             best = found
         if best is None or best.factor <= 1.0:
@@ -66,12 +70,18 @@ def settled_limit(problem: PlanningProblem, found: LeastLimit, history: list[Ste
 
 
 def least_limit(
-    problem: PlanningProblem, guess: Guess, mesh: Mesh, durations: np.ndarray, history: list[Step]
+    problem: PlanningProblem,
+    guess: Guess,
+    mesh: Mesh,
+    durations: np.ndarray,
+    history: list[Step],
+    *,
+    known: float | None = None,
 ) -> LeastLimit | None:
     """Return the least factor on the effort limits that admits a motion, or None where none was found.
 
     Solved twice: on the mesh as given, then with phase boundaries at the switch times that it showed, where the factor is
-    exact.
+    exact. Where the first comes to the factor that is `known` of such a mesh, it is the same motion, and None.
     """
     limit = problem.limits.effort
     if not np.all(np.isfinite(limit)):
@@ -84,12 +94,15 @@ def least_limit(
         if not solution.converged:
             break
         factor = float(solution.x[transcribed.program.layout.extra()][0])
+        if best is None and known is not None and abs(factor - known) <= _THE_SAME * known:
+            return None
         if best is not None and factor > best.factor * (1 + NO_WORSE):
             break
         best = LeastLimit(
             factor=factor,
             trajectory=trajectory_of(transcribed, solution.x, factor * limit),
             mesh=mesh,
+            first=factor if best is None else best.first,
             durations=solution.x[transcribed.program.layout.durations()] * transcribed.units.time_s,
         )
         boundaries = best.trajectory.breaks_s[mesh.boundaries()]

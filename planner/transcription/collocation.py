@@ -42,7 +42,8 @@ class Transcribed:
     `bang_efforts` (n_segments, n_u) are efforts held over whole segments, `constrained_paths` (n_segments, n_path) path
     quantities held at their upper limit (1) or lower one (-1), `junctions` (n_segments - 1, n_path) where one goes over
     into the other; `least_limit` says that the smallest common factor on the effort limits is sought in place of the
-    objective. `numbers` (n_numbers,) are those of the system's own expressions. `origin` is what a client wants to find again beside its program.
+    objective. `numbers` (n_numbers,) are those of the system's own expressions. `origin` is what a client wants to find
+    again beside its program.
     """
 
     program: Program

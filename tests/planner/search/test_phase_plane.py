@@ -56,15 +56,24 @@ def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring
 
 @pytest.mark.parametrize("way", [+1, -1])
 @pytest.mark.parametrize("backwards", [False, True])
-def test_a_leg_without_dampers_and_speed_limits_is_the_one_that_steps_from_cell_to_cell(way, backwards):
+@pytest.mark.parametrize("share", [np.inf, 0.5])
+def test_a_leg_without_dampers_is_the_one_that_steps_from_cell_to_cell(way, backwards, share):
+    """The work alone gives its energy, and where speeds are limited to a share of the largest the least energy is kept on."""
     problem = load_problem("knee-sprint")
     pose = start_pose_of(problem)
     plane = plane_of(problem, *grid_of(problem, np.array([problem.motion.start[0]]), pose, 200), problem.limits.effort)
     assert plane.undamped
-    next_to_none = replace(plane, drag=[1e-300] * len(plane.s))
+    free = plane.leg(100, 0.0, way, way, backwards=backwards)
+    below = np.full(len(plane.s), np.inf)
+    if np.isfinite(share):
+        top = np.full(len(plane.s), share * free.max())
+        plane = replace(plane, top={+1: top, -1: top})
+        below[90:95], below[106:111] = 0.1 * free.max(), 0.1 * free.max()
+    next_to_none = replace(plane, drag=np.full(len(plane.s), 1e-300))
     assert not next_to_none.undamped
-    quick, stepped = (p.leg(100, 0.0, way, way, backwards=backwards) for p in (plane, next_to_none))
+    quick, stepped = (p.leg(100, 0.0, way, way, backwards=backwards, below=below) for p in (plane, next_to_none))
     assert len(quick) == len(stepped) > 2
+    assert np.isinf(share) or not np.allclose(quick, free[: len(quick)])
     np.testing.assert_allclose(quick, stepped, rtol=ROUNDING * len(quick))
 
 
