@@ -1,9 +1,10 @@
 """Compiled interval functions: C made by CasADi, built by the machine's compiler, kept by the hash of what went in.
 
 CasADi's interpreter takes about ten times as long on these functions as compiled code. The functions are small (one node,
-one interval) and serve a mesh of any size. They are two libraries: the node's, which hang on the mechanism and the objective
-and on no transcription, and the chain rule's, which hang on the transcription and on no mechanism. So one compilation of
-half a second serves every later solve of a mechanism, and another one every mechanism of the same shape. A cached result is
+one interval) and serve a mesh of any size. They are two libraries: the node's, which hang on the structure of mechanism and
+objective, on none of their numbers (`numbers.py`) and on no transcription, and the chain rule's, which hang on the
+transcription and on no mechanism. So one compilation of half a second serves every later solve of mechanisms of one
+structure, whatever their lengths and masses, and another one every mechanism of the same sizes. A cached result is
 found before derivatives are built: the key hashes the node's own expressions, or the sizes, the sources that write C from
 them, CasADi and the compiler. Where the cache (`cache.py`) cannot be used, or there is no compiler, the interpreter serves.
 """

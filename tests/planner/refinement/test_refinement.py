@@ -62,3 +62,26 @@ def test_what_failed_is_not_solved_again_as_it_was(monkeypatch):
     assert len(solved) == len(history) == 1
     assert tried(0.16, warm=True) is None  # another way to solve it
     assert len(solved) == len(history) == 2
+
+
+def test_what_was_solved_is_not_solved_again_as_it_was(monkeypatch):
+    problem = load_problem("knee-reach", ["mesh.intervals=8", "solver.compile=never"])
+    guess, solved, history = first_guess(problem, start_pose_of(problem)), [], []
+
+    def counted(*given, **how):
+        solved.append(solve(*given, **how))
+        return solved[-1]
+
+    monkeypatch.setattr("linkplan.planner.refinement.case.solve", counted)
+
+    def tried(duration: float):
+        return attempt(case_of(problem), guess, uniform(8), np.array([duration]), "a try", history, lambda _: None)
+
+    first, again = tried(0.16), tried(0.16)
+    assert (len(solved), len(history)) == (1, 2)
+    assert history[1].solve_s == 0 < history[0].solve_s
+    assert np.array_equal(first.solution.x, again.solution.x)
+    weaker = replace(problem, limits=replace(problem.limits, effort=0.9 * problem.limits.effort))
+    other = attempt(case_of(weaker), guess, uniform(8), np.array([0.16]), "weaker", history, lambda _: None)
+    assert len(solved) == 2
+    assert other is None or not np.array_equal(other.solution.x, first.solution.x)

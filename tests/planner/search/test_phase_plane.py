@@ -58,7 +58,7 @@ def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring
 @pytest.mark.parametrize("backwards", [False, True])
 @pytest.mark.parametrize("share", [np.inf, 0.5])
 def test_a_leg_without_dampers_is_the_one_that_steps_from_cell_to_cell(way, backwards, share):
-    """The work alone gives its energy, and where speeds are limited to a share of the largest the least energy is kept on."""
+    """The work alone gives its energy; where speeds are limited to a share of the largest the least energy is kept on."""
     problem = load_problem("knee-sprint")
     pose = start_pose_of(problem)
     plane = plane_of(problem, *grid_of(problem, np.array([problem.motion.start[0]]), pose, 200), problem.limits.effort)
