@@ -64,3 +64,12 @@ def test_factors_and_summands_of_a_model_are_its_numbers(function, numbers):
     xi = np.array([0.6, 0.0, 0.0, 0.2])
     expected = [float(function(ca.DM(0.6))), 0.04]
     np.testing.assert_allclose(np.array(bare.node(xi, taken)).ravel(), expected, rtol=ROUNDED)
+
+
+def test_expressions_that_call_functions_of_their_own_keep_their_numbers():
+    angle = ca.SX.sym("angle")
+    called = ca.Function("called", [angle], [ca.sin(3.3 * angle)], {"never_inline": True})
+    system = plain(lambda x: called(x) + 0.7)
+    bare, numbers = without_numbers(system)
+    assert bare is system
+    assert len(numbers) == 0
