@@ -214,10 +214,11 @@ def attempt(
         return None
     asked = _asked(transcribed, settings.solver, warm, close)
     known = next((step for step in history if step.asked == asked), None)
-    if known is not None and known.answer is None:
+    answer = None if known is None else known.answer
+    if known is not None and answer is None:
         return None  # a repair that changes nothing here
-    if known is not None:
-        solution = Solution(transcribed=transcribed, **{**known.answer, "build_s": 0.0, "solve_s": 0.0})
+    if answer is not None:
+        solution = Solution(**{**answer, "transcribed": transcribed, "build_s": 0.0, "solve_s": 0.0})
     else:
         solution = solve(transcribed, settings.solver, warm=warm, close=close)
     history.append(step_of(what, transcribed, solution, asked if solution.status != OUT_OF_TIME else ""))
