@@ -18,7 +18,7 @@ from linkplan.models.poses.along import evaluated
 from linkplan.planner.certificate.dormand_prince import E3, E5, A, B, C
 
 # The integration's own error: two digits below the 1e-10 that certificates speak of.
-_RTOL, _ATOL = 1e-12, 1e-13
+RTOL, _ATOL = 1e-12, 1e-13
 # The most evaluations of the dynamics on one interval, sixteen hundred steps; where a motion is one, some ten do. At a fold
 # where the reduced dynamics end, steps become ever smaller.
 _EVALUATIONS = 20_000
@@ -48,7 +48,7 @@ def flow(rate: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, unti
     with np.errstate(all="ignore"):
         try:
             result = scipy.integrate.solve_ivp(
-                _counted(rate, until), (0.0, width_s), state, method="DOP853", rtol=_RTOL, atol=atol, t_eval=shares * width_s
+                _counted(rate, until), (0.0, width_s), state, method="DOP853", rtol=RTOL, atol=atol, t_eval=shares * width_s
             )
         except _CrawlsError:
             return None
@@ -110,7 +110,7 @@ def strides(
         ends, middles, errors = evaluated(_stretch(rate, length), state, inputs[some].T, widths_s[some])
         before = np.column_stack([state, ends[:, :-1]])
         sizes = np.maximum(np.abs(before), np.abs(ends))
-        scale = _ATOL * np.maximum(1.0, np.abs(before)) + _RTOL * sizes
+        scale = _ATOL * np.maximum(1.0, np.abs(before)) + RTOL * sizes
         fifth, third = (np.square(e / np.repeat(scale, _STEPS, axis=1)).sum(axis=0) for e in np.split(errors, 2))
         short = fifth <= np.sqrt((fifth + 0.01 * third) * len(state))
         good = length if np.all(short) else int(np.argmin(short)) // _STEPS

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.certificate.boundary import missed
-from linkplan.planner.certificate.flow import Rate, flows
 from linkplan.planner.certificate.margins import least_between, sample_points
+from linkplan.planner.ode.integration import integrate
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.transcription.bernstein import bernstein_value
 from linkplan.planner.transcription.schemes import Scheme
 
 # The state reached by integration may differ by this share of each state's size; a tolerance below it is refined towards.
@@ -46,6 +45,7 @@ class OdeCertificate:
     path_overrun: np.ndarray  # (n_path, n_intervals)
     touching: np.ndarray  # (n_intervals,) whether a state or path quantity is at a limit on part of the interval only
     boundary_error: float
+    integration_restarts: int  # how often the integration was restarted, the motion being unstable; 0 as a rule
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed
     residual_share: np.ndarray  # (n_intervals,), zero: the integration tells all
     failures: tuple[str, ...]
@@ -63,7 +63,8 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
     size = np.maximum(np.abs(x).max(axis=0), np.ptp(x, axis=0))
     size = np.where(size > 0, size, 1.0)
-    errors, integrated, misjudged, beyond = _integrate(problem, trajectory, size, points)
+    integrated = integrate(problem, trajectory, size, points)
+    misjudged, beyond = integrated.misjudged, integrated.beyond
     over = np.maximum(u - problem.effort_limit[:, 1], problem.effort_limit[:, 0] - u).max()
     state_margin = _inside(x, problem.state_limit).min(axis=0)
     p = np.tile(problem.parameters[:, None], (1, len(time)))
@@ -79,7 +80,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     along = (inside / path_size[:, None]).reshape(len(inside), n, len(points))
     touching = _in_part(beside.transpose(2, 1, 0)) | _in_part(along)
     boundary = _boundary_error(problem, trajectory, size)
-    error = float(errors.max())
+    error = float(integrated.errors.max())
     failures = []
     if over > 0:
         failures.append(f"an effort exceeds its limit by {over:.3g}")
@@ -99,15 +100,15 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         failures.append(f"the objective is {abs(misjudged[-1]):.3g} of its size from that of the integrated motion")
     if boundary > SLACK:
         failures.append(f"start, goal or ends are missed by {boundary:.3g}")
-    both = np.column_stack([errors, misjudged / OBJECTIVE_SHARE])
     with np.errstate(invalid="ignore"):  # beyond a failed integration, infinity less infinity
-        growth = np.abs(np.diff(np.vstack([np.zeros(n_x + 1), both]), axis=0)).max(axis=1) / INTEGRATION
+        misjudged_there = np.abs(np.diff(misjudged, prepend=0.0)) / OBJECTIVE_SHARE
+    growth = np.maximum(integrated.defects.max(axis=1), misjudged_there) / INTEGRATION
     # An overrun at its limit asks for as much refinement as a state at its tolerance.
     growth = np.maximum(growth, beyond / OVERRUN * problem.tolerance / INTEGRATION)
     return OdeCertificate(
         effort_excess=max(0.0, float(over)),
         integration_error=error,
-        integrated_objective=integrated,
+        integrated_objective=integrated.objective,
         objective_error=float(abs(misjudged[-1])),
         overrun=float(beyond.max()),
         state_margin=state_margin,
@@ -116,6 +117,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         path_overrun=np.maximum(0.0, -by_interval),
         touching=touching,
         boundary_error=boundary,
+        integration_restarts=integrated.restarts,
         growth=np.nan_to_num(growth, nan=np.inf),
         residual_share=np.zeros(len(growth)),
         failures=tuple(failures),
@@ -142,51 +144,6 @@ def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme)
     p = np.tile(problem.parameters[:, None], (1, time.size))
     rate = np.array(problem.at_instant("running_cost").map(time.size)(x, u, p, time.reshape(1, -1)))
     return np.diff(breaks) * (rate.reshape(-1, m) @ chosen.weights)
-
-
-def _integrate(
-    problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray
-) -> tuple[np.ndarray, float, np.ndarray, np.ndarray]:
-    """Return the integrated state's errors (n, n_x) at the intervals' ends, the objective along it, its errors, overruns.
-
-    Errors (n,) are of the solution's running cost up to each interval's end, as shares of the objective's size; overruns
-    (n,) how far the integrated state leaves its limits within each interval, as a share of its size.
-    """
-    f, L, n_x = problem.at_instant("rate"), problem.at_instant("running_cost"), problem.n_x
-    has_cost = problem.running_cost is not None
-    p, breaks = problem.parameters, trajectory.breaks_s
-    begin = trajectory.state_at(breaks[:1])[0]
-    n = len(breaks) - 1
-    errors, spent, beyond = np.zeros((n, n_x)), np.zeros(n), np.zeros(n)
-    planned = np.vstack([trajectory.state_at(breaks[1:-1]), trajectory.state[-1, -1, :n_x]])
-
-    def rate_on(k: int) -> Rate:
-        coefficients, width, t0 = trajectory.effort[:, k], breaks[k + 1] - breaks[k], breaks[k]
-
-        def rate(t: float, y: np.ndarray) -> np.ndarray:
-            x, u = y[:n_x], bernstein_value(coefficients, t / width)
-            running = float(L(x, u, p, t0 + t)) if has_cost else 0.0
-            return np.append(np.array(f(x, u, p, t0 + t)).ravel(), running)
-
-        return rate
-
-    end = begin
-    shares, until = np.append(points[:-1], 1.0), problem.solver.judged_until
-    for k, reached in enumerate(flows(rate_on, breaks, np.append(begin, 0.0), shares, until)):
-        if reached is None:
-            errors[k:] = np.inf
-            return errors, np.inf, np.full(n, np.inf), np.full(n, np.inf)
-        inside, end = reached[:, :n_x], reached[-1, :n_x]
-        errors[k] = np.abs(end - planned[k]) / size
-        spent[k] = reached[-1, n_x]
-        beyond[k] = missed(inside, *problem.state_limit.T, size)
-    final = 0.0
-    if problem.final_cost is not None:
-        final = float(problem.at_ends("final_cost")(begin, end, trajectory.duration_s, p))
-    if trajectory.running is None:
-        return errors, spent[-1] + final, np.zeros(n), beyond
-    scale = np.abs(trajectory.running).sum() + abs(final)
-    return errors, spent[-1] + final, (spent - np.cumsum(trajectory.running)) / (scale if scale > 0 else 1.0), beyond
 
 
 def _boundary_error(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> float:

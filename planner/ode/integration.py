@@ -1,0 +1,184 @@
+"""The differential equation integrated under a solution's efforts, against the solution.
+
+From the start to the end in one go, as a rule. Where a motion is unstable an error grows along it by many orders of
+magnitude: e^40 in 20 s next to a pole at 2 / s, and rounding alone decides where the integration ends. Then every interval
+is integrated from the planned state, its defect is propagated by the transition matrices along the motion, and the
+integration is restarted wherever an error would have grown by `GROWTH`, as for mechanisms
+(`linkplan.planner.certificate.integration`). What is judged is then whether the solution is a motion of the differential
+equation, not whether somebody could follow it blindly; how often it was restarted is reported.
+"""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+import scipy
+
+from linkplan.planner.certificate.boundary import missed
+from linkplan.planner.certificate.flow import RTOL, Rate, flow, flows
+from linkplan.planner.certificate.integration import GROWTH
+from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.transcription.bernstein import bernstein_value
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Integrated:
+    """How far the integrated state is from a solution.
+
+    `errors` (n, n_x) are its distances at the intervals' ends, as shares of each state's size; `defects` (n, n_x) what each
+    interval adds to them; `objective` is that along it; `misjudged` (n,) the errors of the solution's running cost up to
+    each interval's end, as shares of the objective's size; `beyond` (n,) how far the integrated state leaves its limits
+    within each interval, as a share of its size; `restarts` counts the restarts.
+    """
+
+    errors: np.ndarray
+    defects: np.ndarray
+    objective: float
+    misjudged: np.ndarray
+    beyond: np.ndarray
+    restarts: int
+
+
+def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> Integrated:
+    """Return the integrated state's errors against a solution.
+
+    Args:
+        problem: what was asked.
+        trajectory: the solution.
+        size: (n_x,) of the states.
+        points: shares (m,) of an interval at which limits are looked at, the last of them 1.
+    """
+    whole = _in_one_go(problem, trajectory, size, points)
+    # What an integration errs by itself is within the tolerance until it has grown by so much.
+    most = max(GROWTH, problem.tolerance / RTOL)
+    if whole.errors.max() <= problem.tolerance or not _grows(problem, trajectory, size, most):
+        return whole
+    return _anew(problem, trajectory, size, points, most) or whole
+
+
+def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> Integrated:
+    """Return the errors of one integration."""
+    f, L, n_x = problem.at_instant("rate"), problem.at_instant("running_cost"), problem.n_x
+    has_cost = problem.running_cost is not None
+    p, breaks = problem.parameters, trajectory.breaks_s
+    n, planned = len(breaks) - 1, _planned(trajectory)
+    errors, spent, beyond = np.full((n, n_x), np.inf), np.full(n, np.inf), np.full(n, np.inf)
+
+    def rate_on(k: int) -> Rate:
+        coefficients, width, t0 = trajectory.effort[:, k], breaks[k + 1] - breaks[k], breaks[k]
+
+        def rate(t: float, y: np.ndarray) -> np.ndarray:
+            x, u = y[:n_x], bernstein_value(coefficients, t / width)
+            running = float(L(x, u, p, t0 + t)) if has_cost else 0.0
+            return np.append(np.array(f(x, u, p, t0 + t)).ravel(), running)
+
+        return rate
+
+    begin = np.append(planned[0], 0.0)
+    shares, until, end = np.append(points[:-1], 1.0), problem.solver.judged_until, begin[:n_x]
+    for k, reached in enumerate(flows(rate_on, breaks, begin, shares, until)):
+        if reached is None:
+            return Integrated(
+                errors=errors, defects=errors, objective=np.inf, misjudged=spent, beyond=np.full(n, np.inf), restarts=0
+            )
+        inside, end = reached[:, :n_x], reached[-1, :n_x]
+        errors[k] = np.abs(end - planned[k + 1]) / size
+        spent[k] = reached[-1, n_x]
+        beyond[k] = missed(inside, *problem.state_limit.T, size)
+    with np.errstate(invalid="ignore"):
+        defects = np.abs(np.diff(np.vstack([np.zeros(n_x), errors]), axis=0))
+    objective, misjudged = _costs(problem, trajectory, spent, end)
+    return Integrated(errors=errors, defects=defects, objective=objective, misjudged=misjudged, beyond=beyond, restarts=0)
+
+
+def _anew(
+    problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray, most: float
+) -> Integrated | None:
+    """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
+    n_x, p, breaks = problem.n_x, problem.parameters, trajectory.breaks_s
+    n, planned, varied = len(breaks) - 1, _planned(trajectory), _variation(problem)
+    errors, added, spent, beyond = np.zeros((n, n_x)), np.zeros((n, n_x)), np.zeros(n), np.zeros(n)
+    error, carried, restarts = np.zeros(n_x), np.eye(n_x), 0
+    still = np.concatenate([[0.0], np.vstack([np.eye(n_x), np.zeros(n_x)]).ravel()])
+    shares, end = np.append(points[:-1], 1.0), planned[0]
+
+    def rate_on(k: int) -> Rate:
+        coefficients, width, t0 = trajectory.effort[:, k], breaks[k + 1] - breaks[k], breaks[k]
+
+        def rate(t: float, y: np.ndarray) -> np.ndarray:
+            value, slope = varied(y[:n_x], bernstein_value(coefficients, t / width), p, t0 + t)
+            grown = np.array(slope) @ y[n_x + 1 :].reshape(n_x + 1, n_x)[:n_x]
+            return np.concatenate([np.array(value).ravel(), grown.ravel()])
+
+        return rate
+
+    for k, width in enumerate(np.diff(breaks)):
+        reached = flow(rate_on(k), width, np.concatenate([planned[k], still]), shares, problem.solver.judged_until)
+        if reached is None:
+            return None
+        moved = reached[:, n_x + 1 :].reshape(len(shares), n_x + 1, n_x)
+        # States and cost from where the motion before has come to, to first order.
+        inside = reached[:, : n_x + 1] + moved @ (error * size)
+        end = inside[-1, :n_x]
+        error = (end - planned[k + 1]) / size
+        errors[k], added[k] = np.abs(error), np.abs(reached[-1, :n_x] - planned[k + 1]) / size
+        spent[k], beyond[k] = inside[-1, n_x], missed(inside[:, :n_x], *problem.state_limit.T, size)
+        carried = moved[-1, :n_x] * size / size[:, None] @ carried
+        if np.abs(carried).max() > most:
+            error, carried, restarts = np.zeros(n_x), np.eye(n_x), restarts + 1
+    if not restarts:
+        return None
+    share = errors.max(axis=0) / np.maximum(added.sum(axis=0), np.finfo(float).tiny)
+    objective, misjudged = _costs(problem, trajectory, np.cumsum(spent), end)
+    return Integrated(
+        errors=errors, defects=added * share, objective=objective, misjudged=misjudged, beyond=beyond, restarts=restarts
+    )
+
+
+def _planned(trajectory: OdeTrajectory) -> np.ndarray:
+    """Return the planned states (n + 1, n_x) at the intervals' ends."""
+    return np.vstack([trajectory.state_at(trajectory.breaks_s[:-1]), trajectory.state[-1, -1, : trajectory.n_x]])
+
+
+def _costs(
+    problem: OdeProblem, trajectory: OdeTrajectory, spent: np.ndarray, end: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Return the objective along the integrated state, and its errors; `spent` (n,) is up to each interval's end."""
+    final = 0.0
+    if problem.final_cost is not None:
+        begin = trajectory.state_at(trajectory.breaks_s[:1])[0]
+        final = float(problem.at_ends("final_cost")(begin, end, trajectory.duration_s, problem.parameters))
+    if trajectory.running is None:
+        return spent[-1] + final, np.zeros(len(spent))
+    scale = np.abs(trajectory.running).sum() + abs(final)
+    return spent[-1] + final, (spent - np.cumsum(trajectory.running)) / (scale if scale > 0 else 1.0)
+
+
+def _variation(problem: OdeProblem) -> ca.Function:
+    """Return f and L, one below the other (n_x + 1,), and their derivatives by x (n_x + 1, n_x), of (x, u, p, t)."""
+    rate = problem.at_instant("rate")
+    x, u, p, t = (ca.SX.sym(name, *rate.size_in(i)) for i, name in enumerate("xupt"))
+    running = problem.at_instant("running_cost")(x, u, p, t) if problem.running_cost is not None else ca.SX(0)
+    value = ca.vertcat(rate(x, u, p, t), running)
+    return ca.Function("variation", [x, u, p, t], [ca.densify(value), ca.densify(ca.jacobian(value, x))])
+
+
+def _grows(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, most: float) -> bool:
+    """Return whether an error anywhere grows by more than a factor, with each interval's dynamics as in its middle."""
+    breaks, n_x = trajectory.breaks_s, problem.n_x
+    widths = np.diff(breaks)
+    middle, p = breaks[:-1] + 0.5 * widths, np.tile(problem.parameters[:, None], (1, len(widths)))
+    x, u = trajectory.state_at(middle), trajectory.effort_at(middle)
+    _, slope = _variation(problem).map(len(widths))(x.T, u.T, p, middle[None])
+    slopes = np.array(slope).reshape(n_x + 1, len(widths), n_x).transpose(1, 0, 2)[:, :n_x] * size / size[:, None]
+    if not np.all(np.isfinite(slopes)):
+        return False
+    carried = np.eye(n_x)
+    for transition in scipy.linalg.expm(slopes * widths[:, None, None]):
+        carried = transition @ carried
+        if not np.abs(carried).max() <= most:
+            return True
+        if np.abs(carried).max() < 1:  # what has died away says nothing of errors made later
+            carried = np.eye(n_x)
+    return False
