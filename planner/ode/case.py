@@ -26,6 +26,9 @@ from linkplan.planner.transcription.schemes import scheme
 
 # A bound tightened takes a little more than what was overrun.
 _MORE = 1.1
+# An unstable motion whose integrated state is nearer to it, as a share of its size, is seen by its mesh: boundary layers and
+# limits along which it goes have intervals of their own size. Before, high degrees follow another motion between the nodes.
+_SEEN = 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -114,6 +117,7 @@ class OdeCase:
             overruns=bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -SLACK),
             overrun=over.reshape(len(certificate.growth)),
             touching=certificate.touching,
+            unseen=certificate.integration_restarts > 0 and certificate.integration_error > _SEEN,
             integration_error=certificate.integration_error,
         )
 

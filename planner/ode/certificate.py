@@ -61,8 +61,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     points = sample_points(trajectory.state.shape[0] - 1)
     n_x, time = problem.n_x, trajectory.times_at(points)
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
-    size = np.maximum(np.abs(x).max(axis=0), np.ptp(x, axis=0))
-    size = np.where(size > 0, size, 1.0)
+    size = sizes_of(x)
     integrated = integrate(problem, trajectory, size, points)
     misjudged, beyond = integrated.misjudged, integrated.beyond
     over = np.maximum(u - problem.effort_limit[:, 1], problem.effort_limit[:, 0] - u).max()
@@ -122,6 +121,12 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         residual_share=np.zeros(len(growth)),
         failures=tuple(failures),
     )
+
+
+def sizes_of(x: np.ndarray) -> np.ndarray:
+    """Return the sizes (n_x,) of states (n, n_x) along a motion: of what they are and of how far they go."""
+    size = np.maximum(np.abs(x).max(axis=0), np.ptp(x, axis=0))
+    return np.where(size > 0, size, 1.0)
 
 
 def _inside(value: np.ndarray, limit: np.ndarray) -> np.ndarray:

@@ -50,11 +50,41 @@ def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, 
         points: shares (m,) of an interval at which limits are looked at, the last of them 1.
     """
     whole = _in_one_go(problem, trajectory, size, points)
-    # What an integration errs by itself is within the tolerance until it has grown by so much.
-    most = max(GROWTH, problem.tolerance / RTOL)
-    if whole.errors.max() <= problem.tolerance or not _grows(problem, trajectory, size, most):
+    if whole.errors.max() <= problem.tolerance or not is_unstable(problem, trajectory, size):
         return whole
-    return _anew(problem, trajectory, size, points, most) or whole
+    return _anew(problem, trajectory, size, points) or whole
+
+
+def is_unstable(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> bool:
+    """Return whether an error grows too much along a motion, with each interval's dynamics as in its middle.
+
+    Args:
+        problem: what was asked.
+        trajectory: the motion.
+        size: (n_x,) of the states.
+    """
+    breaks, n_x, most = trajectory.breaks_s, problem.n_x, _most(problem)
+    widths = np.diff(breaks)
+    middle, p = breaks[:-1] + 0.5 * widths, np.tile(problem.parameters[:, None], (1, len(widths)))
+    x, u = trajectory.state_at(middle), trajectory.effort_at(middle)
+    _, slope = _variation(problem).map(len(widths))(x.T, u.T, p, middle[None])
+    slopes = np.array(slope).reshape(n_x + 1, len(widths), n_x).transpose(1, 0, 2)[:, :n_x] * size / size[:, None]
+    if not np.all(np.isfinite(slopes)):
+        return False
+    carried = np.eye(n_x)
+    with np.errstate(all="ignore"):  # what grows beyond all numbers grows too much
+        for transition in scipy.linalg.expm(slopes * widths[:, None, None]):
+            carried = transition @ carried
+            if not np.abs(carried).max() <= most:
+                return True
+            if np.abs(carried).max() < 1:  # what has died away says nothing of errors made later
+                carried = np.eye(n_x)
+    return False
+
+
+def _most(problem: OdeProblem) -> float:
+    """Return by how much an error may grow: what an integration errs by itself is within the tolerance until then."""
+    return max(GROWTH, problem.tolerance / RTOL)
 
 
 def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> Integrated:
@@ -92,9 +122,7 @@ def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray,
     return Integrated(errors=errors, defects=defects, objective=objective, misjudged=misjudged, beyond=beyond, restarts=0)
 
 
-def _anew(
-    problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray, most: float
-) -> Integrated | None:
+def _anew(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> Integrated | None:
     """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
     n_x, p, breaks = problem.n_x, problem.parameters, trajectory.breaks_s
     n, planned, varied = len(breaks) - 1, _planned(trajectory), _variation(problem)
@@ -125,7 +153,7 @@ def _anew(
         errors[k], added[k] = np.abs(error), np.abs(reached[-1, :n_x] - planned[k + 1]) / size
         spent[k], beyond[k] = inside[-1, n_x], missed(inside[:, :n_x], *problem.state_limit.T, size)
         carried = moved[-1, :n_x] * size / size[:, None] @ carried
-        if np.abs(carried).max() > most:
+        if np.abs(carried).max() > _most(problem):
             error, carried, restarts = np.zeros(n_x), np.eye(n_x), restarts + 1
     if not restarts:
         return None
@@ -141,9 +169,7 @@ def _planned(trajectory: OdeTrajectory) -> np.ndarray:
     return np.vstack([trajectory.state_at(trajectory.breaks_s[:-1]), trajectory.state[-1, -1, : trajectory.n_x]])
 
 
-def _costs(
-    problem: OdeProblem, trajectory: OdeTrajectory, spent: np.ndarray, end: np.ndarray
-) -> tuple[float, np.ndarray]:
+def _costs(problem: OdeProblem, trajectory: OdeTrajectory, spent: np.ndarray, end: np.ndarray) -> tuple[float, np.ndarray]:
     """Return the objective along the integrated state, and its errors; `spent` (n,) is up to each interval's end."""
     final = 0.0
     if problem.final_cost is not None:
@@ -162,23 +188,3 @@ def _variation(problem: OdeProblem) -> ca.Function:
     running = problem.at_instant("running_cost")(x, u, p, t) if problem.running_cost is not None else ca.SX(0)
     value = ca.vertcat(rate(x, u, p, t), running)
     return ca.Function("variation", [x, u, p, t], [ca.densify(value), ca.densify(ca.jacobian(value, x))])
-
-
-def _grows(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, most: float) -> bool:
-    """Return whether an error anywhere grows by more than a factor, with each interval's dynamics as in its middle."""
-    breaks, n_x = trajectory.breaks_s, problem.n_x
-    widths = np.diff(breaks)
-    middle, p = breaks[:-1] + 0.5 * widths, np.tile(problem.parameters[:, None], (1, len(widths)))
-    x, u = trajectory.state_at(middle), trajectory.effort_at(middle)
-    _, slope = _variation(problem).map(len(widths))(x.T, u.T, p, middle[None])
-    slopes = np.array(slope).reshape(n_x + 1, len(widths), n_x).transpose(1, 0, 2)[:, :n_x] * size / size[:, None]
-    if not np.all(np.isfinite(slopes)):
-        return False
-    carried = np.eye(n_x)
-    for transition in scipy.linalg.expm(slopes * widths[:, None, None]):
-        carried = transition @ carried
-        if not np.abs(carried).max() <= most:
-            return True
-        if np.abs(carried).max() < 1:  # what has died away says nothing of errors made later
-            carried = np.eye(n_x)
-    return False

@@ -13,12 +13,14 @@ import numpy as np
 
 from linkplan.models.errors import InfeasibleError
 from linkplan.planner.ode.case import OdeCase
-from linkplan.planner.ode.certificate import OdeCertificate
+from linkplan.planner.ode.certificate import OdeCertificate, sizes_of
 from linkplan.planner.ode.costates import is_affine
 from linkplan.planner.ode.first_solution import FirstSolution
 from linkplan.planner.ode.formulation import completed, start_of, straight_guess, units_of
+from linkplan.planner.ode.integration import is_unstable
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.starts import (
+    integrated,
     is_open,
     of_least_effort,
     of_least_time,
@@ -128,6 +130,12 @@ def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], 
     stopped = not found and why_stopped(_last_status(history), problem.solver.max_time_s) is not None
     if stopped or (found and not is_open(problem)):
         return found
+    if not found:
+        # Efforts that are free to swing along singular arcs lead far away from there.
+        calm = replace(problem, mesh=replace(problem.mesh, effort="linear")) if is_affine(problem) else problem
+        found = _first_solutions(calm, integrated(problem), history, say, enough=1, first=len(given))
+        if found and not is_open(problem):
+            return found
     patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * history[-1].solve_s))
     patient = replace(problem, solver=replace(problem.solver, max_iterations=_ITERATIONS, max_time_s=patience))
     others = of_other_durations(problem, given[0]) if is_open(problem) else []
@@ -206,7 +214,7 @@ def _eased(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution
     polynomial through an interval's nodes is free to swing there, a straight line is not.
     """
     case, asked, motion = first.case, first.case.asked, first.found.motion
-    if asked.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(motion, asked.effort_limit):
+    if case.problem.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(motion, asked.effort_limit):
         return first
     case = replace(case, problem=replace(asked, mesh=replace(asked.mesh, effort="linear")))
     start, durations = case.start_from(motion), np.diff(motion.breaks_s[[0, -1]])
@@ -222,9 +230,15 @@ def _finest(
 ) -> Refined[OdeTrajectory, OdeCertificate]:
     """Return what a first solution is refined to; one with switch times already is as it is."""
     if not first.case.has_switch_times:
-        first = replace(first, case=OdeCase(problem, problem, first.case.units))
+        solved = replace(problem, mesh=first.case.problem.mesh)
+        first = replace(first, case=OdeCase(solved, problem, first.case.units))
         first = switch_by_costates(_eased(_calmed(first, history, say), history, say), history, say)
-    refined = refine(first.case, first.found, history, say)
+    guess = sampled_guess(first.found.motion)
+    unstable = is_unstable(problem, first.found.motion, sizes_of(guess.state))
+    if unstable:
+        # In its own units, and from next to the coarser mesh: the solver loses such a motion more easily than others.
+        first = replace(first, case=replace(first.case, units=units_of(problem, guess)))
+    refined = refine(first.case, first.found, history, say, warm=unstable)
     assert refined is not None  # a user's solution always has a certificate
     return refined
 
@@ -235,6 +249,11 @@ def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say
     trajectory, certificate, objective = refined.motion, refined.certificate, refined.solution.objective
     away = first.away or unbounded_duration(problem, refined)
     status, message = "optimal", f"optimum {objective:.10g} in {trajectory.duration_s:.8g} s"
+    if certificate.integration_restarts:
+        message += (
+            "; the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
+            f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
+        )
     if away is not None:
         status, message = "failed", f"failed: {away}"
     elif not certificate.passed:

@@ -6,9 +6,10 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
+from linkplan.planner.certificate.flow import flow
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.certificate import OdeCertificate
-from linkplan.planner.ode.formulation import completed, units_of
+from linkplan.planner.ode.formulation import completed, straight_guess, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Found
@@ -27,6 +28,8 @@ _WIDE = 20.0
 _ABOUT = (0.05, 4.0)
 # Rows of a solution as a guess.
 _SAMPLES = 101
+# Constant efforts from which a motion with a free end is begun, as shares of the way from their lower limits to their upper.
+_SHARES = (0.5, 0.1)
 # Where in an interval the effort is read that is then held over it: the first node of radau-3.
 _READ_AT = 0.155
 
@@ -61,6 +64,30 @@ def of_other_durations(problem: OdeProblem, guess: StateGuess) -> list[StateGues
     low, high = problem.duration
     durations = np.clip([factor * guess.duration_s for factor in _LONGER], low, high)
     return [replace(guess, duration_s=float(T)) for T in dict.fromkeys(durations) if T > 0 and guess.duration_s != T]
+
+
+def integrated(problem: OdeProblem) -> Iterator[StateGuess]:
+    """Yield the motions that constant efforts lead to, where the start is known and the end is free: each is a motion.
+
+    A straight line says nothing of such an end: where states grow by orders of magnitude it is far from any motion.
+    """
+    start, limit = problem.start, problem.effort_limit
+    free = not np.any(np.isfinite(problem.goal)) and problem.ends is None and not problem.returns
+    if problem.guesses or not free or np.any(start[:, 0] != start[:, 1]):
+        return
+    given = straight_guess(problem)
+    times, rate = np.linspace(0.0, given.duration_s, _SAMPLES), problem.at_instant("rate")
+    finite = np.all(np.isfinite(limit), axis=1)
+    for share in _SHARES:
+        low, high = np.where(finite[:, None], limit, given.effort[0][:, None]).T
+        effort = low + share * (high - low)
+
+        def rate_under(t: float, x: np.ndarray, effort: np.ndarray = effort) -> np.ndarray:
+            return np.array(rate(x, effort, problem.parameters, t)).ravel()
+
+        state = flow(rate_under, given.duration_s, start[:, 0], times / given.duration_s, problem.solver.judged_until)
+        if state is not None:
+            yield replace(given, state=state, effort=np.tile(effort, (_SAMPLES, 1)))
 
 
 def of_least_effort(problem: OdeProblem) -> OdeProblem:

@@ -171,10 +171,11 @@ def refine(
             # With arcs held between switch times, limits begin and cease to bind there and not inside intervals.
             uneven = _uneven(at) if fixed is None else _rough(motion)
         marked = marked | uneven
-        higher = _higher_on_arcs(kept, at, over)
+        seen = at.findings is None or not at.findings.unseen
+        higher = _higher_on_arcs(kept, at, over) if seen else None
         if over.any() and loose:
             marked = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
-        else:
+        elif seen:
             higher = higher or _higher(kept, at.certificate, marked)
         # Held throughout, limits overrun between the nodes by what the mesh errs by: tightened by that, the motion is late.
         held = fixed is not None and fixed.everything and fixed.paths.any()

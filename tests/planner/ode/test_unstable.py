@@ -1,0 +1,82 @@
+"""Differential equations whose motions are unstable: judged interval by interval, and by their defects all the same."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from linkplan.planner.certificate.integration import GROWTH
+from linkplan.planner.ode.certificate import certify_ode
+from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.solve_ocp import OdePlan
+from tests.support.ode import FREE_EFFORT, solved
+from tests.support.tolerances_planner import ODE_CLOSED_FORM
+
+# x' = POLE x + u: an error grows by e for every 1 / POLE [s].
+POLE, LONG_S = 2.0, 15.0
+
+
+def beside_a_pole(duration_s: float, pole: float = POLE) -> OdeProblem:
+    """Return the problem of going from 1 to 1 at the least int (x^2 + u^2) / 2."""
+    return OdeProblem(
+        name="beside a pole",
+        rate=lambda x, u, p, t: [pole * x[0] + u[0]],  # noqa: ARG005
+        start=[1],
+        goal=[1],
+        effort_limit=FREE_EFFORT,
+        duration_s=duration_s,
+        running_cost=lambda x, u, p, t: (x[0] ** 2 + u[0] ** 2) / 2,  # noqa: ARG005
+    )
+
+
+@cache
+def long() -> OdePlan:
+    """Return the plan along which errors grow beyond all rounding."""
+    return solved(beside_a_pole(LONG_S))
+
+
+@pytest.mark.slow
+def test_a_motion_that_no_integration_could_follow_is_planned_and_judged_anew_as_often_as_errors_grow():
+    """x = a e^(-w t) + b e^(-w (T - t)) with w^2 = POLE^2 + 1, the costate is POLE x - x'."""
+    assert np.exp(POLE * LONG_S) * np.finfo(float).eps > 1e-4
+    w, T = np.sqrt(POLE**2 + 1), LONG_S
+    a, b = np.linalg.solve([[1, np.exp(-w * T)], [np.exp(-w * T), 1]], [1, 1])
+    slopes = [w * (-a + b * np.exp(-w * T)), w * (-a * np.exp(-w * T) + b)]
+    plan = long()
+    assert plan.objective == pytest.approx((slopes[1] - slopes[0]) / 2, rel=ODE_CLOSED_FORM)
+    assert 1 <= plan.certificate.integration_restarts <= POLE * LONG_S / np.log(GROWTH) + 1
+    assert plan.certificate.integration_error <= plan.problem.tolerance
+    assert "unstable" in plan.message
+
+
+def test_a_stable_motion_is_integrated_in_one_go():
+    plan = solved(beside_a_pole(2.0, pole=-POLE))
+    assert plan.certificate.integration_restarts == 0
+    assert "unstable" not in plan.message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [1e-3, 1e-2])
+def test_an_unstable_motion_with_efforts_that_are_not_its_own_does_not_pass(share):
+    motion = long().trajectory
+    assert not certify_ode(long().problem, replace(motion, effort=motion.effort * (1 + share))).passed
+
+
+@pytest.mark.slow
+def test_what_is_begun_anew_still_adds_up_what_each_interval_is_off():
+    """A step of the planned state in the middle is a defect: it grows by no more than GROWTH, and is seen."""
+    motion, step = long().trajectory, 1e-6
+    state = np.array(motion.state)
+    state[:, state.shape[1] // 2 :] += step
+    judged = certify_ode(long().problem, replace(motion, state=state))
+    assert judged.integration_restarts
+    assert judged.integration_error > 0.5 * step / np.abs(state).max()
+
+
+@pytest.mark.slow
+def test_the_objective_of_an_unstable_motion_is_judged_along_it():
+    motion = long().trajectory
+    judged = certify_ode(long().problem, replace(motion, running=motion.running * (1 + 1e-2)))
+    assert judged.objective_error == pytest.approx(1e-2, rel=0.1)
+    assert not judged.passed
