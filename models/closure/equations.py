@@ -22,7 +22,7 @@ from linkplan.models.closure.second_pin import across
 from linkplan.models.errors import ModelError
 from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in, product
 from linkplan.models.tree.size import extent_m
-from linkplan.models.tree.tendons import is_fixed, tendon_label
+from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label
 from linkplan.models.tree.ties import tied_points
 
 CONNECT, WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
@@ -33,9 +33,9 @@ JOINT, TENDON = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON
 class Closure:
     """One gap of an equality constraint: rows of phi [m] that belong together.
 
-    A weld has two, its point and its orientation. `lever_m` is what a radian of the gap counts [m], None where the gap is a
-    length by nature; `frame` is the body whose axes the rows lie along, 0 for the world's; `scale` makes the residual
-    of MuJoCo's row.
+    A weld has two, its point and its orientation. `unit` is that of the gap as a designer counts it, "m" or "rad", and
+    `per_unit` what one of it counts in the rows: an angle's lever, a tendon's moment arm at the joint that moves it most.
+    `frame` is the body whose axes the rows lie along, 0 for the world's; `scale` makes the residual of MuJoCo's row.
     """
 
     name: str
@@ -45,16 +45,12 @@ class Closure:
     residual: ca.SX
     frame: int
     scale: float
-    lever_m: float | None
-
-    @property
-    def unit(self) -> str:
-        """The unit of the gap as a designer counts it."""
-        return "m" if self.lever_m is None else "rad"
+    unit: str
+    per_unit: float
 
     def gap(self, phi: np.ndarray) -> np.ndarray:
         """Return how far the gap stands open, [m] or [rad] as `unit` says, from values of all rows (..., n_rows)."""
-        return np.linalg.norm(phi[..., self.rows], axis=-1) / (self.lever_m or 1.0)
+        return np.linalg.norm(phi[..., self.rows], axis=-1) / self.per_unit
 
 
 def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
@@ -76,7 +72,7 @@ def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
                 f" '{kind.name.removeprefix('mjEQ_').lower()}'; the planner closes loops by 'connect', 'weld', 'joint' and"
                 " 'tendon'"
             )
-        for what, residual, frame, scale, lever in _READERS[kind](model, tree, index):
+        for what, residual, frame, scale, (unit, per_unit) in _READERS[kind](model, tree, index):
             start = closures[-1].rows.stop if closures else 0
             closures.append(
                 Closure(
@@ -87,7 +83,8 @@ def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
                     residual=residual,
                     frame=frame,
                     scale=scale,
-                    lever_m=lever,
+                    unit=unit,
+                    per_unit=per_unit,
                 )
             )
     return tuple(closures)
@@ -123,9 +120,9 @@ def _connect(model: mujoco.MjModel, tree: Tree, index: int):
         own = np.array([[place for _, place in pin] for pin in (before, ends)])
         apart = across(_places(frames, before), (first, second), own, tree.q)
         if apart is not None:
-            yield "point", apart, frame, 1.0, None
+            yield "point", apart, frame, 1.0, ("m", 1.0)
             return
-    yield "point", first - second, frame, 1.0, None
+    yield "point", first - second, frame, 1.0, ("m", 1.0)
 
 
 def pin_beside(model: mujoco.MjModel, index: int) -> int | None:
@@ -176,7 +173,7 @@ def _weld(model: mujoco.MjModel, tree: Tree, index: int):
     apart = product(ca.vertcat(q_2[0], -q_2[1:]), q_1)
     lever = extent_m(model)
     # Rows of MuJoCo's: torquescale times the vector part. Its scalar part is one where the weld holds, or minus one.
-    yield "orientation", 2 * lever * apart[1:], bodies[1], 2 * lever / torquescale, lever
+    yield "orientation", 2 * lever * apart[1:], bodies[1], 2 * lever / torquescale, ("rad", lever)
 
 
 def _polynomial(model: mujoco.MjModel, index: int, y: ca.SX, x: ca.SX | None) -> ca.SX:
@@ -190,7 +187,7 @@ def _joint(model: mujoco.MjModel, tree: Tree, index: int):
     travels = [tree.q[int(model.jnt_dofadr[i])] - float(model.qpos0[model.jnt_qposadr[i]]) for i in joints]
     lever = extent_m(model) if int(model.jnt_type[joints[0]]) == HINGE else None
     residual = _polynomial(model, index, travels[0], travels[1] if len(joints) > 1 else None)
-    yield "joint", residual * (lever or 1.0), 0, lever or 1.0, lever
+    yield "joint", residual * (lever or 1.0), 0, lever or 1.0, ("m", 1.0) if lever is None else ("rad", lever)
 
 
 def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
@@ -202,7 +199,24 @@ def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
                 " the planner takes fixed tendons"
             )
     travels = [tree.tendon_lengths[tendon] - float(model.tendon_length0[tendon]) for tendon in tendons]
-    yield "tendon", _polynomial(model, index, travels[0], travels[1] if len(tendons) > 1 else None), 0, 1.0, None
+    yield (
+        "tendon",
+        _polynomial(model, index, travels[0], travels[1] if len(tendons) > 1 else None),
+        0,
+        1.0,
+        _moved_most(model, tendons[0]),
+    )
+
+
+def _moved_most(model: mujoco.MjModel, tendon: int) -> tuple[str, float]:
+    """Return the unit of the joint that moves a fixed tendon most, and by how much of its length one of that does.
+
+    A length of hinges may be an angle, where its coefficients are ratios, or a length, where they are moment arms.
+    """
+    arms = tendon_joints(model, tendon)
+    dof = max(arms, key=lambda one: abs(arms[one]))
+    unit = "rad" if int(model.jnt_type[model.dof_jntid[dof]]) == HINGE else "m"
+    return unit, abs(arms[dof]) or 1.0
 
 
 _READERS = {CONNECT: _connect, WELD: _weld, JOINT: _joint, TENDON: _tendon}

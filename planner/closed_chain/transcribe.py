@@ -115,6 +115,7 @@ def transcribe(
         durations,
         _start(problem, guess, scales, formulation.n_z),
         compile_mode=problem.solver.compile,
+        deadline=problem.solver.deadline,
         least_limit=least_limit,
         bang_efforts=bang_efforts,
         constrained_paths=constrained_paths,

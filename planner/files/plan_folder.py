@@ -22,6 +22,7 @@ from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.files.folders import plain_record, write_json
 from linkplan.planner.files.motion_table import motion_table
 from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.files.saved_history import history_of
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
 from linkplan.planner.plan import PASSED, STATUSES, Plan, not_honoured
@@ -162,7 +163,7 @@ def _from(place: Path, problem: PlanningProblem) -> str | None:
 
 
 def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool = False) -> Plan:
-    """Return a saved plan, its problem built again and its certificate made anew from the motion on disk.
+    """Return a saved plan with its solves, its problem built again and its certificate made anew from the motion on disk.
 
     Args:
         folder: where the plan was saved.
@@ -224,6 +225,7 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
         objective=_number(said.get("objective")),
         trajectory=trajectory,
         certificate=certificate,
+        history=history_of(said.get("history")),
         details={str(name): value for name, told in details.items() if (value := _number(told)) is not None},
     )
 

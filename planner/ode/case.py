@@ -82,6 +82,7 @@ class OdeCase:
             durations,
             start,
             compile_mode=self.problem.solver.compile,
+            deadline=self.problem.solver.deadline,
             least_limit=least_limit,
             bang_efforts=bang_efforts,
             constrained_paths=constrained_paths,

@@ -216,7 +216,7 @@ def solve(
         solution = _solved(transcribed, replace(settings, max_iterations=first), warm=warm, close=close)
         if solution.status != OUT_OF_ITERATIONS:
             return solution
-        transcribed = with_compiled_code(transcribed)
+        transcribed = with_compiled_code(transcribed, settings.deadline)
     return _solved(transcribed, settings, warm=warm, close=close)
 
 

@@ -97,6 +97,7 @@ def collocate(
     start: Start,
     *,
     compile_mode: str = "auto",
+    deadline: float | None = None,
     least_limit: bool = False,
     bang_efforts: np.ndarray | None = None,
     constrained_paths: np.ndarray | None = None,
@@ -110,13 +111,14 @@ def collocate(
         durations: guessed durations (n_segments,) [s] of its segments.
         start: the motion to start from.
         compile_mode: "auto", "always" or "never".
+        deadline: on the monotonic clock [s], which compiling keeps.
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
         bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
         constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole
             segments.
     """
     begin = time.perf_counter()
-    interval = _interval(formulation, chosen, mesh.n_intervals, compile_mode)
+    interval = _interval(formulation, chosen, mesh.n_intervals, compile_mode, deadline)
     layout = Layout(
         n_s=formulation.n_s,
         n_x=formulation.n_x,
@@ -196,7 +198,9 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
     )
 
 
-def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: str) -> IntervalFunctions:
+def _interval(
+    formulation: Formulation, chosen: Scheme, n_intervals: int, mode: str, deadline: float | None
+) -> IntervalFunctions:
     """Return the functions of one interval: compiled ones where they are wanted or at hand."""
     (system, _), rows = without_numbers(formulation.build_system()), formulation.rows
     at_once = mode == "always" or (mode == "auto" and n_intervals >= _WORTH_COMPILING)
@@ -206,7 +210,7 @@ def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: 
         if found is not None:
             return found
         if at_once:
-            return compiled(key, kind, build)
+            return compiled(key, kind, build, deadline)
         found = _built(_Asked(key=(key, kind), by=build))
         if mode == "auto":
             compile_beside(key, found)
@@ -219,11 +223,14 @@ def _interval(formulation: Formulation, chosen: Scheme, n_intervals: int, mode: 
     return interval_of(system, chosen, rows, node, chain)
 
 
-def with_compiled_code(transcribed: Transcribed) -> Transcribed:
-    """Return a program with compiled functions in place of interpreted ones, which give the same numbers."""
+def with_compiled_code(transcribed: Transcribed, deadline: float | None = None) -> Transcribed:
+    """Return a program with compiled functions in place of interpreted ones, which give the same numbers.
+
+    Where compiling does not end in its share of the time until a `deadline`, they are interpreted as before.
+    """
     begin = time.perf_counter()
     old, formulation = transcribed.program, transcribed.formulation
-    interval = _interval(formulation, transcribed.scheme, old.mesh.n_intervals, "always")
+    interval = _interval(formulation, transcribed.scheme, old.mesh.n_intervals, "always", deadline)
     program = _program(old.layout, old.mesh, interval, old.linear, formulation.endpoint)
     return replace(transcribed, program=program, build_s=transcribed.build_s + time.perf_counter() - begin)
 

@@ -18,6 +18,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -25,6 +26,7 @@ from pathlib import Path
 from typing import TypeVar
 
 import casadi as ca
+import numpy as np
 
 from linkplan.models.errors import one_line
 from linkplan.planner.transcription.cache import (
@@ -55,6 +57,8 @@ _FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
 _LARGE_BYTES, _LARGE_FLAGS = 2_000_000, ("-O0", "-ffp-contract=off", "-fPIC", "-shared")
 # A compiler that hangs must not hang the planner; these functions take seconds.
 _TIMEOUT_S = 120.0
+# The share of the time left until a deadline that compiling may take: what it does not finish in, the interpreter serves.
+_SHARE_OF_TIME = 0.5
 # The sources that write an interval's functions from those of a node: this room's.
 _SOURCES = sorted(Path(__file__).parent.glob("*.py"))
 
@@ -137,23 +141,29 @@ def _loaded(folder: Path, key: str, kind: type[CodeT], file: tuple[int, ...]) ->
     return kind(**functions, **said)
 
 
-def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT]) -> CodeT:
-    """Return functions from the cache, or built and compiled now, or built and interpreted where that cannot be done."""
+def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: float | None = None) -> CodeT:
+    """Return functions from the cache, or built and compiled now, or built and interpreted where that cannot be done.
+
+    Before a `deadline` on the monotonic clock [s] the compiler has a share of what is left, and is ended then.
+    """
     found = cached(key, kind)
     if found is not None:
         return found
     functions = build()
-    if compiler() is None:
+    left = np.inf if deadline is None else _SHARE_OF_TIME * (deadline - time.monotonic())
+    if compiler() is None or left <= 0:
         return functions
     try:
         folder = trusted_folder(make=True)
         with work_folder(folder) as work:
             said, command = _written(functions, work, key)
-            _run(command, work)
+            _run(command, work, min(_TIMEOUT_S, left))
             library = keep(work / f"{key}.so", said, folder, key)
         evict(folder, key)
         return replace(functions, **{name: ca.external(name, str(library)) for name in _names(functions)})
     except (OSError, subprocess.SubprocessError, RuntimeError) as error:
+        if isinstance(error, subprocess.TimeoutExpired) and left < _TIMEOUT_S:  # as was asked
+            return functions
         # A full disk or a broken compiler costs speed and nothing else, but it is said.
         warnings.warn(f"functions are interpreted, compiling them failed: {one_line(error)}", RuntimeWarning, stacklevel=2)
         return functions
@@ -211,11 +221,11 @@ def _written(functions: Code, work: Path, key: str) -> tuple[dict, list[str]]:
     return said, command
 
 
-def _run(command: list[str], work: Path) -> None:
+def _run(command: list[str], work: Path, timeout_s: float) -> None:
     """Run a compiler in a folder; as of `run_with_children`.
 
     Raises:
         OSError: where it cannot be started.
         subprocess.SubprocessError: where it fails, or takes too long.
     """
-    run_with_children(command, work, _TIMEOUT_S)
+    run_with_children(command, work, timeout_s)

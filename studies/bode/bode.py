@@ -8,10 +8,12 @@ import numpy as np
 from linkplan.controllers.sampling import Sampling, sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.contacts import ContactPair
 from linkplan.models.poses.reach import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.scan import Line, Scan, coordinate_line, judge_of, scan_line, with_room
+from linkplan.studies.bode.touching import touched, touching
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import (
     CONTINUOUS,
@@ -26,7 +28,7 @@ from linkplan.studies.frequency.feedback_loops import (
 from linkplan.studies.frequency.margins import Margins, frequency_grid, margins
 from linkplan.studies.frequency.measure import measure
 from linkplan.studies.frequency.response import Response
-from linkplan.studies.frequency.trial import settle_trials
+from linkplan.studies.frequency.trial import MOST_PERIODS, settle_trials
 
 POINTS = 5
 # Over a reach, five evenly and the two next to its ends, where gains are extreme (a singular end itself has none): as
@@ -41,6 +43,8 @@ FREQUENCIES = 20
 # Where to measure by default, from and to, in units of the crossover, and never beyond this share of the sampling rate.
 _FROM, _TO, _SHARE = 1 / 20, 40.0, 0.45
 _SLOWEST_HZ = 1.0
+# Control periods for which loops are tried that contacts disturb: a simulated contact takes ten times as long as none.
+_DISTURBED_PERIODS = 4_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -79,6 +83,7 @@ class BodeStudy:
     method: str | None
     simulated_steps: int
     conditions: dict
+    contacts: tuple[ContactPair, ...] = ()  # of geoms, at the operating points by index
 
     @property
     def stable(self) -> bool:
@@ -261,12 +266,14 @@ def bode_study(
         gain = law_gain(point, law, settings, effort_limit)
         loops.append(feedback_loop(point, gain, timing, SIMULATED))
         ideal.append(feedback_loop(point, gain, timing, CONTINUOUS))
-    trials = settle_trials(loops, effort_limit).settles
+    pairs = touching(mechanism, loops)
+    disturbed = touched(pairs, len(loops))
+    trials = _settles(loops, disturbed, effort_limit)
     points, steps, conditions = [], 0, {}
     for channel in range(mechanism.dof):
         bounds = [margins(loop, channel) for loop in loops]
         measured: list[dict[str, Response]] = [{} for _ in loops]
-        stable = [i for i, loop in enumerate(loops) if loop.stable]
+        stable = [i for i, loop in enumerate(loops) if loop.stable and not disturbed[i]]
         if setup is not None and stable:
             at = default_frequencies([bounds[i] for i in stable], timing) if frequency_hz is None else frequency_hz
             taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
@@ -297,7 +304,18 @@ def bode_study(
         method=None if setup is None else setup.method,
         simulated_steps=steps,
         conditions=conditions,
+        contacts=pairs,
     )
+
+
+def _settles(loops: Sequence[FeedbackLoop], disturbed: np.ndarray, effort_limit: np.ndarray) -> np.ndarray:
+    """Return which loops (n,) settle in MuJoCo; those that contacts disturb never calm down, and are tried for less long."""
+    settles = np.zeros(len(loops), dtype=bool)
+    for those, periods in ((~disturbed, MOST_PERIODS), (disturbed, _DISTURBED_PERIODS)):
+        if those.any():
+            some = [loops[i] for i in np.flatnonzero(those)]
+            settles[those] = settle_trials(some, effort_limit, periods).settles
+    return settles
 
 
 def _scans(mechanism, lines: Sequence[tuple[int | None, Line]], settings, effort_limit, timing, law: str, count: int, say):

@@ -1,6 +1,7 @@
 """What `linkplan bode` says: a record for files, a table for people."""
 
 from linkplan.studies.bode.bode import BodeStudy
+from linkplan.studies.bode.touching import contact_sentence
 from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.frequency.excitation import EXCITATIONS
 from linkplan.studies.frequency.feedback_loops import broken_at
@@ -53,6 +54,7 @@ def bode_record(study: BodeStudy) -> dict:
         "gains": {name: getattr(settings, name) for name in names},
         "disputed": list(study.disputed),
         "softness": softness_of(study),
+        "contacts": contacts_of(study),
         "points": list(by_pose.values()),
         "worst": {},
         "measurement": None,
@@ -158,9 +160,21 @@ def bode_text(study: BodeStudy) -> str:
             f" {', '.join(f'{x[0]:g} {x[1]:g}' for x in c['solref']) or 'none'}",
         ]
     elif study.method is not None:
-        lines += ["", "not measured: an unstable feedback loop holds no operating point"]
-    note = softness_of(study)
-    return "\n".join([*lines, *(["", f"note: {note}"] if note else [])])
+        lines += ["", not_measured(study)]
+    notes = [f"note: {note}" for note in (contacts_of(study), softness_of(study)) if note]
+    return "\n".join([*lines, *([""] if notes else []), *notes])
+
+
+def not_measured(study: BodeStudy) -> str:
+    """Return why nothing was measured."""
+    if any(point.margins.stable for point in study.points):
+        return "not measured: contacts push at the poses where the feedback loop is stable"
+    return "not measured: an unstable feedback loop holds no operating point"
+
+
+def contacts_of(study: BodeStudy) -> str | None:
+    """Return the sentence on contacts at the poses that are held, None where there are none."""
+    return contact_sentence(study.contacts, len(study.points) // study.mechanism.dof)
 
 
 def softness_of(study: BodeStudy) -> str | None:

@@ -46,10 +46,13 @@ class PoseReport:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Inspection:
-    """What `check` found; `problems` are sentences, empty for a mechanism that is fit to plan with."""
+    """What `check` found; `problems` are sentences, empty for a mechanism that is fit to plan with.
+
+    `closure_gaps` are the largest gaps at home by unit: "m" of points and slides, "rad" of angles, hinges and their tendons.
+    """
 
     mechanism: Mechanism
-    closure_gap_m: float
+    closure_gaps: dict[str, float]
     reaches: tuple[Reach, ...]
     contacts: tuple[ContactPair, ...]
     points: tuple[PoseReport, ...]
@@ -71,12 +74,11 @@ def inspect(
     reaches = tuple(reach(mechanism, column) for column in range(mechanism.dof))
     poses = np.vstack([can.poses for can in reaches])
     touching = contact_pairs(mechanism, poses)
-    gap = max(mechanism.gap_m(mechanism.home), mechanism.home_gap_m if mechanism.home_gap_m > OPEN_M else 0.0)
     problems, notes = _findings(mechanism, reaches)
     refused, noted = contact_findings(mechanism, touching, len(poses), motion, contacts)
     return Inspection(
         mechanism=mechanism,
-        closure_gap_m=gap,
+        closure_gaps=_closure_gaps(mechanism),
         reaches=reaches,
         contacts=touching,
         points=tuple(pose_report(mechanism, asked) for asked in positions),
@@ -112,6 +114,17 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
         holding_effort=np.array(dynamics.inverse_dynamics(pose, still, still)).ravel(),
         effort_map=np.array(dynamics.effort_map(pose)),
     )
+
+
+def _closure_gaps(mechanism: Mechanism) -> dict[str, float]:
+    """Return the largest gaps at home by unit; of what stands open at the model's reference pose, those there."""
+    open_there = mechanism.home_gap_m > OPEN_M
+    gaps: dict[str, float] = {}
+    for pose in (mechanism.home, *([mechanism.reference] if open_there else [])):
+        phi = np.array(mechanism.dynamics.closure(pose)).ravel()
+        for closure in mechanism.closures:
+            gaps[closure.unit] = max(gaps.get(closure.unit, 0.0), float(closure.gap(phi)))
+    return dict(sorted(gaps.items())) or {"m": 0.0}
 
 
 def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
@@ -294,7 +307,7 @@ def inspection_record(found: Inspection) -> dict:
         "closures": list(mechanism.closure_names),
         "closure_rows": mechanism.n_closure_rows,
         "closure_rank": len(mechanism.closure_rows),
-        "closure_gap_m": found.closure_gap_m,
+        **{f"closure_gap_{unit}": gap for unit, gap in ({"m": 0.0} | found.closure_gaps).items()},
         "branch": branch(mechanism),
         "home_deg": {j.name: j.shown(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "hinge"},
         "home_m": {j.name: float(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "slide"},

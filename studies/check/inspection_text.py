@@ -21,7 +21,7 @@ def inspection_text(found: Inspection) -> str:
         f"{mechanism.name}: {mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
         f" ({', '.join(j.name for j in mechanism.independent_joints)} independent of {mechanism.n_q} joints)",
         f"closure: {', '.join(mechanism.closure_names) or 'none'}: {rows}, rank {len(mechanism.closure_rows)},"
-        f" gap {error_figure(found.closure_gap_m)} m",
+        f" gap {gaps_text(found)}",
         "home: "
         + ", ".join(f"{j.name} = {j.said(x, 5)} {j.unit}" for j, x in zip(mechanism.joints, mechanism.home, strict=True)),
     ]
@@ -44,6 +44,11 @@ def inspection_text(found: Inspection) -> str:
         lines += ["", _points_table(found)]
     lines += ["", *(f"PROBLEM: {problem}" for problem in found.problems)] if found.problems else ["no problems found"]
     return "\n".join(lines)
+
+
+def gaps_text(found: Inspection) -> str:
+    """Return the largest closure gap of each unit."""
+    return " and ".join(f"{error_figure(gap)} {unit}" for unit, gap in found.closure_gaps.items())
 
 
 def _points_table(found: Inspection) -> str:

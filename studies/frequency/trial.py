@@ -16,7 +16,7 @@ _PLAIN = 300.0
 # A speed this many times the kick's is growth, and still well below what the limits would make of it.
 _GROWN = 100.0
 _CHUNK = 100
-_MOST_PERIODS = 40_000
+MOST_PERIODS = 40_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -27,7 +27,7 @@ class Trials:
     periods: int
 
 
-def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_periods: int = _MOST_PERIODS) -> Trials:
+def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_periods: int = MOST_PERIODS) -> Trials:
     """Return whether MuJoCo's own runs of loops of one timing settle after a small kick to every independent joint."""
     mechanism, timing, n = loops[0].point.mechanism, loops[0].timing, len(loops)
     n_s = mechanism.dof

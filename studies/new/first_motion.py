@@ -13,9 +13,8 @@ from linkplan.models.audit import audit
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError, UnassembledError, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
-from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
-from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.collisions import noted
@@ -29,6 +28,7 @@ from linkplan.planner.search.ladder import PATIENT, Rung
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.starts import from_a_smooth_path
 from linkplan.planner.solvers.outcome import OUT_OF_TIME
+from linkplan.studies.new.hanging import at_rest, driven_columns, hanging_columns, hung, is_equilibrium, rests_by_itself
 
 Say = Callable[[str], None]
 # The largest first motion of a hinge [rad], and of a slide as a share of the mechanism's extent; then the shares of it that
@@ -40,6 +40,8 @@ _CLEAR = 0.1
 # Poses on the way keep det J_z above this share of home's.
 _REGULAR = 0.25
 _BETWEEN = 61
+# Of more hanging freedoms than this the smaller motions are tried first.
+_FEW_HANG = 1
 # What assembly leaves of a range [rad or m].
 _SLACK = 1e-8
 # The duration: so many times the shortest one on a smooth path, so that a plan is well within the efforts, and no less than
@@ -55,7 +57,7 @@ _SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_a_smooth_
 _SHUT = "every straight way from home is shut: by a singular pose, a joint's range, a contact or too great a weight"
 # A feedback loop's natural frequency times the motion's duration.
 _CYCLES = 8.0
-# A coordinate that actuators move by less than this share of the one that they move best is not driven.
+# What drives miss of the efforts that hold a pose, as a share of their limits: below it they can hold it.
 _UNDRIVEN = 1e-9
 # A gain of PD sampled every period T is stable up to about 2 J / T: a tenth of that is kept, a period of delay included.
 _OF_CRITICAL = 0.1
@@ -82,7 +84,8 @@ class FirstMotion:
         some = moves if len(moves) <= _NAMED else [*moves[:_NAMED], f"{len(moves) - _NAMED} more"]
         duration = motion["duration_s"]
         within = f" in {duration:g} s" if duration != "free" else ""
-        return f"{self.mechanism.name}: {', '.join(some) or 'no motion'}{within}, from rest to rest with least effort"
+        least = "effort" if self.tables["objective"]["minimize"] == "effort" else "change of effort"
+        return f"{self.mechanism.name}: {', '.join(some) or 'no motion'}{within}, from rest to rest with least {least}"
 
     @property
     def notes(self) -> list[str]:
@@ -112,38 +115,53 @@ def first_motion(model: str, say: Say) -> FirstMotion:
     _refuse_undriven(mechanism)
     found = FirstMotion(mechanism=mechanism, tables=_tables(mechanism, *_ends(mechanism, 0.0, 1)), plan=None, why=_SHUT)
     ends = time.process_time() + _PATIENCE_S
-    tried: list[dict[str, dict]] = []
+    tried: list[tuple[Mechanism, dict[str, dict]]] = []
     for rungs in (_SMOOTH, RUNGS):  # a smooth path leads to most motions at once; what else there is takes its time
-        for tables in tried if rungs is RUNGS else _candidates(mechanism, say):
+        for moving, tables in tried if rungs is RUNGS else _of_all_homes(mechanism, say):
             left = ends - time.process_time()
             if left < _LEAST_LEFT_S:
                 return found
             if rungs is _SMOOTH:
-                tried.append(tables)
+                tried.append((moving, tables))
             pace = np.clip((time.monotonic() - clock) / (time.process_time() - worked), 1.0, _BUSIEST)
             hurried = tables | {"solver": {"max_time_s": float(pace * max(_LEAST_LEFT_S, _SHARE_OF_TIME * left))}}
             try:
-                answer = plan_motion(problem_from_tables(mechanism.name, hurried, mechanism=mechanism), say, rungs)
+                answer = plan_motion(problem_from_tables(moving.name, hurried, mechanism=moving), say, rungs)
             except LinkplanError as error:
-                found = FirstMotion(mechanism=mechanism, tables=tables, plan=None, why=one_line(error))
+                found = FirstMotion(mechanism=moving, tables=tables, plan=None, why=one_line(error))
                 continue
             why = "" if answer.passed else answer.message
             if answer.history and answer.history[-1].solver_status == OUT_OF_TIME and why:
                 why = f"no motion was found within {_PATIENCE_S:g} s of work; planning it without that bound may find one"
-            found = FirstMotion(mechanism=mechanism, tables=tables, plan=answer, why=why)
+            found = FirstMotion(mechanism=moving, tables=tables, plan=answer, why=why)
             if found.planned:
                 return found
     return found
 
 
+def _of_all_homes(mechanism: Mechanism, say: Say) -> Iterator[tuple[Mechanism, dict[str, dict]]]:
+    """Yield mechanisms and the tables of their motions: from home, and from where hangs what nothing drives.
+
+    A home that nothing holds comes last: a motion from rest there begins with a fall.
+    """
+    other = hung(mechanism)
+    homes = [mechanism] if other is None else [other, mechanism]
+    for home in homes if not is_equilibrium(mechanism, mechanism.home) else reversed(homes):
+        if home is other:
+            say("from where hangs what no actuator moves")
+        for tables in _candidates(home, say):
+            yield home, tables
+
+
 def _candidates(mechanism: Mechanism, say: Say) -> Iterator[dict[str, dict]]:
-    """Yield the tables of motions whose straight way is clear, the larger first: all that is driven, then one of it alone.
+    """Yield the tables of motions whose straight way is clear: all that is driven, then one of it alone, the larger first.
 
     Of each kind and size one: what forbids it mostly forbids its mirror image, too.
     """
-    driven = _driven(mechanism).tolist()
+    driven = driven_columns(mechanism).tolist()
     alone = [[column] for column in driven] if len(driven) > 1 else []
-    for share in _SHARES:
+    # what hangs on many joints swings in as many ways: the shorter its way, the less of that there is to steer
+    for share in _SHARES if len(hanging_columns(mechanism)) <= _FEW_HANG else reversed(_SHARES):
         for kind in ([driven], alone):
             for moved, side in itertools.product(kind, (1, -1)):
                 tables = _clear_motion(mechanism, moved, share, side)
@@ -158,8 +176,11 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
     start, goal = _ends(mechanism, share * min(1.0, _AT_ONCE / len(moved)), side)
     rest = np.setdiff1d(np.arange(mechanism.dof), moved)
     goal[rest] = start[rest]
-    tables = _tables(mechanism, start, goal)
     try:
+        start = at_rest(mechanism, start, mechanism.home)
+        goal[rest] = start[rest]
+        goal = at_rest(mechanism, goal, close_at(mechanism, start))
+        tables = _tables(mechanism, start, goal)
         problem = problem_from_tables(mechanism.name, tables, mechanism=mechanism)
         if np.array_equal(start, goal) or not _is_clear(problem):
             return None
@@ -200,15 +221,8 @@ def _refuse_undriven(mechanism: Mechanism) -> None:
             f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; add for example {line} to its"
             f" model, with the effort that the drive has; joints are {joints}{unusable}"
         )
-    if not len(_driven(mechanism)):
+    if not len(driven_columns(mechanism)):
         raise ProblemError(f"the actuators of mechanism '{mechanism.name}' move none of its joints at home; add {line}")
-
-
-def _driven(mechanism: Mechanism) -> np.ndarray:
-    """Return the columns of the independent coordinates that actuators act on, and nothing else decides."""
-    arms = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1)
-    passive = {column for column, index in enumerate(mechanism.independent) if int(index) in mechanism.passive_dofs}
-    return np.array([k for k, arm in enumerate(arms) if arm > _UNDRIVEN * arms.max() and k not in passive], dtype=int)
 
 
 def _ends(mechanism: Mechanism, share: float, side: int) -> tuple[np.ndarray, np.ndarray]:
@@ -218,7 +232,7 @@ def _ends(mechanism: Mechanism, share: float, side: int) -> tuple[np.ndarray, np
     """
     start = mechanism.home[mechanism.independent].copy()
     goal = start.copy()
-    for column in _driven(mechanism):
+    for column in driven_columns(mechanism):
         joint = mechanism.independent_joints[column]
         low, high = _interval(reach(mechanism, int(column)), start[column])
         start[column] = _rounded(joint, float(np.clip(start[column], low, high)), low, high)
@@ -280,9 +294,14 @@ def _is_clear(problem: PlanningProblem) -> bool:
 
 
 def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[str, dict]:
-    """Return a problem's tables: from rest to rest with least effort."""
+    """Return a problem's tables: from rest to rest with least effort; with least change of it where freedoms hang.
+
+    There least effort is that of another pose, the lowest, which it goes and stays near as long as it can, by ways
+    that have next to the same cost: the solver takes hundreds of iterations. What changes least moves from one rest to
+    the other beside the efforts that hold it.
+    """
     motion: dict = {"kind": "reach"}
-    named = [k for k in range(mechanism.dof) if k in _driven(mechanism) or not _rests(mechanism, k)]
+    named = [k for k in range(mechanism.dof) if k in driven_columns(mechanism) or not rests_by_itself(mechanism, k)]
     for name, values in (("start", start), ("goal", goal)):
         for column in named:
             joint = mechanism.independent_joints[column]
@@ -292,13 +311,8 @@ def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[s
     return {
         "mechanism": dict(mechanism.source),
         "motion": motion,
-        "objective": {"minimize": "effort"},
+        "objective": {"minimize": "effort_rate" if hanging_columns(mechanism) else "effort"},
     }
-
-
-def _rests(mechanism: Mechanism, column: int) -> bool:
-    """Return whether a coordinate stands by itself where a motion does not name it."""
-    return int(mechanism.independent[column]) in mechanism.passive_dofs or column in sprung_freedoms(mechanism)
 
 
 def _duration_s(problem: PlanningProblem) -> float:
@@ -306,16 +320,14 @@ def _duration_s(problem: PlanningProblem) -> float:
     mechanism = problem.mechanism
     shortest = first_guess(problem, start_pose_of(problem)).duration_s
     swing = 2 * np.pi * np.sqrt(mechanism.extent_m / _GRAVITY)
-    driven = _driven(mechanism)
-    hangs = any(k not in driven and not _rests(mechanism, k) for k in range(mechanism.dof))
-    least = _SWINGS * swing if hangs else _LEAST_S
+    least = _SWINGS * swing if hanging_columns(mechanism) else _LEAST_S
     return float(f"{max(_EASE * shortest, least):.2g}")
 
 
 def _gains(mechanism: Mechanism, problem: PlanningProblem, duration: float) -> dict:
     """Return gains of PD for a motion of such a duration: critically damped on the inertia at its start, none undriven."""
     inertia = np.array(mechanism.dynamics.reduced_inertia(start_pose_of(problem))).diagonal()
-    inertia = np.where(np.isin(np.arange(mechanism.dof), _driven(mechanism)), inertia, 0.0)
+    inertia = np.where(np.isin(np.arange(mechanism.dof), driven_columns(mechanism)), inertia, 0.0)
     frequency = min(2 * np.pi * _CYCLES / duration, _OF_CRITICAL / _PERIOD_S)  # [rad/s]
     gains = {"kp": inertia * frequency**2, "kd": 2 * inertia * frequency}
     names = [joint.name for joint in mechanism.independent_joints]

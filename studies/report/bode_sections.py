@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, response_curves
-from linkplan.studies.bode.bode_report import softness_of
+from linkplan.studies.bode.bode_report import contacts_of, not_measured, softness_of
 from linkplan.studies.bode.curves import lowest_hz, sensitivity_along, turned, turned_beside
 from linkplan.studies.bode.scan import Scan
 from linkplan.studies.frequency.margins import frequency_grid
@@ -74,10 +74,10 @@ def _verdict(study: BodeStudy, *, said: bool) -> list[Block]:
         how = f"{study.method}, {study.simulated_steps} steps, MuJoCo {c['mujoco']}, {c['integrator']}"
         rows.append(("measured less predicted", f"at most {deviation[0]:.2g} dB and {deviation[1]:.2g} deg ({how})"))
     elif study.method is not None:
-        rows.append(("measured", "no: an unstable feedback loop holds no operating point"))
+        rows.append(("measured", f"no: {not_measured(study).removeprefix('not measured: ')}"))
     blocks.append(Facts(rows=rows))
-    note = softness_of(study)
-    return [*blocks, *([] if note is None else [Text(text=note, tone="note")])]
+    notes = [Text(text=note, tone="note") for note in (contacts_of(study), softness_of(study)) if note]
+    return [*blocks, *notes]
 
 
 def _margins(study: BodeStudy) -> Table:

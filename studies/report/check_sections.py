@@ -6,6 +6,7 @@ import numpy as np
 
 from linkplan.studies.check.check_report import effort_unit, inertia_unit, ratio_unit, unheld_sentences, weight_sentences
 from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
+from linkplan.studies.check.inspection_text import gaps_text
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
 from linkplan.studies.check.refused_model import RefusedModel
 from linkplan.studies.check.whole_check import WholeCheck
@@ -44,7 +45,7 @@ def inspection_blocks(found: Inspection) -> list[Block]:
     rows = [
         ("degrees of freedom", f"{mechanism.dof} ({', '.join(j.name for j in mechanism.independent_joints)} independent)"),
         ("joints", ", ".join(joint.name for joint in mechanism.joints)),
-        ("closure", f"{', '.join(mechanism.closure_names) or 'none'}: {rank}, gap {found.closure_gap_m:.3g} m"),
+        ("closure", f"{', '.join(mechanism.closure_names) or 'none'}: {rank}, gap {gaps_text(found)}"),
     ]
     if mechanism.closures:
         rows.append(("det J_z at home, in SI units", ", ".join(f"{x:.4g}" for x in branch(mechanism))))

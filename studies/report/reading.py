@@ -3,7 +3,7 @@
 import functools
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 from linkplan.models.errors import PlanFileError
@@ -11,7 +11,6 @@ from linkplan.models.reading import read_file
 from linkplan.planner.files.folders import RECORDS
 from linkplan.planner.files.plan_folder import MOST_JSON_BYTES, read_plan, unchecked
 from linkplan.planner.plan import Plan
-from linkplan.planner.refinement.history import Step
 from linkplan.studies.experiment.study import RECORD as EXPERIMENT
 from linkplan.studies.experiment.study import saved_outcome
 from linkplan.studies.report.document import Block, Facts, Report, Section, Table, Text
@@ -53,24 +52,7 @@ def saved_plan(folder: Path) -> Plan:
         PlanFileError: when the folder is damaged, or its model has changed.
     """
     plan, note = read_plan(folder, anyway=True), unchecked(folder)
-    said = _read(folder / "plan.json")
-    problem = plan.problem if note is None else replace(plan.problem, notes=(*plan.problem.notes, note))
-    return replace(plan, problem=problem, history=_history(said.get("history")))
-
-
-def _history(rows: object) -> tuple[Step, ...]:
-    """Return the steps that a record lists, none where it is not a list of such."""
-    names = {field.name for field in fields(Step)}
-    if not isinstance(rows, list) or not all(isinstance(row, dict) and set(row) <= names for row in rows):
-        return ()
-    try:
-        return tuple(Step(**{**row, "objective": _float(row["objective"])}) for row in rows)
-    except (TypeError, KeyError, ValueError):
-        return ()
-
-
-def _float(value: object) -> float:
-    return float("nan") if value is None else float(value)
+    return plan if note is None else replace(plan, problem=replace(plan.problem, notes=(*plan.problem.notes, note)))
 
 
 def _read(path: Path) -> dict:
