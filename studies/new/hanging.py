@@ -21,13 +21,15 @@ from linkplan.planner.files.problem_file import mechanism_from_tables
 
 # What drives lack to hold a pose, as a share of the largest effort that holds one [of the weight at the extent]: below it
 # the pose is an equilibrium, up to where assembly and the minimisation end.
-_BALANCED = 1e-4
+_BALANCED = 1e-3
 _GRAVITY = 9.81
 # A coordinate that actuators move by less than this share of the one that they move best is not driven.
 _UNDRIVEN = 1e-9
 # A pose that differs from home by no more than this is home [rad or m]; where freedoms hang is written in so many decimals
 # [deg or m].
 _MOVED, _DECIMALS = 1e-6, 3
+# What stands balanced is pushed by this [rad or m], or it would stay.
+_NUDGE = 1e-3
 # The minimisation: its most steps, and the potential energy [of the weight at the extent] that ends it.
 _STEPS, _ENERGY = 500, 1e-13
 # Loops that stand open by more than this share of the extent after it were not closed by it.
@@ -57,7 +59,7 @@ def hung(mechanism: Mechanism) -> Mechanism | None:
     if not hanging_columns(mechanism):
         return None
     held = mechanism.independent[driven_columns(mechanism)]
-    pose = hanging_pose(mechanism, mechanism.home, {int(index): float(mechanism.home[index]) for index in held})
+    pose = hanging_pose(mechanism, mechanism.home + _NUDGE, {int(index): float(mechanism.home[index]) for index in held})
     if pose is None or np.abs(pose - mechanism.home).max() < _MOVED:
         return None
     pose = np.array([joint.read(round(joint.shown(x), _DECIMALS)) for joint, x in zip(mechanism.joints, pose, strict=True)])
@@ -69,24 +71,29 @@ def hung(mechanism: Mechanism) -> Mechanism | None:
 
 
 def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray:
-    """Return positions (n_s,) with what hangs moved to where it is at rest; as given where it is, or where no rest is found.
+    """Return positions (n_s,) with what hangs moved to where it is at rest; as given where it is, or where home is not.
 
     Args:
         mechanism: whose actuators hold what they are on.
         s: positions (n_s,).
-        near: a pose (n_q,) to begin from.
+        near: a pose (n_q,) to begin from, at rest.
+
+    Raises:
+        AssemblyError: when there is no rest on the branch of `near`.
     """
     hanging = hanging_columns(mechanism)
-    if not hanging or is_equilibrium(mechanism, close_at(mechanism, s, near)):
+    if not hanging or not is_equilibrium(mechanism, mechanism.home):
+        return s
+    if is_equilibrium(mechanism, close_at(mechanism, s, near)):
         return s
     held = {int(mechanism.independent[k]): float(s[k]) for k in driven_columns(mechanism)}
     pose = hanging_pose(mechanism, near, held)
-    if pose is None:
-        return s
     rest = s.copy()
-    for column in hanging:
+    for column in hanging if pose is not None else ():
         joint, x = mechanism.independent_joints[column], pose[mechanism.independent[column]]
         rest[column] = joint.read(round(joint.shown(x), _DECIMALS))
+    if pose is None or not is_equilibrium(mechanism, close_at(mechanism, rest, near)):
+        raise AssemblyError(f"mechanism '{mechanism.name}' does not hang at rest with its drives at {s}")
     return rest
 
 
@@ -108,8 +115,11 @@ def hanging_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, floa
     """
     dynamics, data = mechanism.dynamics, mujoco.MjData(mechanism.model)
     unit = _energy_unit(mechanism)
-    bounds = [(joint.lower, joint.upper) for joint in mechanism.joints]
     start = np.array(near, dtype=float)
+    bounds = [(joint.lower, joint.upper) for joint in mechanism.joints]
+    for index, joint in enumerate(mechanism.joints):
+        if joint.kind == "hinge":  # what turns fully turns no further than it needs
+            bounds[index] = (max(joint.lower, start[index] - np.pi), min(joint.upper, start[index] + np.pi))
     for index, value in held.items():
         bounds[index], start[index] = (value, value), value
 

@@ -180,3 +180,19 @@ def test_a_grippers_reach_ends_where_both_of_its_parallelograms_lie_flat():
 
 def test_a_chart_that_ends_is_not_called_a_range():
     assert reach(load_mechanism(PSSR), 1).upper.reason == "end of rod_rx's chart"
+
+
+@pytest.mark.parametrize(("kind", "unit"), [("hinge", "rad"), ("slide", "m")])
+@pytest.mark.parametrize("arm", [1.0, 0.01])
+def test_the_gap_of_a_tendon_is_that_of_the_joint_that_moves_it_most(kind, unit, arm):
+    bodies = "".join(f'<body><joint name="{n}" type="{kind}"/><geom size="0.1"/></body>' for n in "ab")
+    tendon = f'<fixed name="t"><joint joint="a" coef="{arm}"/><joint joint="b" coef="{-0.5 * arm}"/></fixed>'
+    mechanism = load_mechanism(
+        f"<mujoco><worldbody>{bodies}</worldbody><tendon>{tendon}</tendon>"
+        '<equality><tendon tendon1="t"/></equality><actuator><motor joint="b"/></actuator></mujoco>'
+    )
+    q = np.array(mechanism.home)
+    q[0] += 0.02
+    (closure,) = mechanism.closures
+    assert closure.unit == unit
+    assert closure.gap(np.array(mechanism.dynamics.closure(q)).ravel()) == pytest.approx(0.02)

@@ -50,6 +50,14 @@ def test_a_plan_that_is_read_back_says_the_same(name, tmp_path):
     assert again.problem.source == plan.problem.source
 
 
+def test_a_plan_that_is_read_back_has_the_solves_that_led_to_it(tmp_path):
+    plan, again = optimal("knee-reach"), read_plan(saved_plan("knee-reach", tmp_path))
+    assert len(plan.history) > 1
+    for before, after in zip(plan.history, again.history, strict=True):
+        assert (after.what, after.intervals, after.solver_status) == (before.what, before.intervals, before.solver_status)
+        assert after.objective == pytest.approx(before.objective, nan_ok=True)
+
+
 @pytest.mark.slow
 @every_plan
 def test_a_plan_that_is_read_back_is_certified_anew(name, tmp_path):

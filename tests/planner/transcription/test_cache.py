@@ -4,6 +4,7 @@ import json
 import os
 import sys
 import tempfile
+import time
 from dataclasses import fields
 from pathlib import Path
 
@@ -230,6 +231,24 @@ def test_a_compiler_that_hangs_ends_with_its_children(folder, tmp_path, monkeypa
     # One that ended but that nobody has asked after has no command line any more.
     line = Path(f"/proc/{int((tmp_path / 'child').read_text())}/cmdline")
     assert not line.exists() or not line.read_bytes()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="a shell script for a compiler")
+def test_a_compiler_ends_before_the_planner_s_deadline_and_the_interpreter_serves_without_a_word(
+    folder, tmp_path, monkeypatch, recwarn
+):
+    script = tmp_path / "compiler"
+    script.write_text(f'#!/bin/sh\necho begun > "{tmp_path}/begun"\nsleep 600\n', encoding="utf-8")
+    script.chmod(0o700)
+    monkeypatch.setattr(module, "compiler", lambda: (str(script),))
+    functions = compiled("k1", NodeFunctions, built, time.monotonic() + 2.0)
+    assert (tmp_path / "begun").exists()
+    assert "External" not in functions.node_value.class_name()
+    (tmp_path / "begun").unlink()
+    compiled("k1", NodeFunctions, built, time.monotonic() - 1.0)  # no time left: not even begun
+    assert not (tmp_path / "begun").exists()
+    assert not recwarn.list
+    assert list(folder.iterdir()) == []
 
 
 def test_what_a_kill_left_in_the_cache_is_removed_by_the_next_run(folder):

@@ -1,0 +1,103 @@
+"""`new` of mechanisms with fewer actuators than freedoms: they are begun where the rest of them hangs at rest."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.assembly import close_at
+from linkplan.planner.plan import Plan
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.studies.new.first_motion import first_motion
+from linkplan.studies.new.hanging import hanging_columns, hanging_pose, hung, is_equilibrium
+from tests.studies.new.test_new import ring
+
+
+def arm(links: int, motors: int, *, down: bool = False) -> str:
+    """Return an open arm of equal links, drawn level or hanging, its first joints driven, as MJCF."""
+    end = "0 0 -0.1" if down else "0.1 0 0"
+    text = ""
+    for k in range(links):
+        text += f'<body name="l{k}" pos="{end if k else "0 0 0"}"><joint name="j{k}" axis="0 1 0" damping="0.01"/>'
+        text += f'<geom type="capsule" size="0.008" fromto="0 0 0 {end}" mass="0.1" contype="0" conaffinity="0"/>'
+    drives = "".join(f'<motor name="m{k}" joint="j{k}" ctrlrange="-10 10"/>' for k in range(motors))
+    return f'<mujoco model="arm"><worldbody>{text}{"</body>" * links}</worldbody><actuator>{drives}</actuator></mujoco>'
+
+
+def tried_of(text: str, monkeypatch, tmp_path) -> list[PlanningProblem]:
+    """Return the problems that are tried of a mechanism none of whose motions is ever found."""
+    tried = []
+
+    def nothing(problem: PlanningProblem, *_) -> Plan:
+        tried.append(problem)
+        return Plan(problem=problem, status="failed", message="failed: as told")
+
+    monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
+    (tmp_path / "model.xml").write_text(text, encoding="utf-8")
+    first_motion(str(tmp_path / "model.xml"), lambda _: None)
+    return tried
+
+
+def held(mechanism: Mechanism, s: np.ndarray) -> bool:
+    return is_equilibrium(mechanism, close_at(mechanism, s))
+
+
+def test_links_that_nothing_drives_hang_straight_down_from_those_that_are_held():
+    mechanism = load_mechanism(arm(6, 3))
+    pose = hanging_pose(mechanism, mechanism.home, {0: 0.3, 1: -0.1, 2: 0.2})
+    assert pose is not None
+    absolute = np.cumsum(pose)
+    assert absolute[:3] == pytest.approx([0.3, 0.2, 0.4])
+    assert absolute[3:] == pytest.approx(np.full(3, np.pi / 2), abs=1e-4)
+
+
+def test_a_chain_held_at_its_ends_hangs_lower_than_every_closed_pose_about_it():
+    mechanism = load_mechanism(ring(7, 1))
+    other = hung(mechanism)
+    assert other is not None
+    assert not is_equilibrium(mechanism, mechanism.home)  # as it is drawn it falls
+    assert is_equilibrium(other, other.home)
+    height = centre_height(other, other.home)
+    random = np.random.default_rng(1)
+    s, columns = other.home[other.independent], hanging_columns(other)
+    for _ in range(20):
+        near = s.copy()
+        near[columns] += random.normal(0.0, 0.05, len(columns))
+        assert centre_height(other, close_at(other, near)) > height
+
+
+def centre_height(mechanism: Mechanism, pose: np.ndarray) -> float:
+    """Return the height of the centre of mass [m], by MuJoCo."""
+    data = mujoco.MjData(mechanism.model)
+    data.qpos[:] = mechanism.qpos_of(pose)
+    mujoco.mj_forward(mechanism.model, data)
+    return float(data.subtree_com[0, 2])
+
+
+@pytest.mark.parametrize("text", [arm(8, 4), arm(8, 4, down=True), ring(7, 1)], ids=["level arm", "hanging arm", "loop"])
+def test_motions_begin_and_end_where_everything_is_at_rest(text, monkeypatch, tmp_path):
+    tried = tried_of(text, monkeypatch, tmp_path)
+    first = [problem for problem in tried if np.array_equal(problem.mechanism.home, tried[0].mechanism.home)]
+    assert len(first) >= 2
+    for problem in first:
+        assert held(problem.mechanism, problem.motion.start)
+        assert held(problem.mechanism, problem.motion.goal)
+        assert list(problem.objective.weights) == ["effort_rate"]
+    way = [np.abs(problem.motion.goal - problem.motion.start)[0] for problem in first]
+    assert way[0] < 0.5 * max(way)  # the shorter way first
+
+
+def test_what_is_drawn_balanced_is_begun_as_it_is_drawn(monkeypatch, tmp_path):
+    upright = arm(2, 1, down=True).replace("0 0 -0.1", "0 0 0.1")
+    tried = tried_of(upright, monkeypatch, tmp_path)
+    assert np.abs(tried[0].mechanism.home).max() == 0.0
+    assert abs(tried[-1].mechanism.home[1]) == pytest.approx(np.pi, abs=0.02)  # half a turn from where it was pushed to
+
+
+@pytest.mark.slow
+def test_an_arm_whose_outer_links_nothing_drives_has_a_first_motion(tmp_path):
+    (tmp_path / "arm.xml").write_text(arm(4, 2), encoding="utf-8")
+    found = first_motion(str(tmp_path / "arm.xml"), print)
+    assert found.planned, found.why
+    assert found.plan.certificate.passed
+    assert "least change of effort" in found.description
