@@ -91,14 +91,20 @@ def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray) -> None:
     axes.set_ylabel(f"{up} [m]")
 
 
-def mark_turning(axes, mechanism: Mechanism, can: Reach) -> None:
+def mark_turning(axes, mechanism: Mechanism, can: Reach, *, named: bool = False) -> None:
     """Draw where a reach is singular, dotted red, and where a dependent joint turns back, dotted grey."""
     joint = mechanism.joints[mechanism.independent[can.coordinate]]
     left, right = axes.get_xlim()
-    marks = [(position, RED) for position in can.singular] + [(position, GREY) for _, position in can.toggles]
-    for position, colour in marks:
-        if left <= joint.shown(position) <= right:  # one turn is drawn of a joint that turns twice
-            axes.axvline(joint.shown(position), color=colour, linestyle=":", linewidth=1.2)
+    told = set()
+    for words, colour, positions in (
+        ("singular pose", RED, can.singular),
+        ("a joint turns back", GREY, [position for _, position in can.toggles]),
+    ):
+        for position in positions:
+            if left <= joint.shown(position) <= right:  # one turn is drawn of a joint that turns twice
+                label = words if named and words not in told else None
+                axes.axvline(joint.shown(position), color=colour, linestyle=":", linewidth=1.2, label=label)
+                told.add(words)
 
 
 def draw_dependent(axes, mechanism: Mechanism, can: Reach) -> None:
@@ -117,7 +123,7 @@ def draw_dependent(axes, mechanism: Mechanism, can: Reach) -> None:
         axes.plot([], [], label=f"{other.name} [{other.unit}]", **look)
     for kind, side in sides.items():
         side.set_ylabel(f"dependent joints [{'deg' if kind == 'hinge' else 'm'}]")
-    mark_turning(axes, mechanism, can)
+    mark_turning(axes, mechanism, can, named=True)
     axes.set_xlabel(f"{joint.name} [{joint.unit}]")
     if dependent:
         outside_legend(axes, narrow=True)

@@ -14,6 +14,7 @@ from linkplan.studies.output.drawing import BLUE, GREY, ORANGE, SERIES, TRACKER_
 _TALL = 4
 # Widths of the first tracker's lines and of the last one's, in points.
 _WIDEST, _THINNEST = 3.2, 1.1
+_LIMIT = {"color": GREY, "linestyle": ":", "linewidth": 1.2}
 
 
 def comparison_figure(comparison: Comparison, path: Path | None = None) -> Figure:
@@ -39,6 +40,8 @@ def comparison_figure(comparison: Comparison, path: Path | None = None) -> Figur
                 draw_following(next(cells), runs, mechanism.joints[int(index)], int(index))
             for k, actuator in enumerate(pushed):
                 draw_applied_effort(next(cells), runs, actuator, k)
+            if any("limit" in cell.get_legend_handles_labels()[1] for cell in axes[1:, column]):
+                axes[0, column].plot([], [], label="effort limit", **_LIMIT)
             axes[0, column].set_title(f"{comparison.plan.problem.name}: {title}", pad=24)
             outside_legend(axes[0, column])
             axes[-1, column].set_xlabel("time [s]")
@@ -96,7 +99,7 @@ def draw_applied_effort(axes, runs: Mapping[str, Rollout], actuator, k: int = 0)
         peak = max(peak, float(np.abs(rollout.applied[:, k]).max()))
     for bound in next(iter(runs.values())).effort_limit[k]:
         if np.isfinite(bound) and abs(bound) < 2 * peak:
-            axes.axhline(bound, color=GREY, linestyle=":", linewidth=1.2)
+            axes.axhline(bound, label="limit", **_LIMIT)
     axes.set_ylabel(f"{actuator.name} [{actuator.unit}]")
 
 

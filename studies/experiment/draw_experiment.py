@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from linkplan.studies.experiment.metrics import Metric
 from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS, bottom_legend, page
@@ -14,6 +14,8 @@ from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS, bottom_lege
 _DASHED = {"ct": (0, (4, 4)), "mpc": (0, (4, 4))}
 # What is shown of the metrics that begin so, in this order.
 _SHOWN = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
+# Logarithmic axes over less than this factor have 1, 2 and 5 of each decade labelled.
+_FEW_DECADES = 50.0
 
 # Shares up to here are drawn on an axis of this length.
 _SMALL_SHARE = 0.05
@@ -66,5 +68,8 @@ def draw_distribution(axis, results: Mapping[str, np.ndarray], trackers: Sequenc
     if smallest > 0 and largest > 20 * smallest:
         axis.set_xscale("log")
         axis.xaxis.set_minor_formatter(NullFormatter())  # over less than two decades their labels run into one another
+        if largest < _FEW_DECADES * smallest:  # of which as a rule one power of ten, or none, would be all that is labelled
+            axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axis.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     else:
         axis.locator_params(axis="x", nbins=5)

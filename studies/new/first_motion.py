@@ -40,7 +40,7 @@ _CLEAR = 0.1
 # Poses on the way keep det J_z above this share of home's.
 _REGULAR = 0.25
 _BETWEEN = 61
-# Of more hanging freedoms than this the smaller motions are tried first.
+# More hanging freedoms than this swing in many ways: the smaller motions are tried first, with least change of effort.
 _FEW_HANG = 1
 # What assembly leaves of a range [rad or m].
 _SLACK = 1e-8
@@ -161,7 +161,7 @@ def _candidates(mechanism: Mechanism, say: Say) -> Iterator[dict[str, dict]]:
     driven = driven_columns(mechanism).tolist()
     alone = [[column] for column in driven] if len(driven) > 1 else []
     # what hangs on many joints swings in as many ways: the shorter its way, the less of that there is to steer
-    for share in _SHARES if len(hanging_columns(mechanism)) <= _FEW_HANG else reversed(_SHARES):
+    for share in reversed(_SHARES) if _many_hang(mechanism) else _SHARES:
         for kind in ([driven], alone):
             for moved, side in itertools.product(kind, (1, -1)):
                 tables = _clear_motion(mechanism, moved, share, side)
@@ -294,7 +294,7 @@ def _is_clear(problem: PlanningProblem) -> bool:
 
 
 def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[str, dict]:
-    """Return a problem's tables: from rest to rest with least effort; with least change of it where freedoms hang.
+    """Return a problem's tables: from rest to rest with least effort; with least change of it where many freedoms hang.
 
     There least effort is that of another pose, the lowest, which it goes and stays near as long as it can, by ways
     that have next to the same cost: the solver takes hundreds of iterations. What changes least moves from one rest to
@@ -311,8 +311,13 @@ def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[s
     return {
         "mechanism": dict(mechanism.source),
         "motion": motion,
-        "objective": {"minimize": "effort_rate" if hanging_columns(mechanism) else "effort"},
+        "objective": {"minimize": "effort_rate" if _many_hang(mechanism) else "effort"},
     }
+
+
+def _many_hang(mechanism: Mechanism) -> bool:
+    """Return whether so many freedoms hang that a motion swings in many ways at once."""
+    return len(hanging_columns(mechanism)) > _FEW_HANG
 
 
 def _duration_s(problem: PlanningProblem) -> float:

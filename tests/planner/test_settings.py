@@ -1,12 +1,16 @@
 """Settings of mesh, solver and tracking: checked when they are made, by the keys that problem files have."""
 
+import time
+
 import numpy as np
 import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+from linkplan.planner.transcription import collocation
 
 # Settings that cannot be used, what sets the same in a problem file (None where no file can say it), words of the answer.
 REFUSED = [
@@ -81,3 +85,20 @@ def test_a_broken_delay_is_for_loops_and_not_for_motions_that_are_tracked():
     values = {name: getattr(problem, name) for name in PlanningProblem.__slots__} | {"tracking": broken}
     with pytest.raises(ProblemError, match=r"tracking\.delay_periods is a whole number from 0 to 1000, got 0\.5"):
         PlanningProblem(**values)
+
+
+def test_what_compiles_knows_when_the_plan_is_to_be_done(monkeypatch):
+    known = []
+
+    def interpreted(key, kind, build, deadline=None):
+        del key, kind
+        known.append(deadline)
+        return build()
+
+    monkeypatch.setattr(collocation, "compiled", interpreted)
+    monkeypatch.setattr(collocation, "cached", lambda *_: None)
+    problem = load_problem("knee-reach", ("solver.compile=always", "solver.max_time_s=60"))
+    begin = time.monotonic()
+    assert plan_motion(problem).trajectory is not None
+    assert len(known) >= 2
+    assert all(deadline is not None and deadline <= begin + 60 + 1 for deadline in known)

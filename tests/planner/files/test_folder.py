@@ -52,7 +52,7 @@ def test_a_plan_that_is_read_back_says_the_same(name, tmp_path):
 
 def test_a_plan_that_is_read_back_has_the_solves_that_led_to_it(tmp_path):
     plan, again = optimal("knee-reach"), read_plan(saved_plan("knee-reach", tmp_path))
-    assert len(plan.history) > 1
+    assert plan.history
     for before, after in zip(plan.history, again.history, strict=True):
         assert (after.what, after.intervals, after.solver_status) == (before.what, before.intervals, before.solver_status)
         assert after.objective == pytest.approx(before.objective, nan_ok=True)

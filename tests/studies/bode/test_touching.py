@@ -10,7 +10,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import BodeStudy, bode_study
 from linkplan.studies.bode.bode_report import bode_record, bode_text
 from linkplan.studies.frequency.excitation import Setup
-from tests.studies.new.test_new import HOEKEN, MOTOR
+from tests.support.drawn_by_others import HOEKEN, MOTOR
 
 # Hoeken's linkage as somebody writes it, its coupler and rocker drawn through each other.
 THROUGH = re.sub(r"<contact>.*?</contact>", "", HOEKEN.format(actuator=MOTOR), flags=re.S)

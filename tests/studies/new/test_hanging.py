@@ -10,18 +10,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.studies.new.first_motion import first_motion
 from linkplan.studies.new.hanging import hanging_columns, hanging_pose, hung, is_equilibrium
-from tests.studies.new.test_new import ring
-
-
-def arm(links: int, motors: int, *, down: bool = False) -> str:
-    """Return an open arm of equal links, drawn level or hanging, its first joints driven, as MJCF."""
-    end = "0 0 -0.1" if down else "0.1 0 0"
-    text = ""
-    for k in range(links):
-        text += f'<body name="l{k}" pos="{end if k else "0 0 0"}"><joint name="j{k}" axis="0 1 0" damping="0.01"/>'
-        text += f'<geom type="capsule" size="0.008" fromto="0 0 0 {end}" mass="0.1" contype="0" conaffinity="0"/>'
-    drives = "".join(f'<motor name="m{k}" joint="j{k}" ctrlrange="-10 10"/>' for k in range(motors))
-    return f'<mujoco model="arm"><worldbody>{text}{"</body>" * links}</worldbody><actuator>{drives}</actuator></mujoco>'
+from tests.support.drawn_by_others import arm, ring
 
 
 def tried_of(text: str, monkeypatch, tmp_path) -> list[PlanningProblem]:
