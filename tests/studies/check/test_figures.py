@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from linkplan.models.poses.reach import reach
 from linkplan.studies.check.draw_kinematic_loop_report import draw_weight, shares
-from linkplan.studies.check.draw_mechanism import draw_holding, inspection_figure
+from linkplan.studies.check.draw_mechanism import draw_dependent, draw_holding, inspection_figure
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import measure
 from tests.support.figures import labels, saved_figures
@@ -85,3 +85,12 @@ def test_lines_of_three_units_are_drawn_as_shares_of_their_largest():
     assert [label for label, *_ in found] == ["one (1 is 4)", "arm (1 is 0.5 m)", "rate (1 is 3 1/m)"]
     assert [values.tolist() for _, values, _ in found] == [[0.25, -1.0], [0.0, 1.0], [1.0, np.inf]]
     assert {unit for *_, unit in found} == {"1"}
+
+
+def test_the_dotted_lines_over_a_reach_are_named_in_the_legend():
+    mechanism = mechanism_of("optimus-knee")
+    can, axes = reach(mechanism), panel()
+    assert len(can.singular)
+    assert can.toggles
+    draw_dependent(axes, mechanism, can)
+    assert [text.get_text() for text in axes.get_legend().get_texts()][-2:] == ["singular pose", "a joint turns back"]
