@@ -18,4 +18,4 @@ def history_of(rows: object) -> tuple[Step, ...]:
 
 
 def _float(value: object) -> float:
-    return math.nan if value is None else float(value)  # type: ignore[arg-type]
+    return math.nan if value is None else float(value)
