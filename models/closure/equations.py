@@ -1,14 +1,15 @@
 """Loop closure: the equations phi(q) = 0 of a model's equality constraints.
 
 A connect asks two points to coincide (three rows), a weld two frames (six), a joint or tendon equality asks a position or
-length to be a quartic polynomial of another (one row). The residuals are MuJoCo's own, with two changes that leave their
+length to be a quartic polynomial of another (one row). The residuals are MuJoCo's own, with three changes that leave their
 zeros where they are:
 
-* All rows are lengths [m]. A weld's rotation rows are 2 sin(theta / 2) axis, the angle where it is small, times `lever_m`,
-  the mechanism's extent; so is the row of a joint equality on a hinge. An angle then counts by what it moves, forces on all
+* All rows are lengths [m]. A weld's rotation rows are 2 sin(theta / 2) axis, the angle where it is small, times the
+  mechanism's extent; so is the row of a joint equality on a hinge. An angle then counts by what it moves, forces on all
   rows are newtons, and one tolerance serves all.
 * A loop that rides on a moving body is closed in that body's frame: two points tied within a leg have their rows along the
   leg's axes and not the world's, so that a planar loop keeps its two independent rows however the leg turns.
+* A second connect between the same two bodies has only the rows across the line of the pins (`second_pin`).
 """
 
 from collections.abc import Sequence
