@@ -28,11 +28,11 @@ _BESIDE = 1e-7
 # Instants within each of the integration's steps at which arcs are looked at, and halvings that find where they end.
 _LOOKS, _HALVINGS = 4, 60
 # What an actuator is held at: its effort's limit (1 upper, -1 lower), or its power's.
-_POWER = 2
+POWER = 2
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Field:
+class PowerField:
     """All that effort and power allow along a part of the way.
 
     M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
@@ -44,29 +44,34 @@ class _Field:
     power: np.ndarray
     way: float
 
-    def held(self, maps: np.ndarray, v: float, *, towards: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Return what actuators are held at (n_u,), and the efforts (n_u,) that pushes towards the end, or brakes."""
-        upper = (maps * self.way > 0) == towards
-        effort = np.where(upper, self.effort[:, 1], self.effort[:, 0])
-        rate = maps * v
-        spent, held = effort * rate, np.where(upper, 1, -1)
-        for side, over in ((1, spent > self.power[:, 1]), (0, spent < self.power[:, 0])):
-            effort[over] = self.power[over, side] / rate[over]
-            held[over] = _POWER * (2 * side - 1)
-        return held, effort
+    def at(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what actuators are held at (..., n_u), the efforts (..., n_u) and the acceleration at places and speeds.
 
-    def at(self, s: float, v: float, *, towards: bool) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return what is held (n_u,), the efforts (n_u,), and the acceleration at a place and speed."""
-        inertia, still, square, linear, *maps = self.curves(s)
-        held, effort = self.held(np.array(maps), v, towards=towards)
-        return held, effort, float((still + square * v**2 + linear * v + np.dot(maps, effort)) / inertia)
+        The efforts are those that push towards the end, or brake.
+        """
+        maps = self.curves(s)[..., 4:]
+        upper = (maps * self.way > 0) == towards
+        held, effort = np.where(upper, 1, -1), np.where(upper, self.effort[:, 1], self.effort[:, 0])
+        spent = effort * maps * np.asarray(v)[..., None]
+        held = np.where(spent > self.power[:, 1], POWER, np.where(spent < self.power[:, 0], -POWER, held))
+        return held, *self.along(s, v, held)
+
+    def along(self, s: Any, v: Any, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the efforts (..., n_u) of actuators that are held at limits, and the acceleration, at places and speeds."""
+        values, v = self.curves(s), np.asarray(v, dtype=float)
+        rate, on_power = values[..., 4:] * v[..., None], np.abs(held) == POWER
+        upper = np.asarray(held) > 0
+        power, limit = (np.where(upper, of[:, 1], of[:, 0]) for of in (self.power, self.effort))
+        effort = np.where(on_power, power / np.where(on_power, rate, 1.0), limit)
+        force = values[..., 1] + values[..., 2] * v**2 + values[..., 3] * v + (values[..., 4:] * effort).sum(axis=-1)
+        return effort, force / values[..., 0]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Leg:
+class Leg:
     """A leg over its own time (begin, end) [s]; `later` [s] is when its time is 0 in the motion."""
 
-    field: _Field
+    field: PowerField
     state: Callable[[Any], np.ndarray]  # (2,) or (2, n): place and speed
     steps: np.ndarray
     towards: bool
@@ -108,15 +113,34 @@ def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
     """Return the quickest reach that never turns back but where it must, along limits on power, and its arcs.
 
     None where there is none, where no power is at its limit, or where the problem asks for more than the phase plane knows.
+    Arguments as of `power_legs`.
+    """
+    found = power_legs(problem, start_pose)
+    if found is None:
+        return None
+    legs, boundaries = found
+    arcs = [arc for leg in legs for arc in leg.arcs()]
+    held = np.array([one for _, one in arcs])
+    if not np.any(np.abs(held) == POWER):
+        return None
+    return _guess(problem, start_pose, legs, arcs, boundaries)
+
+
+def power_legs(
+    problem: PlanningProblem, start_pose: np.ndarray, *, tolerance: float = _TOLERANCE, small: float = 1.0
+) -> tuple[list[Leg], np.ndarray] | None:
+    """Return the legs of such a motion, and when it passes start, waypoints and goal [s]; None where there is none.
 
     Args:
         problem: whose efforts are limited; of its other limits, all but those on power are left out.
         start_pose: closed (n_q,), at the start.
+        tolerance: of the legs' integration, relative.
+        small: places and speeds below this share of the way and of the largest speed need not be so exact.
     """
     legs, boundaries = [], [0.0]
     try:
         for part in parts_of(problem.motion):
-            pair = _legs(_field(problem, part, start_pose), part, boundaries[-1])
+            pair = _legs(_field(problem, part, start_pose), part, boundaries[-1], tolerance, small)
             if pair is None:
                 return None
             legs += pair
@@ -127,14 +151,10 @@ def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
             boundaries.append(back.later + back.end)
     except AssemblyError:  # the way is not open
         return None
-    arcs = [arc for leg in legs for arc in leg.arcs()]
-    held = np.array([one for _, one in arcs])
-    if not np.any(np.abs(held) == _POWER):
-        return None
-    return _guess(problem, start_pose, legs, arcs, np.array(boundaries))
+    return legs, np.array(boundaries)
 
 
-def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> _Field:
+def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> PowerField:
     """Return what effort and power allow between the first place of a part and its last."""
     import scipy
 
@@ -150,11 +170,11 @@ def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> _Fie
     way, rub = float(np.sign(goal - start)), sliding_friction(problem.mechanism, q)
     square, linear = 0.5 * (fast + back) - still, 0.5 * (fast - back) + rub
     values = np.column_stack([inertia, still - way * rub, square, linear, maps])
-    curves = scipy.interpolate.PchipInterpolator(place[:: int(way)], values[:: int(way)])
-    return _Field(curves=curves, effort=problem.limits.effort, power=problem.limits.power, way=way)
+    curves = scipy.interpolate.CubicSpline(place[:: int(way)], values[:: int(way)])
+    return PowerField(curves=curves, effort=problem.limits.effort, power=problem.limits.power, way=way)
 
 
-def _legs(field: _Field, part: Part, later: float) -> list[_Leg] | None:
+def _legs(field: PowerField, part: Part, later: float, tolerance: float, small: float) -> list[Leg] | None:
     """Return the leg up to the switch and the one from there, the first begun `later` [s]; None where they do not meet."""
     import scipy
 
@@ -163,9 +183,9 @@ def _legs(field: _Field, part: Part, later: float) -> list[_Leg] | None:
     span, force = abs(goal - start), np.abs(values[:, 1]) + np.abs(values[:, 4:]) @ np.abs(field.effort).max(axis=1)
     fastest = float(np.sqrt(2 * span * (force / values[:, 0]).max()))
 
-    def leg(begin: float, v: float, end: float, *, towards: bool) -> _Leg:
+    def leg(begin: float, v: float, end: float, *, towards: bool) -> Leg:
         def rates(_t: float, y: np.ndarray) -> list[float]:
-            return [y[1], field.at(*y, towards=towards)[2]]
+            return [y[1], float(field.at(*y, towards=towards)[2])]
 
         def there(_t: float, y: np.ndarray) -> float:
             return y[0] - end
@@ -178,10 +198,10 @@ def _legs(field: _Field, part: Part, later: float) -> list[_Leg] | None:
         until = _LONGEST * span / fastest
         found = scipy.integrate.solve_ivp(
             rates, (0.0, until if towards else -until), [begin, v], method="Radau", events=(there, stalled),
-            dense_output=True, rtol=_TOLERANCE, atol=_TOLERANCE * np.array([span, fastest]),
+            dense_output=True, rtol=tolerance, atol=tolerance * small * np.array([span, fastest]),
         )  # fmt: skip
         ends = np.sort([0.0, found.t[-1]])
-        return _Leg(field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1])
+        return Leg(field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1])
 
     ahead, back = leg(start, part.speeds[0], goal, towards=True), leg(goal, part.speeds[1], start, towards=False)
     low = max(way * start, way * back.state(back.begin)[0]) + _BESIDE * span
@@ -197,16 +217,16 @@ def _legs(field: _Field, part: Part, later: float) -> list[_Leg] | None:
     return [one, _cut(back, back.time_at(switch), 0.0, later + one.end - back.time_at(switch))]
 
 
-def _cut(leg: _Leg, begin: float, end: float, later: float) -> _Leg:
-    return _Leg(field=leg.field, state=leg.state, steps=leg.steps, towards=leg.towards, begin=begin, end=end, later=later)
+def _cut(leg: Leg, begin: float, end: float, later: float) -> Leg:
+    return Leg(field=leg.field, state=leg.state, steps=leg.steps, towards=leg.towards, begin=begin, end=end, later=later)
 
 
-def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[_Leg], arcs: list, boundaries: np.ndarray) -> Guess:
+def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[Leg], arcs: list, boundaries: np.ndarray) -> Guess:
     """Return legs as a guess, with their arcs between switch times and phase boundaries."""
     ends = np.array([leg.later + leg.end for leg in legs])
     n_u, duration = len(problem.limits.effort), float(ends[-1])
 
-    def of(times: np.ndarray, what: Callable[[_Leg, np.ndarray], np.ndarray], size: int) -> np.ndarray:
+    def of(times: np.ndarray, what: Callable[[Leg, np.ndarray], np.ndarray], size: int) -> np.ndarray:
         values, which = np.zeros((len(times), size)), np.minimum(np.searchsorted(ends, times), len(legs) - 1)
         for k, leg in enumerate(legs):
             mine = which == k
@@ -214,9 +234,10 @@ def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[_Leg], a
                 values[mine] = what(leg, np.clip(times[mine] - leg.later, leg.begin, leg.end))
         return values
 
-    def motion(leg: _Leg, t: np.ndarray) -> np.ndarray:
-        found = [(s, v, *leg.field.at(s, v, towards=leg.towards)[1:]) for s, v in leg.state(t).T]
-        return np.array([[s, v, a, *effort] for s, v, effort, a in found])
+    def motion(leg: Leg, t: np.ndarray) -> np.ndarray:
+        s, v = leg.state(t)
+        _, effort, a = leg.field.at(s, v, towards=leg.towards)
+        return np.column_stack([s, v, a, effort])
 
     def column(k: int, size: int = 1) -> Callable[[np.ndarray], np.ndarray]:
         return lambda times: of(np.asarray(times), motion, 3 + n_u)[:, k : k + size]
@@ -240,5 +261,5 @@ def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[_Leg], a
         boundaries_s=boundaries if len(boundaries) > 2 else None,
         switch_times_s=switch_times,
         bang_efforts=bang,
-        power_arcs=np.where(np.abs(held) == _POWER, np.sign(held), 0),
+        power_arcs=np.where(np.abs(held) == POWER, np.sign(held), 0),
     )

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses, users_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.refinement.refine import raised
@@ -14,6 +16,7 @@ from linkplan.planner.search.detours import detour_may_pay
 from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
 from linkplan.planner.search.first_mesh import first_mesh, mesh_along_power
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
+from linkplan.planner.search.legs_motion import legs_motion
 from linkplan.planner.search.phase_plane import phase_plane_applies, phase_plane_guess, stretched
 from linkplan.planner.search.power_legs import power_guess
 from linkplan.planner.search.solving import solve_from
@@ -29,6 +32,9 @@ _FAR_SHORT = 1.3
 # Meshes on which arcs along limits on power are held, so many times finer and each of a higher degree, until one is solved:
 # what a coarse one errs by leaves a held arc no room.
 _FINER = (1, 2, 4)
+# A solution later than the legs that it began from by this share has lost them; they are a motion of the mechanism itself
+# where the effort that they need differs from theirs by no more than this share of the largest.
+_LATE, _SAME_LAW = 1e-6, 1e-6
 # A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
 _WORTH = 0.999
 
@@ -99,16 +105,37 @@ def along_power(search: Search, budget: Budget) -> Plan | None:
     speed, (low, high) = guess.velocity(guess.switch_times_s), problem.limits.speed[problem.mechanism.independent[0]]
     if np.any((speed < low) | (speed > high)):
         return None
+    known = None
     for finer in _FINER:
         mesh, durations = mesh_along_power(guess, finer * problem.mesh.intervals)
         what = "the phase plane, its arcs held"
         found = solve_from(problem, guess, mesh, durations, what, search.history, search.say, warm=True)
         if found is not None:
             plan = certified(problem, found, search.history, search.say)
-            return plan if plan.passed else None
+            if plan.passed and plan.trajectory.duration_s <= (1 + _LATE) * guess.duration_s:
+                return plan
+            known = plan if plan.passed else None
+            break
         higher = raised(problem.mesh) or problem.mesh.scheme
         problem = replace(problem, mesh=replace(problem.mesh, scheme=higher))
-    return None
+    return _the_legs_themselves(search) or known
+
+
+def _the_legs_themselves(search: Search) -> Plan | None:
+    """Return the plan of legs along limits on power, which need no solver; None where its certificate does not pass."""
+    if search.stopped:
+        return None
+    search.say("the phase plane along limits on power, integrated")
+    motion = legs_motion(search.problem, search.start_pose)
+    if motion is None:
+        return None
+    problem, certificate = search.problem, certify(search.problem, motion)
+    exact = certificate.dynamics_residual <= _SAME_LAW * np.abs(motion.effort).max()
+    said = f"motion of {motion.duration_s:.6g} s, integrated along limits on effort and power"
+    said = f"time-optimal {said}: the quickest that turns back only where it must" if exact else said
+    objective = problem.objective.weight("time") * motion.duration_s
+    plan = finished(problem, motion, certificate, objective, search.history, said, optimal=exact)
+    return plan if plan.passed else None
 
 
 def from_swings(search: Search, budget: Budget) -> Plan | None:
