@@ -24,6 +24,8 @@ from linkplan.planner.trajectory import Trajectory
 
 # An answer whose objective a finer mesh changes by more than this share is said to move.
 MOVES = 1e-4
+# Efforts that differ by no more than this share of the largest are the same.
+_JUST_THESE = 1e-6
 
 
 def plan_from(
@@ -114,9 +116,22 @@ def certified(
     return replace(plan, solved=replace(solution.transcribed, start=solution.x))
 
 
-def without_solving(problem: PlanningProblem, motion: Trajectory, objective: float, history: list[Step], said: str) -> Plan:
-    """Return the plan of a motion that was put together and not solved for: "feasible" where it passes."""
-    return finished(problem, motion, certify(problem, motion), objective, history, said, optimal=False)
+def without_solving(
+    problem: PlanningProblem,
+    motion: Trajectory,
+    objective: float,
+    history: list[Step],
+    said: str,
+    *,
+    best: str | None = None,
+) -> Plan:
+    """Return the plan of a motion that was put together and not solved for: "feasible" where it passes.
+
+    "Optimal", in the words `best`, of one that is the best with the efforts that it carries, where it needs just these.
+    """
+    certificate = certify(problem, motion)
+    optimal = best is not None and certificate.dynamics_residual <= _JUST_THESE * np.abs(motion.effort).max()
+    return finished(problem, motion, certificate, objective, history, best if optimal else said, optimal=optimal)
 
 
 def unsound(plan: Plan) -> bool:

@@ -20,15 +20,14 @@ from linkplan.planner.transcription.schemes import scheme
 # Of limits on effort and power, the share that is left to what polynomials do between their nodes; how far those may be from
 # the effort and from the acceleration that it gives, as a share.
 _ROOM, _CLOSE = 1e-8, 3e-9
-# Of the legs that say where arcs end: a bang at rest ends at a 30 000th of the largest speed.
-_TOLERANCE, _SMALL = 1e-10, 1e-4
 _SCHEME = "radau-7"
 # Instants of an interval at which it is judged, and Newton's steps on it.
 _JUDGED, _STEPS = np.linspace(0.0, 1.0, 12), 12
 # Differences by which slopes are taken, and steps that are rounding, as shares.
 _DIFFERENCE, _ROUNDING = 1e-7, 1e-13
-# An interval is no shorter than this share of its arc.
-_SHORTEST = 1e-9
+# An interval is no shorter than this share of its arc, and no longer than that of its leg: what is unstable can be
+# integrated over it.
+_SHORTEST, _LONGEST = 1e-12, 0.01
 
 
 def legs_motion(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory | None:
@@ -42,7 +41,7 @@ def legs_motion(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory 
     """
     limits = problem.limits
     inside = replace(limits, effort=_inside(limits.effort), power=_inside(limits.power))
-    found = power_legs(replace(problem, limits=inside), start_pose, tolerance=_TOLERANCE, small=_SMALL)
+    found = power_legs(replace(problem, limits=inside), start_pose, exactly=True)
     if found is None:
         return None
     legs, boundaries = found
@@ -81,9 +80,11 @@ def _pieces(leg: Leg, boundaries: np.ndarray) -> tuple[list, list, list, list] |
     at, found = leg.state(ends[0]), []
     for begin, end in itertools.pairwise(ends):
         held = np.array(arcs[int(np.searchsorted(until[:-1], 0.5 * (begin + end)))][1])
+        longest = _LONGEST * (leg.end - leg.begin)
         t, h = begin, 0.25 * (end - begin)
         while t != end:
             check()
+            h = np.copysign(min(abs(h), longest), h)
             h = end - t if abs(h) > 0.9 * abs(end - t) else h
             piece = _collocated(leg, held, t, h, at)
             if piece is None:
@@ -96,7 +97,8 @@ def _pieces(leg: Leg, boundaries: np.ndarray) -> tuple[list, list, list, list] |
             found.append((first, *(c if leg.towards else c[::-1] for c in coefficients)))
             t, h = (end if h == end - t else t + h), 2.0 * h
     breaks, *parts = zip(*(found if leg.towards else found[::-1]), strict=True)
-    return list(breaks), *(list(part) for part in parts)
+    position, velocity, effort = (list(part) for part in parts)
+    return list(breaks), position, velocity, effort
 
 
 def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
@@ -122,19 +124,20 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
     guessed = leg.state(inside)
     a = law(*guessed)[1]
     size = np.abs(guessed).max(axis=1)
-    for _ in range(_STEPS):
-        s, v = states(a)
-        asked = law(s, v)[1]
-        by_place = (law(s + _DIFFERENCE, v)[1] - asked) / _DIFFERENCE
-        nudge = _DIFFERENCE * np.maximum(np.abs(v), size[1])
-        by_speed = (law(s, v + nudge)[1] - asked) / nudge
-        slope = np.eye(len(nodes)) - h**2 * by_place[:, None] * known.position - h * by_speed[:, None] * known.velocity
-        step = np.linalg.solve(slope, asked - a)
-        a = a + step
-        if np.abs(h * step).max() <= _ROUNDING * size[1]:
-            break
-    else:
-        return None
+    with np.errstate(all="ignore"):  # over an interval that is too long Newton's steps may lead anywhere
+        for _ in range(_STEPS):
+            s, v = states(a)
+            asked = law(s, v)[1]
+            by_place = (law(s + _DIFFERENCE, v)[1] - asked) / _DIFFERENCE
+            nudge = _DIFFERENCE * np.maximum(np.abs(v), size[1])
+            by_speed = (law(s, v + nudge)[1] - asked) / nudge
+            slope = np.eye(len(nodes)) - h**2 * by_place[:, None] * known.position - h * by_speed[:, None] * known.velocity
+            step = np.linalg.solve(slope, asked - a)
+            a = a + step
+            if np.abs(h * step).max() <= _ROUNDING * size[1]:
+                break
+        else:
+            return None
     s, v = states(a)
     effort = law(s, v)[0]
     m = len(nodes)

@@ -21,8 +21,12 @@ from linkplan.planner.search.phase_plane import Guess, Part, parts_of
 
 # Poses along a part of the way.
 _POSES = 2001
-# Tolerance of the integration, and the longest it goes on, in the time that full effort would take.
-_TOLERANCE, _LONGEST = 1e-7, 1e6
+# Integrations: the method, its relative tolerance, and the share of the way and of the largest speed that is as small as
+# that. Exactly, where a bang at rest ends counts, at a 30 000th of the largest speed.
+_ROUGHLY, _EXACTLY = ("Radau", 1e-7, 1e-7), ("LSODA", 1e-10, 1e-14)
+# The longest that they go on, in the time that full effort would take. Boundaries so near to a switch, a share of the
+# duration, are at it.
+_LONGEST, _AT = 1e6, 1e-7
 # Next to the ends, this share of the way, the legs are not yet apart.
 _BESIDE = 1e-7
 # Instants within each of the integration's steps at which arcs are looked at, and halvings that find where they end.
@@ -127,20 +131,19 @@ def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
 
 
 def power_legs(
-    problem: PlanningProblem, start_pose: np.ndarray, *, tolerance: float = _TOLERANCE, small: float = 1.0
+    problem: PlanningProblem, start_pose: np.ndarray, *, exactly: bool = False
 ) -> tuple[list[Leg], np.ndarray] | None:
     """Return the legs of such a motion, and when it passes start, waypoints and goal [s]; None where there is none.
 
     Args:
         problem: whose efforts are limited; of its other limits, all but those on power are left out.
         start_pose: closed (n_q,), at the start.
-        tolerance: of the legs' integration, relative.
-        small: places and speeds below this share of the way and of the largest speed need not be so exact.
+        exactly: whether they are to be a motion and not a start.
     """
     legs, boundaries = [], [0.0]
     try:
         for part in parts_of(problem.motion):
-            pair = _legs(_field(problem, part, start_pose), part, boundaries[-1], tolerance, small)
+            pair = _legs(_field(problem, part, start_pose), part, boundaries[-1], *(_EXACTLY if exactly else _ROUGHLY))
             if pair is None:
                 return None
             legs += pair
@@ -174,7 +177,7 @@ def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> Powe
     return PowerField(curves=curves, effort=problem.limits.effort, power=problem.limits.power, way=way)
 
 
-def _legs(field: PowerField, part: Part, later: float, tolerance: float, small: float) -> list[Leg] | None:
+def _legs(field: PowerField, part: Part, later: float, method: Any, share: float, small: float) -> list[Leg] | None:
     """Return the leg up to the switch and the one from there, the first begun `later` [s]; None where they do not meet."""
     import scipy
 
@@ -197,8 +200,8 @@ def _legs(field: PowerField, part: Part, later: float, tolerance: float, small: 
         stalled.direction = -1.0
         until = _LONGEST * span / fastest
         found = scipy.integrate.solve_ivp(
-            rates, (0.0, until if towards else -until), [begin, v], method="Radau", events=(there, stalled),
-            dense_output=True, rtol=tolerance, atol=tolerance * small * np.array([span, fastest]),
+            rates, (0.0, until if towards else -until), [begin, v], method=method, events=(there, stalled),
+            dense_output=True, rtol=share, atol=small * np.array([span, fastest]),
         )  # fmt: skip
         ends = np.sort([0.0, found.t[-1]])
         return Leg(field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1])
@@ -244,7 +247,7 @@ def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[Leg], ar
 
     known = boundaries[1:-1]
     instants = np.array([end for end, _ in arcs[:-1]])
-    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > _TOLERANCE * duration
+    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > _AT * duration
     switch_times = instants[apart]
     inner = np.sort(np.concatenate([[0.0], switch_times, known, [duration]]))
     at = np.searchsorted([end for end, _ in arcs[:-1]], 0.5 * (inner[1:] + inner[:-1]))

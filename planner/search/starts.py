@@ -6,12 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses, users_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.refinement.refine import raised
-from linkplan.planner.search.attempts import certified, plan_from
+from linkplan.planner.search.attempts import certified, plan_from, without_solving
 from linkplan.planner.search.detours import detour_may_pay
 from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
 from linkplan.planner.search.first_mesh import first_mesh, mesh_along_power
@@ -32,9 +30,8 @@ _FAR_SHORT = 1.3
 # Meshes on which arcs along limits on power are held, so many times finer and each of a higher degree, until one is solved:
 # what a coarse one errs by leaves a held arc no room.
 _FINER = (1, 2, 4)
-# A solution later than the legs that it began from by this share has lost them; they are a motion of the mechanism itself
-# where the effort that they need differs from theirs by no more than this share of the largest.
-_LATE, _SAME_LAW = 1e-6, 1e-6
+# A solution later than the legs that it began from by this share has lost them.
+_LATE = 1e-6
 # A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
 _WORTH = 0.999
 
@@ -129,12 +126,10 @@ def _the_legs_themselves(search: Search) -> Plan | None:
     motion = legs_motion(search.problem, search.start_pose)
     if motion is None:
         return None
-    problem, certificate = search.problem, certify(search.problem, motion)
-    exact = certificate.dynamics_residual <= _SAME_LAW * np.abs(motion.effort).max()
-    said = f"motion of {motion.duration_s:.6g} s, integrated along limits on effort and power"
-    said = f"time-optimal {said}: the quickest that turns back only where it must" if exact else said
+    problem, said = search.problem, f"motion of {motion.duration_s:.6g} s, integrated along limits on effort and power"
+    best = f"time-optimal {said}: the quickest that turns back only where it must"
     objective = problem.objective.weight("time") * motion.duration_s
-    plan = finished(problem, motion, certificate, objective, search.history, said, optimal=exact)
+    plan = without_solving(problem, motion, objective, search.history, said, best=best)
     return plan if plan.passed else None
 
 
