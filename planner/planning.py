@@ -16,7 +16,15 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import CERTIFYING
 from linkplan.planner.refinement.history import Say, silent
-from linkplan.planner.search import attempts, duration_continuation, last_resorts, margin_continuation, starts, waiting
+from linkplan.planner.search import (
+    attempts,
+    duration_continuation,
+    last_resorts,
+    margin_continuation,
+    starts,
+    touches,
+    waiting,
+)
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
 
@@ -99,6 +107,12 @@ RUNGS: tuple[Rung, ...] = (
         tried=lambda search: starts.is_slow(search) and not reasons.other_limits(search.problem),
         climb=starts.quicker_by_the_phase_plane,
         budget=PATIENT,
+    ),
+    Rung(
+        name="limits touched in an instant, passed there",
+        tried=touches.may_touch,
+        climb=touches.through_touches,
+        budget=HURRIED,
     ),
     Rung(
         name="continuation in the duration",
