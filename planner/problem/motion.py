@@ -1,6 +1,7 @@
 """Motions: the states that are asked at their ends and on the way, and how long they may take."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -117,6 +118,10 @@ class Motion:
             return False
         speeds = [np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed)]
         return np.array_equal(self.start, self.goal) and np.array_equal(*speeds)
+
+    def resting_at(self, places: Iterable[np.ndarray]) -> "Motion":
+        """Return the motion that passes places (n_s,) [rad or m] at rest, in turn, in place of its waypoints."""
+        return replace(self, waypoints=tuple(Waypoint(position=place, speed=np.zeros(np.shape(place))) for place in places))
 
     def _check_turns(self) -> None:
         if self.turns is None:

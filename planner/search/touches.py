@@ -13,7 +13,6 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.margins import block_ratios
 from linkplan.planner.plan import Plan
-from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.attempts import plan_from
 from linkplan.planner.search.ladder import Budget, Search
@@ -41,8 +40,8 @@ def through_touches(search: Search, budget: Budget) -> Plan | None:
     """Return the plan that passes the limits that the best motion touches as waypoints; None where it is no better."""
     best, problem = search.best, search.problem
     found = touches(problem, best.trajectory)
-    passed = tuple(Waypoint(position=np.array([place]), speed=np.zeros(1)) for _, place in found)
-    other = search.of_another(replace(problem, guess=None, motion=replace(problem.motion, waypoints=passed)))
+    passing = problem.motion.resting_at(np.array([place]) for _, place in found)
+    other = search.of_another(replace(problem, guess=None, motion=passing))
     boundaries = np.array([0.0, *(time for time, _ in found), best.trajectory.duration_s])
     guess = replace(with_switch_times(best), boundaries_s=boundaries, switch_times_s=None)
     search.say("limits touched in an instant, passed there as waypoints")
