@@ -24,10 +24,11 @@ _OF_THE_EQUATIONS, _ROUNDING = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0]),
 def without_numbers(system: System) -> tuple[System, np.ndarray]:
     """Return a system with the numbers of its node's expressions as further parameters, its last ones, and these (n,).
 
-    One that calls functions of its own is returned as it is, without any.
+    A user's differential equation, of one problem and not of a family, is returned as it is, without any; so is a system
+    that calls functions of its own.
     """
     node = system.node
-    if not node.is_a("SXFunction") or ca.OP_CALL in map(node.instruction_id, range(node.n_instructions())):
+    if not system.n_s or not node.is_a("SXFunction") or ca.OP_CALL in map(node.instruction_id, range(node.n_instructions())):
         return system, np.zeros(0)
     xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
     given = (ca.vertsplit(xi), ca.vertsplit(theta))

@@ -1,5 +1,7 @@
 """A system without its numbers: the same values, one structure for mechanisms of one kind."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -73,3 +75,8 @@ def test_expressions_that_call_functions_of_their_own_keep_their_numbers():
     bare, numbers = without_numbers(system)
     assert bare is system
     assert len(numbers) == 0
+
+
+def test_a_user_s_differential_equation_keeps_its_numbers():
+    system = replace(plain(lambda x: x + 0.7), n_s=0, n_x=1)
+    assert without_numbers(system)[0] is system
