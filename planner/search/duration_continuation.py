@@ -37,6 +37,8 @@ _PART = 0.25
 _FINEST = 320
 # Accuracy of the motions on the way [deg].
 _ON_THE_WAY_DEG = 0.01
+# Switch times that their windows hold are solved for again about where they stand, so often at the most.
+_WINDOWS = 5
 # A free duration is long enough once continuation it so saves less than this share of the objective, or once the motion ends
 # before what it is allowed by more than this share.
 SAVED, _BEFORE = 1e-3, 1e-3
@@ -55,7 +57,9 @@ class Continued:
     scheme: str
     longest_s: float
     objective: float = np.inf
+    held: bool = False  # whether the windows of switch times hold it
     enough: bool = False  # whether the last step saved less than `SAVED` of the objective
+    lost: bool = False  # whether longer motions were lost
 
 
 def from_continuation(search: Search, budget: Budget) -> Plan | None:
@@ -76,12 +80,13 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
     plan = None if found is None else certified(final, found, search.history, search.say, warm=True)
     if plan is None or not plan.passed:
         return None
-    said = (
-        f"; its last {DURATION_FACTOR - 1:.0%} of duration saved less than {SAVED:.1%}, longer motions were not tried"
-        if at.enough
-        else ""
-    )
-    return replace(plan, message=plan.message + said)
+    if at.lost:
+        said = f"; the best that takes at most {at.longest_s:.5g} s: longer motions were lost on the way, better ones may exist"
+        return replace(plan, status="feasible", message=plan.message + said)
+    if at.enough:
+        said = f"; its last {DURATION_FACTOR - 1:.0%} of duration saved less than {SAVED:.1%}, longer motions were not tried"
+        return replace(plan, message=plan.message + said)
+    return plan
 
 
 def may_be_lengthened(search: Search) -> bool:
@@ -107,6 +112,8 @@ def continued(
 ) -> Continued | None:
     """Return the motion that a problem's objective prefers, reached from one of least time; None where it is lost.
 
+    A free duration's motions on the way are motions of the problem: where longer ones are lost, the last of them is returned.
+
     Args:
         problem: of a fixed duration, or of a free one.
         quickest: a motion that keeps the dynamics in less time.
@@ -117,10 +124,17 @@ def continued(
     fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s or 0.0
 
     def solve(at: Continued, allowed: float) -> Continued | None:
-        return _step(problem, at, allowed, history, say)
+        found = _step(problem, at, allowed, history, say)
+        for _ in range(_WINDOWS):
+            if found is None or not found.held:
+                break
+            before, found = found, _step(problem, found, allowed, history, say) or found
+            if _saved_little(before, found):
+                break  # windows hold what does not count, or no more is to be had
+        return found
 
     def enough(before: Continued, after: Continued, whole: bool) -> bool:
-        if fixed or after.longest_s < least:
+        if fixed or after.held or after.longest_s < least:
             return False
         return after.start.duration_s < (1 - _BEFORE) * after.longest_s or (whole and _saved_little(before, after))
 
@@ -142,9 +156,9 @@ def continued(
     smallest = min(_LEAST, whole**_PART)
     steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, least=smallest, most=_STEPS)
     path = followed(begin, steps, solve, enough=enough, after_loss=finer)
-    if not path.arrived:
-        return None
     at = path.stages[-1]
+    if not path.arrived:
+        return None if fixed or len(path.stages) == 1 or at.longest_s < least else replace(at, lost=True)
     to_the_full = (1 - _BEFORE) * at.longest_s <= at.start.duration_s < longest(problem)
     return replace(at, enough=not fixed and to_the_full and len(path.stages) > 1 and _saved_little(path.stages[-2], at))
 
@@ -169,8 +183,6 @@ def _step(problem: PlanningProblem, at: Continued, allowed: float, history: list
         return None
     transcribed = better.solution.transcribed
     mesh = transcribed.program.mesh
-    if not fixed and mesh.n_segments > 1 and at_bounds(better.solution):
-        return None  # how far switch times may move held it
     durations = np.bincount(mesh.segment, weights=np.diff(better.motion.breaks_s))
     return Continued(
         start=motion_of(better.motion),
@@ -179,4 +191,5 @@ def _step(problem: PlanningProblem, at: Continued, allowed: float, history: list
         scheme=transcribed.scheme.name,
         longest_s=allowed,
         objective=better.solution.objective,
+        held=not fixed and mesh.n_segments > 1 and at_bounds(better.solution),
     )

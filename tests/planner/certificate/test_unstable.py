@@ -13,7 +13,12 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.search.duration_continuation import SAVED, continued
+from linkplan.planner.refinement.history import silent
+from linkplan.planner.search import duration_continuation
+from linkplan.planner.search.duration_continuation import SAVED, continued, from_continuation
+from linkplan.planner.search.ladder import PATIENT, Search
+from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.search.starts import least_time_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, body_plan, body_problem
 from tests.support.fourbar_problems import random_case
 
@@ -139,3 +144,37 @@ def test_a_least_duration_is_kept_by_a_motion_that_is_lengthened():
     assert reached is not None
     assert reached.longest_s >= 4 * T
     assert reached.start.duration_s >= 4 * T * (1 - 1e-9)
+
+
+@pytest.mark.slow
+def test_switch_times_that_their_windows_hold_are_freed_on_the_way():
+    """Number 46 of the random problems, a swing-up under weak efforts: its switch times move far from the least time's."""
+    case = random_case(1, 46)
+    tables = case.tables | {"motion": case.tables["motion"] | {"max_duration_s": 1.15 * case.shortest}}
+    problem = problem_from_tables("held", tables)
+    search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent, deadline=np.inf)
+    quick = least_time_motion(search, PATIENT)
+    reached = continued(problem, quick, 80, [], silent)
+    assert reached is not None
+    assert not reached.lost
+    assert reached.longest_s == pytest.approx(1.15 * case.shortest)
+
+
+@pytest.mark.slow
+def test_where_longer_motions_are_lost_the_last_one_on_the_way_is_returned_and_says_so(monkeypatch):
+    """A pure inertia may take ten times its least time; whatever is allowed more than 1.5 times is lost."""
+    quick = quick_hinge_guess()
+    motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = "free"\n'
+    problem = body_problem(HINGE, motion + f"max_duration_s = {10 * quick.duration_s}\n")
+    step = duration_continuation._step
+
+    def losing(problem, at, allowed, history, say):
+        return step(problem, at, allowed, history, say) if allowed < 1.5 * quick.duration_s else None
+
+    monkeypatch.setattr(duration_continuation, "_step", losing)
+    search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent, deadline=np.inf)
+    plan = from_continuation(search, PATIENT)
+    assert plan.certificate.passed
+    assert plan.status == "feasible"
+    assert "longer motions were lost" in plan.message
+    assert 1.3 * quick.duration_s < plan.trajectory.duration_s < 1.5 * quick.duration_s
