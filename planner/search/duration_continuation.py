@@ -81,7 +81,7 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
     if plan is None or not plan.passed:
         return None
     if at.lost:
-        said = f"; the best that takes at most {at.longest_s:.5g} s: longer motions were lost on the way, better ones may exist"
+        said = f"; the best within {at.longest_s:.5g} s: longer motions were lost on the way, better ones may exist"
         return replace(plan, status="feasible", message=plan.message + said)
     if at.enough:
         said = f"; its last {DURATION_FACTOR - 1:.0%} of duration saved less than {SAVED:.1%}, longer motions were not tried"
@@ -112,7 +112,7 @@ def continued(
 ) -> Continued | None:
     """Return the motion that a problem's objective prefers, reached from one of least time; None where it is lost.
 
-    A free duration's motions on the way are motions of the problem: where longer ones are lost, the last of them is returned.
+    A free duration's motions on the way are motions of the problem: where longer ones are lost, it is the last of them.
 
     Args:
         problem: of a fixed duration, or of a free one.
