@@ -128,6 +128,7 @@ def _aims(problem: PlanningProblem, *, kinks: bool) -> Aims:
         strictness=_strictness(problem),
         tolerance_given=problem.mesh.tolerance_deg is not None,
         objective_tolerance=_OBJECTIVE if switches and (lines or bent) else None,
+        kinks_at_limits=True,
         layers=any(rubbing_of(problem.mechanism.model)),  # where dry friction turns over
     )
 

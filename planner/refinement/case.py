@@ -56,8 +56,8 @@ class Aims:
     `continuous_efforts` whether efforts pass from one limit to the other without a jump, be it in less than an interval.
     `strictness` is how many times more exact than a certificate demands the integrated state is to be, `tolerance_given`
     whether the user asked for that, `objective_tolerance` what the objective may change by from mesh to mesh, relative, None
-    where it is not looked at. `layers` says that the motion has layers so thin that finer meshes err as much until they are
-    seen.
+    where it is not looked at; `kinks_at_limits` that the motion is smooth where no limit binds: the integration error tells
+    all there. `layers` says that the motion has layers so thin that finer meshes err as much until they are seen.
     """
 
     effort_limit: np.ndarray
@@ -67,6 +67,7 @@ class Aims:
     strictness: float
     tolerance_given: bool
     objective_tolerance: float | None
+    kinks_at_limits: bool = False
     layers: bool = False
 
 

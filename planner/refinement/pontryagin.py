@@ -11,6 +11,8 @@ from linkplan.planner.solvers.solve import Solution
 
 # A multiplier of the wrong sign that is larger than this share of the largest is no rounding.
 _WRONG = 1e-2
+# Multipliers of inequalities below this share of the largest of equations are what the barrier leaves: nothing binds.
+_BINDS = 1e-7
 # Quantities whose rate along a motion no effort changes at once: held, they are constraints of second order. Their
 # multiplier is a measure with impulses at an arc's ends (Hartl, Sethi and Vickson 1995), which a transcription gives as
 # values that alternate from interval to interval: only an arc's sum has a sign. An ODE's own quantities may be such ones.
@@ -22,6 +24,17 @@ def arcs_against_their_limits(solution: Solution) -> np.ndarray:
     breaks = interval_breaks(solution)
     wrong = np.hstack(held_wrongly(solution)).any(axis=1)
     return 0.5 * (breaks[1:] + breaks[:-1])[wrong]
+
+
+def limits_bind(solution: Solution) -> bool:
+    """Return whether a limit binds anywhere, on an unknown or a row; True where the solver does not tell."""
+    rows, unknowns, transcribed = solution.multipliers, solution.bound_multipliers, solution.transcribed
+    if rows is None or unknowns is None:
+        return True
+    equal = transcribed.row_lower == transcribed.row_upper
+    most = _BINDS * np.abs(rows[equal]).max(initial=np.finfo(float).tiny)
+    of_unknowns = np.abs(unknowns[transcribed.lower < transcribed.upper])
+    return bool(max(np.abs(rows[~equal]).max(initial=0.0), of_unknowns.max(initial=0.0)) > most)
 
 
 def interval_breaks(solution: Solution) -> np.ndarray:

@@ -11,7 +11,7 @@ from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.refinement.case import Aims, Case, CertificateT, Findings, Found, MotionT, attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, standing_off
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits, limits_bind
 from linkplan.planner.refinement.switch_search import at_bounds, is_bang_bang, settle_switch_times
 from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.solvers.outcome import SUCCEEDED
@@ -136,10 +136,12 @@ def refine(
             change = abs(solution.objective - before)
             if np.isfinite(before) and solution.objective:
                 moved = change / abs(solution.objective)
-            still = aims.objective_tolerance is None or change <= aims.objective_tolerance * abs(solution.objective)
+            smooth = aims.kinks_at_limits and not limits_bind(solution)
+            tolerance = None if smooth else aims.objective_tolerance
+            still = tolerance is None or change <= tolerance * abs(solution.objective)
             if solution.status == SUCCEEDED:  # a solver that stopped short says nothing of the objective
                 calm = calm + 1 if still and tells else 0
-            settled = aims.objective_tolerance is None or calm >= (_SETTLED if fixed is None else 1)
+            settled = tolerance is None or calm >= (_SETTLED if fixed is None else 1)
             if at.findings.exact and settled and (not off.any() or change <= _TOUCHED * abs(solution.objective)):
                 known = fixed is not None and fixed.everything and not at_bounds(solution)
                 if polished == _POLISHED or known or not is_bang_bang(case, solution.transcribed):
@@ -152,7 +154,7 @@ def refine(
                     break
                 at = _judged(case, better, history)
                 continue
-            if solution.status == SUCCEEDED or aims.objective_tolerance is None:
+            if solution.status == SUCCEEDED or tolerance is None:
                 before = solution.objective
         begun = position_rows
         position_rows = not lost and (position_rows or at.findings is None or at.findings.leaves_positions)

@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import silent
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits, limits_bind
 from linkplan.planner.refinement.refine import Refined
+from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, QUARTER_TURN, body_plan, body_problem
 from tests.support.held_arcs import held
 
@@ -38,3 +43,27 @@ def test_a_plan_with_an_arc_that_would_rather_leave_its_limit_is_feasible_and_no
     assert (plan.status, plan.passed, plan.require()) == ("feasible", True, plan)
     assert "Pontryagin" in plan.message
     assert "optimal motion" not in plan.message
+
+
+def turned(*overrides: str) -> Plan:
+    """Return the least effort of a quarter turn in a second: its speed is a parabola, 135 deg/s at the most."""
+    plan = body_plan(HINGE, QUARTER_TURN + "duration_s = 1.0\n", *overrides)
+    assert plan.status == "optimal", plan.message
+    return plan
+
+
+@pytest.mark.parametrize(("deg_s", "binds"), [(136.0, False), (134.0, True)])
+def test_a_speed_limit_binds_where_it_is_below_the_fastest_speed(deg_s, binds):
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n", f"limits.speed_deg_s.J={deg_s}")
+    case = case_of(problem)
+    start = case.start_from(turned().trajectory)
+    found = attempt(case, start, uniform(20), np.ones(1), "once", [], silent)
+    assert limits_bind(found.solution) == binds
+
+
+def test_a_speed_limit_that_does_not_bind_costs_no_further_solve():
+    """Without a kink the integration error tells all; where the limit binds, the objective is watched from mesh to mesh."""
+    free, loose = turned(), turned("limits.speed_deg_s.J=200")
+    assert len(loose.history) == len(free.history)
+    assert loose.objective == pytest.approx(free.objective, rel=1e-9)
+    assert len(turned("limits.speed_deg_s.J=120").history) > len(free.history)
