@@ -19,10 +19,10 @@ from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.mesh import Mesh, halved
 from linkplan.planner.transcription.schemes import MAX_DEGREE
 
-# Rounds of refinement after the first solve, and the share of its allowance that marks an interval for halving.
+# Rounds of refinement after the first solve.
 _ROUNDS = 12
-# Rounds beyond those, each only where it leaves at most this share of what the one before left: a boundary layer a
-# ten-thousandth of the motion long takes eight halvings before it is seen.
+# Rounds beyond those, each only where it leaves at most this share of what the one before left: of an error that is asked to
+# be small, of a limit overrun between the nodes. A boundary layer a ten-thousandth of the motion long takes eight halvings.
 _FURTHER, _LEAVES = 24, 0.5
 # Meshes in a row on which the objective is to change by no more than its tolerance: one may do so by chance.
 _SETTLED = 2
@@ -125,6 +125,7 @@ def refine(
     calm, tells, lost = 0, False, False  # settled so often; whether this mesh tells; whether rows led nowhere
     left, leaves = np.inf, True  # what was left of the integration error and the objective's change; whether it falls
     erred, falls = np.inf, True  # the integration error before; whether it falls
+    overran = np.inf  # by what limits were overrun between the nodes before
     for turn in range(_FURTHER):
         check()
         if at.findings is not None and not at.passed and not at.findings.mendable:
@@ -159,6 +160,8 @@ def refine(
         begun = position_rows
         position_rows = not lost and (position_rows or at.findings is None or at.findings.leaves_positions)
         marked, over = _marked(at, aims.strictness) | off, _overrunning(at)
+        overruns = np.inf if at.findings is None else at.findings.overrun.max(initial=0.0)
+        overran, closes_in = overruns, at.overruns and overruns <= _LEAVES * overran
         loose = aims.switches and not (fixed is not None and fixed.everything)
         if over.any() and loose and turn and turn % 2 == 0 and again < _AGAIN:
             again += 1
@@ -197,7 +200,7 @@ def refine(
             kept, what = kept.tightened(at.certificate, motion), "finer mesh, constraints tightened between the nodes"
         tells = not np.any(uneven & ~marked)
         n_finer = _grown(at.found.mesh, marked)
-        if turn >= _ROUNDS and not (aims.tolerance_given and leaves):
+        if turn >= _ROUNDS and not (closes_in or (aims.tolerance_given and leaves)):
             break
         # What errs on each finer mesh by as much as before is another motion on each.
         wandering = marked.any() and at.findings is not None and not at.findings.exact and not falls and not over.any()

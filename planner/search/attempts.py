@@ -63,7 +63,7 @@ def plan_from(
 
 
 def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -> list[Found]:
-    """Return solutions from a start, the better first."""
+    """Return solutions from a start, the likelier first."""
     mesh, durations = first_mesh(problem, guess)
     found = [solve_from(problem, guess, mesh, durations, word, search.history, search.say)]
     if guess.switch_times_s is not None and search.only_time_counts:
@@ -77,7 +77,11 @@ def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -
             found.append(attempted)
             if attempted is not None:
                 break
-    return sorted((one for one in found if one is not None), key=lambda one: one.solution.objective)
+        # The phase plane's time is the motion's: a mesh without its switches may well come below it, and errs by as much.
+        return sorted(
+            (one for one in found if one is not None), key=lambda one: abs(one.solution.objective - guess.duration_s)
+        )
+    return [one for one in found if one is not None]
 
 
 def refined(search: Search, problem: PlanningProblem, found: Found, *, mended: bool = True) -> Plan:

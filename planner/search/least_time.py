@@ -27,7 +27,9 @@ def shortest_motion(search: Search) -> Plan | None:
     found = [plan for plan in search.least_times if plan is not None and plan.passed]
     if not found and not search.shortest:
         motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
-        free = replace(search.within(PATIENT), objective="time", motion=motion, guess=None)
+        # Efforts constant over intervals, as least work has them, would be late.
+        mesh = replace(search.problem.mesh, effort="polynomial")
+        free = replace(search.within(PATIENT), objective="time", motion=motion, mesh=mesh, guess=None)
         search.say("looking for the shortest feasible duration")
         now = time.monotonic()
         other = replace(search.of_another(free), deadline=now + _SHARE * (search.deadline - now))
