@@ -124,7 +124,7 @@ def test_an_unstable_motion_is_not_sought_on_ever_finer_meshes():
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [37, 54])
 def test_what_was_answered_a_little_late_is_answered_as_the_phase_plane_says(number):
-    """Of seed 7: a least time begun from a coarse mesh's, too short; a shortest duration with efforts as least work has them."""
+    """Of seed 7: a least time begun from a coarse mesh's; a shortest duration with efforts as least work has them."""
     case = random_case(7, number)
     plan = plan_motion(problem_from_tables(case.kind, case.tables))
     assert judge(case, plan) == "right", plan.message
@@ -132,7 +132,7 @@ def test_what_was_answered_a_little_late_is_answered_as_the_phase_plane_says(num
 
 @pytest.mark.slow
 def test_refinement_goes_on_where_each_round_closes_in_on_a_limit():
-    """Number 54 of seed 7 in least time: after all rounds its speed limit was overrun by a twenty-millionth, and it failed."""
+    """Number 54 of seed 7 in least time: it failed with its speed limit overrun by a twenty-millionth after all rounds."""
     case = random_case(7, 54)
     tables = case.tables | {"motion": case.tables["motion"] | {"duration_s": "free"}, "objective": {"minimize": "time"}}
     plan = plan_motion(problem_from_tables(case.kind, tables))
