@@ -73,21 +73,25 @@ class MPC:
     def _corrected(self, k: int, s: np.ndarray, v: np.ndarray, efforts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return better efforts (r, blocks, n_u) from states (r, n_s) on, and for which (r,) there are any.
 
-        There are none where the motion that efforts lead to cannot be predicted.
+        There are none where the motion that efforts lead to cannot be predicted, or linearised: beyond the loop's end
+        Runge-Kutta steps lead to any number.
         """
         reference, kept, ahead = self.reference, self.kept, self.ahead[k % len(self.ahead)]
         motion, found = self.predictor.motions_of(reference.pose[k], s, v, efforts)
         better, rows = efforts.copy(), np.flatnonzero(found)
+        if not len(rows):
+            return better, found
         motion, efforts = motion[rows], efforts[rows]
-        A, B = self.predictor.linearised(motion, efforts)
-        A, B = A[:, :, kept[:, None], kept], B[:, :, kept]
         # A cycle's positions go on where it turns: errors are told from its own first instant.
         passed = reference.position[k] - reference.position[k % len(self.ahead)]
         mechanism = self.predictor.mechanism
         x = np.concatenate([motion[:, 1:, mechanism.independent] - passed, motion[:, 1:, mechanism.n_q :]], axis=2)
         wanted = np.concatenate([reference.position[ahead[1:]], reference.velocity[ahead[1:]]], axis=1)
         weights = self.periods * self.regulator.Q, self.periods * self.regulator.R, self.regulator.cost[ahead[-1]]
-        programs = _programs(A, B, (x - wanted)[:, :, kept], efforts - self.drive[ahead[:-1]], *weights)
+        with np.errstate(over="ignore", invalid="ignore"):  # numbers without end are no program
+            A, B = self.predictor.linearised(motion, efforts)
+            A, B = A[:, :, kept[:, None], kept], B[:, :, kept]
+            programs = _programs(A, B, (x - wanted)[:, :, kept], efforts - self.drive[ahead[:-1]], *weights)
         rooms = self.effort_limit - efforts[:, :, :, None]
         for row, hessian, gradient, room in zip(rows, *programs, rooms, strict=True):
             correction = _solved(hessian, gradient, room)
@@ -118,9 +122,11 @@ def _programs(A, B, e, w, Q, R, P) -> tuple[np.ndarray, np.ndarray]:
 
 def _solved(hessian: np.ndarray, gradient: np.ndarray, room: np.ndarray) -> np.ndarray | None:
     """Return the corrections (N, n_u) within their room (N, n_u, 2) that cost least; None where none are found."""
+    if not (np.isfinite(hessian).all() and np.isfinite(gradient).all()):
+        return None
     low, high = (np.ascontiguousarray(side) for side in room.reshape(-1, 2).T)  # DAQP reads memory, whatever the strides
     found, _, flag, _ = daqp.solve(np.ascontiguousarray(hessian), gradient, np.empty((0, len(gradient))), high, low)
-    return found.reshape(room.shape[:2]) if flag > 0 else None
+    return found.reshape(room.shape[:2]) if flag > 0 and np.isfinite(found).all() else None
 
 
 def mpc(

@@ -1,5 +1,6 @@
 """LQR with integral action, gain-scheduled PD, computed torque and MPC: each against what it is to be, and run in MuJoCo."""
 
+from dataclasses import dataclass, replace
 from functools import cache
 
 import control
@@ -12,7 +13,9 @@ from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout, run
 from linkplan.controllers.trackers.integral_lqr import integrable
 from linkplan.controllers.trackers.lqr import discretise, linearise
+from linkplan.controllers.trackers.mpc import BLOCKS
 from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.prediction import Predictor
 from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at
@@ -245,3 +248,32 @@ def test_mpc_on_a_limit_riding_cycle_stays_clear_of_the_singular_pose_that_lqr_i
     worst = {kind: float(np.degrees(np.abs(one.error).max())) for kind, one in heavy.items()}
     assert worst["mpc"] < 0.6 * worst["lqr"]
     assert heavy["lqr"].gap_m.max() > 10e-6 > heavy["mpc"].gap_m.max()
+
+
+def test_mpc_answers_as_lqr_where_no_motion_ahead_is_predicted():
+    law, reference = tracker_of("mpc"), reference_of("knee-reach")
+    position, velocity = reference.position[60:61], np.full((1, 1), -1e3)
+    assert not law.predictor.motions_of(reference.pose[60], position, velocity, np.full((1, BLOCKS, 1), 100.0))[1].any()
+    np.testing.assert_array_equal(asked("mpc", 60, position, velocity), asked("lqr", 60, position, velocity))
+
+
+@pytest.mark.filterwarnings("error")
+def test_mpc_answers_as_lqr_where_slopes_along_the_motion_ahead_are_beyond_numbers():
+    """Runge-Kutta steps lead beyond the loop's end, there to any number, and slopes at such numbers overflow."""
+
+    @dataclass
+    class Overflowing:
+        known: Predictor
+
+        def __getattr__(self, name):
+            return getattr(self.known, name)
+
+        def linearised(self, motions, efforts):
+            return tuple(1e300 * part for part in self.known.linearised(motions, efforts))
+
+    law = tracker_of("mpc")
+    position, velocity = states_about("knee-reach", 60, 12, 0.2)
+    lqr, usual = asked("lqr", 60, position, velocity), asked("mpc", 60, position, velocity)
+    assert np.any(usual != lqr)
+    found, _ = replace(law, predictor=Overflowing(law.predictor)).step(60, position, velocity, law.start(12))
+    np.testing.assert_array_equal(found, lqr)
