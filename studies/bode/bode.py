@@ -357,7 +357,8 @@ def _with_worst(positions: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
 
 def default_frequencies(bounds: Sequence[Margins], timing: Sampling, count: int = FREQUENCIES) -> np.ndarray:
     """Return frequencies (n,) [Hz] about the loops' crossovers, up to 0.45 of the sampling rate."""
-    crossings = [m.crossover_hz for m in bounds if m.crossover_hz] or [0.05 / timing.period_s]
+    crossings = [f for m in bounds if m.crossover_hz for f in (m.crossover_hz, *m.other_crossovers_hz)]
+    crossings = crossings or [0.05 / timing.period_s]
     high = min(_SHARE / timing.period_s, _TO * max(crossings))
     low = min(crossings) * _FROM
     low = min(max(low, min(_SLOWEST_HZ, min(crossings) / 4)), 0.1 * high)

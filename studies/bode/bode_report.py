@@ -133,6 +133,7 @@ def bode_text(study: BodeStudy) -> str:
     ]
     head += ["DM [ms]", "disk", "crossover [Hz]", "bandwidth [Hz]", "resonance [dB]", "max |S|"]
     lines = [f"{study.message[0].upper()}{study.message[1:]}", *([broken] if broken else []), "", table(head, rows)]
+    lines += [f"  {said}" for said in crossovers_of(study)]
     for scan in study.scans:
         line, worst = scan.line, scan.margins[scan.worst]
         ends = f"{line.said(scan.positions[0], 4)} to {line.said(scan.positions[-1], 4)} {line.unit}"
@@ -170,6 +171,19 @@ def not_measured(study: BodeStudy) -> str:
     if any(point.margins.stable for point in study.points):
         return "not measured: contacts push at the poses where the feedback loop is stable"
     return "not measured: an unstable feedback loop holds no operating point"
+
+
+def crossovers_of(study: BodeStudy) -> list[str]:
+    """Return a sentence for each feedback loop whose open-loop gain is one at several frequencies."""
+    found = []
+    for entry in study.points:
+        at, others = entry.margins.crossover_hz, entry.margins.other_crossovers_hz
+        if others:
+            joint = study.mechanism.independent_joints[entry.channel].name
+            loop = f"{joint} at {entry.point.name}" if study.mechanism.dof > 1 else entry.point.name
+            frequencies = ", ".join(f"{f:.4g}" for f in others)
+            found.append(f"{loop}: the gain is one at {frequencies} Hz too; the phase margin is least at {at:.4g} Hz")
+    return found
 
 
 def contacts_of(study: BodeStudy) -> str | None:

@@ -39,6 +39,8 @@ _NOTHING = 1e-9
 class Margins:
     """Margins of one feedback loop; None where a figure has no meaning (infinite, or the loop is unstable).
 
+    Where the open loop's gain is one at several frequencies, `crossover_hz` is that of them at which the phase margin is
+    least, the one that is stated, and `other_crossovers_hz` are the others, rising.
     A sampled loop's delay margin is that of its poles in simulator steps as fine as a hundredth of it, see `delay_margin`: a
     loop simulated in one step a period is a little quicker than the same loop in finer ones, by up to half a period.
     """
@@ -52,6 +54,7 @@ class Margins:
     disk_gain_margin_db: float | None = None
     disk_phase_margin_deg: float | None = None
     crossover_hz: float | None = None
+    other_crossovers_hz: tuple[float, ...] = ()
     bandwidth_hz: float | None = None
     resonance_db: float | None = None  # the complementary sensitivity's peak over its value at rest
     resonance_hz: float | None = None
@@ -128,6 +131,7 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
     crossover = _roots(np.log(np.abs(gain)), frequency, lambda f: np.log(abs(at(f))))
     there = np.array([at(f) for f in crossover])
     pm = np.angle(-there)
+    nearest = int(np.argmin(np.abs(pm))) if pm.size else 0
     # A loop without damping or delay is real but for rounding, and turns nowhere.
     rounding = _ROUNDING * np.abs(gain)
     turned = _roots(np.where(gain.real < 0, gain.imag, np.nan), frequency, lambda f: at(f).imag, rounding)
@@ -145,12 +149,13 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
         stable=True,
         gain_margin_db=_finite(20 * np.log10(raised.min())) if raised.size else None,
         gain_reduction_margin_db=_finite(-20 * np.log10(lowered.max())) if lowered.size else None,
-        phase_margin_deg=_finite(np.degrees(pm[np.argmin(np.abs(pm))])) if pm.size else None,
+        phase_margin_deg=_finite(np.degrees(pm[nearest])) if pm.size else None,
         delay_margin_s=_finite(delays.min()) if delays.size else None,
         disk_margin=float(alpha),
         disk_gain_margin_db=_finite(20 * np.log10((2 + alpha) / (2 - alpha))) if alpha < 2 else None,
         disk_phase_margin_deg=float(np.degrees(2 * np.arctan(alpha / 2))),
-        crossover_hz=_finite(crossover.max()) if crossover.size else None,
+        crossover_hz=_finite(crossover[nearest]) if crossover.size else None,
+        other_crossovers_hz=tuple(float(f) for f in np.delete(crossover, nearest)) if crossover.size else (),
         bandwidth_hz=bandwidth(complementary, frequency),
         resonance_db=_over(resonance, complementary[0]),
         resonance_hz=resonance_hz,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from linkplan.studies.bode.bode import BodePoint, BodeStudy, response_curves
-from linkplan.studies.bode.bode_report import contacts_of, not_measured, softness_of
+from linkplan.studies.bode.bode_report import contacts_of, crossovers_of, not_measured, softness_of
 from linkplan.studies.bode.curves import lowest_hz, sensitivity_along, turned, turned_beside
 from linkplan.studies.bode.scan import Scan
 from linkplan.studies.frequency.margins import frequency_grid
@@ -76,7 +76,8 @@ def _verdict(study: BodeStudy, *, said: bool) -> list[Block]:
     elif study.method is not None:
         rows.append(("measured", f"no: {not_measured(study).removeprefix('not measured: ')}"))
     blocks.append(Facts(rows=rows))
-    notes = [Text(text=note, tone="note") for note in (contacts_of(study), softness_of(study)) if note]
+    said = (contacts_of(study), softness_of(study), *crossovers_of(study))
+    notes = [Text(text=note, tone="note") for note in said if note]
     return [*blocks, *notes]
 
 

@@ -18,7 +18,7 @@ from linkplan.studies.frequency.feedback_loops import CONTINUOUS, feedback_loop,
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.measure import measure
 from linkplan.studies.frequency.trial import Trials
-from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG
+from tests.support.tolerances_loops import CROSSOVER, MARGIN, MEASURED_DB, MEASURED_DEG
 
 # The five-bar in the coordinates of its left leg: each of its motors, on the legs' first joints, moves both.
 LEG = ("O1", "E1")
@@ -45,7 +45,26 @@ def test_each_row_is_the_loop_of_its_own_coordinate_with_the_others_closed():
         expected = np.array([system(2j * np.pi * f) for f in frequency])
         assert loop.gains("loop", frequency, channel) == pytest.approx(expected, rel=1e-8)
         found.append(margins(loop, channel))
-    assert abs(found[0].crossover_hz / found[1].crossover_hz - 1) > 0.1  # rows of their own
+    assert abs(found[0].phase_margin_deg - found[1].phase_margin_deg) > 10  # rows of their own
+
+
+def test_the_crossover_that_is_stated_is_where_the_phase_margin_is_and_others_are_named():
+    gains = Tracking(kp={"O1": 1.0, "E1": 1.0}, kd={"O1": 0.1, "E1": 0.005}, period_s=1e-3)
+    mechanism, point, _ = leg_loop()
+    loop = feedback_loop(point, law_gain(point, "pd", gains, mechanism.effort_limit), sampling(mechanism, 1e-3), CONTINUOUS)
+    found = margins(loop, 0)
+    assert max(found.other_crossovers_hz) > found.crossover_hz  # the highest is another's
+    crossovers = np.array([found.crossover_hz, *found.other_crossovers_hz])
+    at = loop.gains("loop", crossovers, 0)
+    assert np.abs(at) == pytest.approx(np.ones(4), rel=CROSSOVER)
+    phase_margins = np.degrees(np.angle(-at))
+    assert phase_margins[0] == pytest.approx(found.phase_margin_deg, abs=MARGIN)
+    assert np.abs(phase_margins[1:]).min() > abs(phase_margins[0])
+    study = bode_study(mechanism, point.pose[mechanism.independent], gains, mechanism.effort_limit, scanned=0)
+    first, _ = study.points
+    others = ", ".join(f"{f:.4g}" for f in first.margins.other_crossovers_hz)
+    stated = first.margins.crossover_hz
+    assert f"the gain is one at {others} Hz too; the phase margin is least at {stated:.4g} Hz" in bode_text(study)
 
 
 def test_a_coordinate_s_loop_is_measured_as_predicted():
