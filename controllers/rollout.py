@@ -49,7 +49,8 @@ class Rollout:
     """The log of a run at its control instants (n,), and the conditions of the simulation.
 
     Angles [rad or m]; `commanded` is the tracker's output, `applied` what acted, both (n, n_u) [N.m or N]; `gap_m` (n,) is
-    the largest distance between two points that a closure ties; `finite` is False when the simulation blew up, and the log
+    the largest distance between two points that a closure ties, or gap of slides, `gap_rad` (n,) that of angles, empty where
+    none are tied; `finite` is False when the simulation blew up, and the log
     ends there. `asked_s` (n,) [s] is how long the tracker took to answer, here and now; no other figure depends on it.
     """
 
@@ -67,11 +68,17 @@ class Rollout:
     effort_limit: np.ndarray
     conditions: dict
     asked_s: np.ndarray = field(default_factory=lambda: np.empty(0))
+    gap_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
 
     @property
     def error(self) -> np.ndarray:
         """The position error s_ref - s (n, n_s) [rad or m]."""
         return self.reference - self.position
+
+    @property
+    def largest_gaps(self) -> tuple[float, float]:
+        """The largest closure gap of the run, [m] of points and slides, [rad] of angles."""
+        return float(self.gap_m.max()), float(self.gap_rad.max(initial=0.0))
 
     @property
     def saturated_fraction(self) -> float:
@@ -91,6 +98,12 @@ class Rollout:
         near = np.diff(touched) <= _SWING_PERIODS
         count = int(np.sum(near & (at[touched[1:]] != at[touched[:-1]])))
         return count >= max(_FEWEST_SWINGS, _SWING_SHARE * len(at))
+
+
+def closure_gaps(mechanism: Mechanism, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the largest gaps at poses (n, n_q): (n,) [m] of points and slides, (n,) [rad] of angles or (0,) without any."""
+    gaps = mechanism.gaps_by_unit(poses)
+    return gaps.get("m", np.zeros(len(poses))), gaps.get("rad", np.empty(0))
 
 
 def scaled_model(mechanism: Mechanism, factor: float) -> mujoco.MjModel:
@@ -151,6 +164,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, 
     finally:
         mujoco.set_mju_user_warning(None)
     kept = slice(0, done)
+    gap_m, gap_rad = closure_gaps(mechanism, poses[kept])
     return Rollout(
         tracker=tracker.name,
         time_s=reference.time_s[kept],
@@ -160,7 +174,8 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, 
         pose=poses[kept],
         commanded=commanded[kept],
         applied=applied[kept],
-        gap_m=mechanism.gaps_m(poses[kept]),
+        gap_m=gap_m,
+        gap_rad=gap_rad,
         contacts=contacts,
         finite=finite,
         effort_limit=np.array(limit),
@@ -208,6 +223,7 @@ def run_as_it_stands(
         contacts[k] = data.ncon
     time_s = step * np.arange(n)
     limit = mechanism.effort_limit[:1]
+    gap_m, gap_rad = closure_gaps(mechanism, poses)
     return Rollout(
         tracker="pd",
         time_s=time_s,
@@ -217,7 +233,8 @@ def run_as_it_stands(
         pose=poses,
         commanded=commanded,
         applied=np.clip(commanded, limit[:, 0], limit[:, 1]),
-        gap_m=mechanism.gaps_m(poses),
+        gap_m=gap_m,
+        gap_rad=gap_rad,
         contacts=int(contacts.max()),
         finite=bool(np.all(np.isfinite(poses))),
         effort_limit=limit,

@@ -14,7 +14,7 @@ import numpy as np
 from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
 from linkplan.models.actuation.transmission import TRN_TENDON
 from linkplan.models.closure.closed_pose import locked_or_singular, with_closed_pose
-from linkplan.models.closure.equations import Closure, read_closures
+from linkplan.models.closure.equations import Closure, gaps_by_unit, read_closures
 from linkplan.models.closure.initial_assembly import assemble, home_positions, poses_about, refuse_singular_assembly
 from linkplan.models.closure.locked import refuse_locked
 from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
@@ -154,11 +154,15 @@ class Mechanism:
 
     def gaps_m(self, q: np.ndarray) -> np.ndarray:
         """Return the largest gap (n,) [m] of any closure at each of the poses q (n, n_q)."""
-        q = np.asarray(q, dtype=float)
-        if not self.closures:
-            return np.zeros(len(q))
-        phi = np.array(self.dynamics.closure.map(len(q))(q.T)).T
-        return np.max([np.linalg.norm(phi[:, closure.rows], axis=1) for closure in self.closures], axis=0)
+        phi = self._closure(q)
+        return np.max([np.zeros(len(q)), *(np.linalg.norm(phi[:, one.rows], axis=1) for one in self.closures)], axis=0)
+
+    def gaps_by_unit(self, q: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the largest gap (n,) of closures at poses q (n, n_q) by unit: "m" of points and slides, "rad" of angles."""
+        return gaps_by_unit(self.closures, self._closure(q))
+
+    def _closure(self, q: np.ndarray) -> np.ndarray:
+        return np.array(self.dynamics.closure.map(len(q))(np.asarray(q, dtype=float).T)).T
 
     def qpos_of(self, q: np.ndarray) -> np.ndarray:
         """Return MuJoCo's qpos (..., nq) of poses q (..., n_q)."""

@@ -54,6 +54,15 @@ class Closure:
         return np.linalg.norm(phi[..., self.rows], axis=-1) / self.per_unit
 
 
+def gaps_by_unit(closures: Sequence[Closure], phi: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the largest gap (...,) of closures in each unit of theirs, "m" or "rad", from all rows (..., n_rows)."""
+    found: dict[str, np.ndarray] = {}
+    for closure in closures:
+        gap = closure.gap(phi)
+        found[closure.unit] = np.maximum(found.get(closure.unit, gap), gap)
+    return dict(sorted(found.items()))
+
+
 def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
     """Return the active loop closures of a model.
 

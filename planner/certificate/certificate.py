@@ -66,7 +66,8 @@ class Certificate:
     velocity_residual: float  # largest |s' - v|, of the motion's largest speed
     boundary_error: float  # of the states asked at the ends, of the motion's span and largest speed
     site_error_m: float  # of sites from where start, waypoints and goal ask them
-    closure_gap_m: float
+    closure_gap_m: float  # largest, an angle by what it moves at the mechanism's extent: what is judged
+    closure_gaps: dict[str, float]  # largest by unit: "m" of points and slides, "rad" of angles, hinges and their tendons
     integration_error_deg: float
     integration_error_m: float
     integration_restarts: int  # how often the integration was restarted, the motion being unstable; 0 as a rule
@@ -125,6 +126,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     residual = np.abs(tau - carried).max(axis=1)
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
+    closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
     (position_margin, position_overrun), (speed_margin, speed_overrun) = _margins(
         mechanism, limits, trajectory, points, q, v, time, worst
     )
@@ -168,7 +170,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         failures.append(f"the motion misses its boundary conditions by {boundary_error:.3g} of its range or largest speed")
     failures += sites_off
     if closure_gap > max(CLOSURE_M, mechanism.closed_m):
-        failures.append(f"a kinematic loop opens by {closure_gap:.3g} m at t = {worst['closure_gap_m']:.4g} s")
+        gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
+        failures.append(f"a kinematic loop opens by {gaps} at t = {worst['closure_gap_m']:.4g} s")
     if not in_deg <= INTEGRATION_DEG or not in_m <= INTEGRATION_M:
         apart = f"{in_m:.3g} m (allowed: {INTEGRATION_M:g} m)" if in_m > INTEGRATION_M else ""
         apart = f"{in_deg:.3g} deg (allowed: {INTEGRATION_DEG:g} deg)" if not in_deg <= INTEGRATION_DEG else apart
@@ -200,6 +203,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         boundary_error=boundary_error,
         site_error_m=site_error,
         closure_gap_m=closure_gap,
+        closure_gaps=closure_gaps,
         integration_error_deg=in_deg,
         integration_error_m=in_m,
         integration_restarts=integrated.restarts,

@@ -93,7 +93,7 @@ def certificate_record(problem: PlanningProblem, certificate: Certificate) -> di
         "velocity_residual": certificate.velocity_residual,
         "boundary_error": certificate.boundary_error,
         "site_error_m": certificate.site_error_m,
-        "closure_gap_m": certificate.closure_gap_m,
+        **{f"closure_gap_{unit}": gap for unit, gap in ({"m": 0.0} | certificate.closure_gaps).items()},
         "integration_error_deg": certificate.integration_error_deg,
         "integration_error_m": certificate.integration_error_m,
         "integration_restarts": certificate.integration_restarts,

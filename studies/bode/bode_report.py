@@ -194,4 +194,4 @@ def contacts_of(study: BodeStudy) -> str | None:
 def softness_of(study: BodeStudy) -> str | None:
     """Return the sentence on the closure gap at the poses that are held, None where it is small."""
     gaps = [held_gap(study.mechanism, entry.point.pose, entry.point.hold) for entry in study.points if entry.channel == 0]
-    return gap_sentence(study.mechanism, max(gaps), " while the poses are held")
+    return gap_sentence(study.mechanism, max(gaps), error=" while the poses are held")

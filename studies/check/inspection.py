@@ -121,9 +121,8 @@ def _closure_gaps(mechanism: Mechanism) -> dict[str, float]:
     open_there = mechanism.home_gap_m > OPEN_M
     gaps: dict[str, float] = {}
     for pose in (mechanism.home, *([mechanism.reference] if open_there else [])):
-        phi = np.array(mechanism.dynamics.closure(pose)).ravel()
-        for closure in mechanism.closures:
-            gaps[closure.unit] = max(gaps.get(closure.unit, 0.0), float(closure.gap(phi)))
+        for unit, gap in mechanism.gaps_by_unit(pose[None]).items():
+            gaps[unit] = max(gaps.get(unit, 0.0), float(gap[0]))
     return dict(sorted(gaps.items())) or {"m": 0.0}
 
 

@@ -155,21 +155,23 @@ def impedance_at(gap: float, solimp: np.ndarray) -> float:
     return d_0 + y * (d_width - d_0)
 
 
-def gap_sentence(mechanism: Mechanism, gap_m: float, error: str = "") -> str | None:
-    """Return what a closure gap in simulation [m] means where it is more than a ten-thousandth of the extent, else None.
+def gap_sentence(mechanism: Mechanism, gap_m: float, gap_rad: float = 0.0, error: str = "") -> str | None:
+    """Return what a closure gap in simulation [m], or one of angles [rad], means where it is worth saying, else None.
 
-    `error` says by how much poses then differ from those of closed loops.
+    That is more than a ten-thousandth of the extent, or of a radian. `error` says by how much poses then differ from those
+    of closed loops.
     """
+    angles = f"angles that closures tie are off by up to {gap_rad:.3g} rad" if gap_rad > WORTH_SAYING else ""
+    means = f"{error}; plans and predictions are of closed loops; {STIFF_KEY} makes them as stiff as the timestep admits"
     if not gap_m > WORTH_SAYING * mechanism.extent_m:
-        return None
+        return f"soft closures: in MuJoCo {angles}{means}" if angles else None
     share = 100 * gap_m / mechanism.extent_m
     percent = f"{share:.2g}" if share < _HUNDRED else f"{share:.0f}"
     extent = 1e3 * mechanism.extent_m
     size = f"{extent:.3g}" if extent < _HUNDRED else f"{extent:.0f}"
     return (
         f"soft closures: MuJoCo's loops gape by up to {1e3 * gap_m:.3g} mm, {percent} % of the mechanism's"
-        f" {size} mm{error}; plans and predictions are of closed loops; {STIFF_KEY} makes them as"
-        " stiff as the timestep admits"
+        f" {size} mm{f', and {angles}' if angles else ''}{means}"
     )
 
 

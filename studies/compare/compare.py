@@ -229,18 +229,24 @@ def rollout_record(plan: Plan, rollout: Rollout) -> dict:
         "rms_effort": dict(zip(names, np.sqrt(np.mean(rollout.applied**2, axis=0)), strict=True)),
         "saturated_fraction": rollout.saturated_fraction,
         "loop_gap_max_m": float(rollout.gap_m.max()),
+        **({"loop_gap_max_rad": float(rollout.gap_rad.max())} if len(rollout.gap_rad) else {}),
         "contacts": rollout.contacts,
         "stable": rollout.stable,
     }
 
 
+def gap_units(plan: Plan) -> tuple[bool, bool]:
+    """Return whether closure gaps are lengths, and whether angles; lengths, all zero, where there is no closure."""
+    units = {closure.unit for closure in plan.problem.mechanism.closures}
+    return units != {"rad"}, "rad" in units
+
+
 def gap_note(plan: Plan, rollout: Rollout) -> str | None:
     """Return the sentence on the closure gap of a run and what it does to the joints, None where it is small."""
     mechanism = plan.problem.mechanism
-    largest = float(rollout.gap_m.max()) if rollout.finite else np.inf
-    if not (rollout.finite and gap_sentence(mechanism, largest)):
+    if not (rollout.finite and gap_sentence(mechanism, *rollout.largest_gaps)):
         return None
-    return gap_sentence(mechanism, largest, softness_error(mechanism, rollout.pose))
+    return gap_sentence(mechanism, *rollout.largest_gaps, softness_error(mechanism, rollout.pose))
 
 
 def contact_note(plan: Plan, rollout: Rollout) -> str | None:
@@ -258,9 +264,15 @@ def contact_note(plan: Plan, rollout: Rollout) -> str | None:
     )
 
 
+def _gap_share(plan: Plan, rollout: Rollout) -> float:
+    """Return a run's largest gap as a share of the mechanism's extent, an angle as it is."""
+    gap_m, gap_rad = rollout.largest_gaps
+    return max(gap_m / plan.problem.mechanism.extent_m, gap_rad)
+
+
 def comparison_notes(comparison: Comparison) -> list[str]:
     """Return the sentences on contacts that act, and on the closure gap of the nominal run that gapes most, if any does."""
-    runs = sorted(comparison.nominal.items(), key=lambda item: -float(item[1].gap_m.max()))
+    runs = sorted(comparison.nominal.items(), key=lambda item: -_gap_share(comparison.plan, item[1]))
     pushed = [note for _, run in runs if (note := contact_note(comparison.plan, run)) is not None]
     found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
     return [*pushed[:1], *([f"{found[0][0]}, {found[0][1]}"] if found else [])]

@@ -1,6 +1,6 @@
 """What `linkplan compare` prints: the trackers side by side."""
 
-from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record
+from linkplan.studies.compare.compare import Comparison, comparison_notes, gap_units, rollout_record
 from linkplan.studies.output.tables import table
 
 
@@ -19,7 +19,7 @@ def comparison_text(comparison: Comparison) -> str:
             f"{plan.problem.name}, {title}: MuJoCo {conditions['mujoco']}, {conditions['integrator']},"
             f" step {conditions['timestep_s']:g} s, control period {conditions['control_period_s']:g} s",
         ]
-        rows = []
+        rows, (lengths, angles) = [], gap_units(plan)
         for name, rollout in runs.items():
             record = rollout_record(plan, rollout)
             rows.append(
@@ -28,7 +28,8 @@ def comparison_text(comparison: Comparison) -> str:
                     *(record[f"{which}_error_{unit}"] for unit in units for which in ("rms", "max", "final")),
                     *record["peak_effort"].values(),
                     100 * record["saturated_fraction"],
-                    1e6 * record["loop_gap_max_m"],
+                    *([1e6 * record["loop_gap_max_m"]] if lengths else []),
+                    *([1e6 * record["loop_gap_max_rad"]] if angles else []),
                     record["stable"],
                 ]
             )
@@ -38,7 +39,8 @@ def comparison_text(comparison: Comparison) -> str:
             *(f"{which} [{unit}]" for unit in units for which in ("rms", "max", "final")),
             *(f"peak [{a.unit}]" if len(actuators) == 1 else f"peak {a.name} [{a.unit}]" for a in actuators),
             "saturated [%]",
-            "closure gap [um]",
+            *(["closure gap [um]"] if lengths else []),
+            *(["closure gap [urad]"] if angles else []),
             "stable",
         ]
         lines.append(table(head, rows))

@@ -15,7 +15,7 @@ def run_columns(mechanism: Mechanism, rollout: Rollout) -> dict[str, np.ndarray]
 
     time_s; of each independent joint O its desired position, its own and the error (O_ref_deg, O_deg, O_error_deg) and its
     speed; every dependent joint's position; of each actuator the effort commanded and the effort that acted
-    (act_O_commanded_Nm, act_O_applied_Nm); closure_gap_m.
+    (act_O_commanded_Nm, act_O_applied_Nm); closure_gap_m, and closure_gap_rad where angles are tied.
     """
     found = {"time_s": rollout.time_s}
     for k, joint in enumerate(mechanism.independent_joints):
@@ -31,7 +31,8 @@ def run_columns(mechanism: Mechanism, rollout: Rollout) -> dict[str, np.ndarray]
         unit = actuator.unit.replace(".", "")
         found[f"{actuator.name}_commanded_{unit}"] = rollout.commanded[:, k]
         found[f"{actuator.name}_applied_{unit}"] = rollout.applied[:, k]
-    return found | {"closure_gap_m": rollout.gap_m}
+    angles = {"closure_gap_rad": rollout.gap_rad} if len(rollout.gap_rad) else {}
+    return found | {"closure_gap_m": rollout.gap_m} | angles
 
 
 def save_time_series(comparison: Comparison, folder: Path, *, parquet: bool = False) -> list[str]:

@@ -5,7 +5,7 @@ import numpy as np
 
 from linkplan.controllers.ensemble import Ensemble, run_ensemble
 from linkplan.controllers.reference import state_at
-from linkplan.controllers.rollout import Rollout
+from linkplan.controllers.rollout import Rollout, closure_gaps
 from linkplan.models.errors import ProblemError
 from linkplan.studies.compare.user_tracker import known_tracker
 from linkplan.studies.experiment.experiment import Experiment
@@ -53,6 +53,7 @@ def _rollout(experiment: Experiment, ensemble: Ensemble) -> Rollout:
         commanded=ensemble.commanded[kept, 0],
         applied=ensemble.applied[kept, 0],
         gap_m=np.full(len(time), ensemble.gap_m[0]),
+        gap_rad=closure_gaps(mechanism, pose)[1],
         contacts=0,
         finite=ensemble.failure[0] is None,
         effort_limit=experiment.loop.effort_limit,

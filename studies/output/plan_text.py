@@ -35,7 +35,7 @@ def plan_text(plan: Plan) -> str:
     rows = [
         ["effort beyond its limit, any instant", error_figure(certificate.effort_excess), units],
         ["inverse dynamics minus planned effort", error_figure(certificate.dynamics_residual), units],
-        ["closure gap", error_figure(certificate.closure_gap_m), "m"],
+        *(["closure gap", error_figure(gap), unit] for unit, gap in (certificate.closure_gaps or {"m": 0.0}).items()),
     ]
     if certificate.integration_restarts:
         lines.append(

@@ -127,8 +127,10 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
         items.append(_item("sites, off where they are asked to be", error <= allowed, error, allowed, "m", None))
     if mechanism.closures:
         allowed = max(CLOSURE_M, mechanism.closed_m)
-        gap = certificate.closure_gap_m
-        items.append(_item("gap of the kinematic loops", gap <= allowed, gap, allowed, "m", when.get("closure_gap_m")))
+        held, at = certificate.closure_gap_m <= allowed, when.get("closure_gap_m")
+        for unit, gap in certificate.closure_gaps.items():
+            one = allowed / max(closure.per_unit for closure in mechanism.closures if closure.unit == unit)
+            items.append(_item("gap of the kinematic loops", held, gap, one, unit, at))
     kinds = {joint.kind for joint in mechanism.independent_joints}
     for kind, error, allowed, unit in (
         ("hinge", certificate.integration_error_deg, INTEGRATION_DEG, "deg"),

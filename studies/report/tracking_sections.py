@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.mechanism import Mechanism
-from linkplan.studies.compare.compare import Comparison, comparison_notes, rollout_record, tracking_reference
+from linkplan.studies.compare.compare import Comparison, comparison_notes, gap_units, rollout_record, tracking_reference
 from linkplan.studies.output.drawing import SERIES, TRACKER_COLOURS
 from linkplan.studies.report.animation import Run, animation, frames_of
 from linkplan.studies.report.columns import columns
@@ -49,13 +49,14 @@ def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> 
     plan, conditions = comparison.plan, next(iter(runs.values())).conditions
     units = list(dict.fromkeys(joint.unit for joint in plan.problem.mechanism.independent_joints))
     actuators = plan.problem.mechanism.actuators
-    few = actuators if len(actuators) <= _PEAKS_BESIDE else []
+    few, (lengths, angles) = actuators if len(actuators) <= _PEAKS_BESIDE else [], gap_units(comparison.plan)
     heads = [
         ("tracker", ""),
         *((f"{which} error", unit) for unit in units for which in ("rms", "largest", "final")),
         *((f"peak of {actuator.name}", actuator.unit) for actuator in few),
         ("saturated", "%"),
-        ("closure gap", "um"),
+        *([("closure gap", "um")] if lengths else []),
+        *([("closure gap", "urad")] if angles else []),
         ("contacts", ""),
         ("stable", ""),
     ]
@@ -63,8 +64,9 @@ def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> 
     for name, run in runs.items():
         said = rollout_record(plan, run)
         errors = [said.get(f"{which}_error_{unit}") for unit in units for which in ("rms", "max", "final")]
-        gap = 1e6 * said["loop_gap_max_m"]
-        numbers = [*errors, *(said["peak_effort"][actuator.name] for actuator in few), 100 * said["saturated_fraction"], gap]
+        gaps = [1e6 * gap for gap, there in zip(run.largest_gaps, (lengths, angles), strict=True) if there]
+        peaks = [said["peak_effort"][actuator.name] for actuator in few]
+        numbers = [*errors, *peaks, 100 * said["saturated_fraction"], *gaps]
         rows.append([name, *(_known(x) for x in numbers), said["contacts"], said["stable"]])
     delay = conditions["delay_periods"]
     how = (
@@ -155,8 +157,15 @@ def _effort_plots(comparison: Comparison, runs: Mapping[str, Rollout], pushed: l
 def _gap(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Plot]:
     if not comparison.plan.problem.mechanism.closures:
         return []
-    gaps = {name: 1e6 * run.gap_m for name, run in runs.items()}
-    return _plots(comparison, runs, "Gap of the kinematic loops", "gap", "um", gaps)
+    lengths, angles = gap_units(comparison.plan)
+    found: list[Plot] = []
+    if lengths:
+        gaps = {name: 1e6 * run.gap_m for name, run in runs.items()}
+        found += _plots(comparison, runs, "Gap of the kinematic loops", "gap", "um", gaps)
+    if angles:
+        gaps = {name: 1e6 * run.gap_rad for name, run in runs.items()}
+        found += _plots(comparison, runs, "Gap of the angles that closures tie", "gap", "urad", gaps)
+    return found
 
 
 def _longest(runs: Mapping[str, Rollout]) -> Rollout:

@@ -58,6 +58,17 @@ def test_an_angle_open_in_a_weld_counts_by_what_it_moves():
     assert mechanism.gap_m(q) >= orientation.gap(phi) * mechanism.model.stat.extent * (1 - 1e-12)
 
 
+def test_gaps_stand_by_the_unit_of_what_is_tied():
+    """Of three gaps open by their own amounts: pins in metres, the cranks' coupling in radians."""
+    mechanism = load_mechanism(GRIPPER)
+    q = np.array(mechanism.home)
+    q[mechanism.joint_index("crank_l")] += 0.03
+    gaps = mechanism.gaps_by_unit(np.array([mechanism.home, q]))
+    assert list(gaps) == ["m", "rad"]
+    assert gaps["rad"] == pytest.approx([0.0, 0.03], abs=ROUNDING)
+    assert gaps["m"][1] == pytest.approx(np.hypot(0.045, 0.038) * 2 * np.sin(0.015), rel=1e-9)  # the pin, from the crank's
+
+
 _TWO_ARMS = """
 <mujoco><compiler angle="radian"/><worldbody>
   <body name="a" pos="0.1 0.2 0.3"><joint name="j" axis="1 2 3" ref="0.3"/><geom size="0.1"/>

@@ -12,6 +12,7 @@ from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
+from linkplan.planner.files.plan_folder import certificate_record
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.check.contact_findings import contact_findings
@@ -20,6 +21,7 @@ from linkplan.studies.compare.compare import Comparison, comparison_notes, rollo
 from linkplan.studies.compare.comparison_text import comparison_text
 from linkplan.studies.compare.draw_tracking import comparison_figure
 from linkplan.studies.compare.time_series import run_columns, save_time_series
+from linkplan.studies.output.plan_text import plan_text
 
 SOFT = re.sub(r' solref="[^"]*" solimp="[^"]*"', "", built_in_text("optimus-knee"))
 
@@ -90,6 +92,34 @@ def test_a_soft_loop_is_said_with_its_gap_and_what_it_does_to_the_joints():
     assert 'mechanism.solref = "stiff"' in note
     assert note in comparison_text(comparison)
     assert comparison_notes(compared("optimus-knee")) == []
+
+
+GEARS = """<mujoco model="gears"><default><geom contype="0" conaffinity="0"/></default><worldbody>
+  <body name="arm"><joint name="O" axis="0 -1 0"/><geom type="capsule" size="0.01" fromto="0 0 0 0.2 0 0"/></body>
+  <body name="flap" pos="0.5 0 0"><joint name="B" axis="0 -1 0"/><geom type="sphere" size="0.05" pos="0.2 0 0"/></body>
+  </worldbody><equality><joint name="gear" joint1="B" joint2="O" polycoef="0 -0.5 0 0 0"/></equality>
+  <actuator><motor joint="O" ctrlrange="-3 3"/></actuator></mujoco>"""
+
+
+def test_gears_that_give_way_are_off_by_an_angle_and_by_no_length():
+    comparison = compared(GEARS)
+    plan, run = comparison.plan, comparison.nominal["pd"]
+    off = np.abs(run.pose[:, 1] + 0.5 * run.pose[:, 0])
+    assert off.max() > 1e-4
+    assert run.gap_rad == pytest.approx(off)
+    assert run.gap_m.max() == 0
+    assert run_columns(plan.problem.mechanism, run)["closure_gap_rad"] == pytest.approx(off)
+    assert rollout_record(plan, run)["loop_gap_max_rad"] == pytest.approx(off.max())
+    (note,) = comparison_notes(comparison)
+    assert note.startswith(
+        f"pd, soft closures: in MuJoCo angles that closures tie are off by up to {off.max():.3g} rad, and B"
+    )
+    text = comparison_text(comparison)
+    assert "gap [urad]" in text
+    assert "[um]" not in text
+    (row,) = (line for line in plan_text(plan).splitlines() if line.startswith("closure gap"))
+    assert row.endswith("rad")
+    assert certificate_record(plan.problem, plan.certificate)["closure_gap_rad"] == 0
 
 
 def test_a_loop_that_gapes_wide_is_off_by_all_of_it():
