@@ -76,8 +76,8 @@ def _verdict(study: BodeStudy, *, said: bool) -> list[Block]:
     elif study.method is not None:
         rows.append(("measured", f"no: {not_measured(study).removeprefix('not measured: ')}"))
     blocks.append(Facts(rows=rows))
-    said = (contacts_of(study), softness_of(study), *crossovers_of(study))
-    notes = [Text(text=note, tone="note") for note in said if note]
+    sentences = (contacts_of(study), softness_of(study), *crossovers_of(study))
+    notes = [Text(text=note, tone="note") for note in sentences if note]
     return [*blocks, *notes]
 
 
