@@ -254,13 +254,18 @@ def _asked(
             return effort, after, {}
         except (Exception, SystemExit) as error:  # a user's law may raise anything
             if n == 1:
-                said = f"the tracker failed: {one_line(error) or type(error).__name__}"
-                return np.full((1, n_u), np.nan), memory, {0: said}
+                return np.full((1, n_u), np.nan), memory, {0: f"the tracker failed: {_words(error)}"}
     # One after another: the others of the batch are not to suffer from what went wrong for one.
     rows = [slice(i, i + 1) for i in range(n)]
     each = [_asked(law, k, position[row], velocity[row], memory[row], n_u) for row in rows]
     failed = {i: said[0] for i, (_, _, said) in enumerate(each) if said}
     return np.concatenate([one[0] for one in each]), np.concatenate([one[1] for one in each]), failed
+
+
+def _words(error: BaseException) -> str:
+    """Return an error in a line: the kind of one that is not linkplan's own is half of what it says."""
+    kind, said = type(error).__name__, one_line(error)
+    return said if isinstance(error, LinkplanError) else f"{kind}: {said}" if said else kind
 
 
 def _columns(index: np.ndarray) -> np.ndarray | slice:

@@ -33,7 +33,11 @@ def closed_pose(model: mujoco.MjModel, mechanism: Mechanism, pose: np.ndarray) -
             break
         q[dependent] -= np.linalg.lstsq(J[:, dependent], r, rcond=None)[0]
     if residual > _GOOD_ENOUGH:
-        raise AssemblyError(f"the loop does not close at the start with these lengths: {1e3 * residual:.3g} mm are left")
+        joints = zip(mechanism.independent_joints, q[mechanism.independent], strict=True)
+        where = ", ".join(f"{joint.name} = {joint.said(x, 4)} {joint.unit}" for joint, x in joints)
+        raise AssemblyError(
+            f"the loop does not close at the start, {where}, with this machine's lengths: {1e3 * residual:.3g} mm are left"
+        )
     return best
 
 

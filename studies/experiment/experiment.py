@@ -117,6 +117,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     passive = np.isin(mechanism.independent, mechanism.passive_dofs)  # no tracker has a hand in a spin
     middle = np.median(layout.values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # refused now, in one line
+    _refuse_late_push(section, layout.values, float(reference.time_s[-1]))
     yardstick = Yardstick(
         mechanism=mechanism,
         reference=reference,
@@ -135,6 +136,17 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
         loop=loop,
         yardstick=yardstick,
     )
+
+
+def _refuse_late_push(section: ImperfectionsSection, values: np.ndarray, end_s: float) -> None:
+    """Refuse pushes of which none comes before a run's end [s]."""
+    labels = [factor.label for factor in section.factors]
+    if "push_start_s" in labels and values[:, labels.index("push_start_s")].min() >= end_s:
+        first = values[:, labels.index("push_start_s")].min()
+        raise ProblemError(
+            f"imperfections.push_start_s is before the end of a run, at {end_s:.4g} s, for a machine at least; got {first:g}"
+            " or more; tracking.duration_s makes runs longer"
+        )
 
 
 def fall_note(experiment: Experiment) -> str | None:

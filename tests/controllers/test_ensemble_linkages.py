@@ -8,6 +8,7 @@ from linkplan.controllers.imperfections.imperfections import Drives, Imperfectio
 from linkplan.controllers.rollout import ControlLoop, run
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.assembly import close_at
 from tests.support.linkages import GRIPPER, RSSR
 from tests.support.mechanisms import replaced
 from tests.support.scripted import Scripted, hard, standing, wave
@@ -77,6 +78,16 @@ def test_a_start_beside_the_path_closes_the_loop_of_a_ball_joint():
     mechanism = load_mechanism(RSSR)
     assert mechanism.gap_m(ensemble.pose[0, 0]) < 1e-9
     assert ensemble.pose[0, 0, mechanism.independent[0]] == pytest.approx(mechanism.home[mechanism.independent[0]] + 0.02)
+
+
+@pytest.mark.parametrize("off", [1.6, -2.5])
+def test_a_start_far_beside_the_path_is_on_the_path_s_branch(off):
+    """A crank that nothing stops: Newton's method from the plan's own start would not close the loop there."""
+    mechanism = load_mechanism("slider-crank")
+    _, ensemble = both("slider-crank", np.zeros((2, 1)), [Imperfections(start=Start(position_error=off))])
+    assert ensemble.failure == (None,)
+    there = close_at(mechanism, mechanism.home[mechanism.independent] + off)
+    assert ensemble.pose[0, 0] == pytest.approx(there, abs=1e-9)
 
 
 def test_a_servo_whose_gain_changes_within_a_range_is_refused_by_name():

@@ -200,7 +200,7 @@ def test_a_tracker_that_fails_on_some_machines_is_counted_and_the_others_stand(t
     monkeypatch.setattr(blocks, "law_of", lambda *_: Failing())
     outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=12))
     one = outcome.summary.trackers[0]
-    assert set(one.failures) == {"the tracker failed: behind", "the tracker gave an effort that is no number"}
+    assert set(one.failures) == {"the tracker failed: RuntimeError: behind", "the tracker gave an effort that is no number"}
     assert 0 < sum(one.failures.values()) < 12
     assert one.means["rms_error_deg"].n == 12 - sum(one.failures.values())
     assert outcome.results["failure"][one.worst[0]] is not None  # failures are the worst
@@ -234,6 +234,13 @@ def test_a_loop_too_soft_to_step_is_refused_before_any_sample_runs():
     plan = optimal("knee-reach", SHORT, "imperfections.loop_time_constant_s=1e-5")
     with pytest.raises(LinkplanError, match="time constant"):
         experiment_of(plan, FEW)
+
+
+def test_a_push_that_no_machine_gets_before_its_run_ends_is_refused():
+    push = ("imperfections.push_body=crank", "imperfections.push_force_x_n=5", "imperfections.push_duration_s=0.01")
+    with pytest.raises(ProblemError, match=r"push_start_s is before the end of a run, at [\d.]+ s, .*; got 100 or more"):
+        experiment_of(optimal("knee-reach", SHORT, *push, "imperfections.push_start_s=100"), FEW)
+    assert experiment_of(optimal("knee-reach", SHORT, *push, "imperfections.push_start_s=[0, 100]"), FEW).n == FEW.samples
 
 
 @pytest.mark.parametrize(
