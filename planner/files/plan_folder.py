@@ -178,8 +178,10 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
     if not folder.is_dir():
         raise PlanFileError(f"'{folder}' is not a plan: a plan is a folder with plan.json and trajectory.npz")
     if not (folder / "plan.json").exists():
+        within = folder / "plan"
+        inside = f", as '{within}' is" if (within / "plan.json").is_file() else ""
         raise PlanFileError(
-            f"'{folder}' is not a plan: it has no plan.json; a plan is a folder with that and trajectory.npz"
+            f"'{folder}' is not a plan: it has no plan.json; a plan is a folder with that and trajectory.npz{inside}"
         )
     said = _read_json(folder / "plan.json")
     missing = [key for key in ("format", "name", "status", "message", "problem") if key not in said]

@@ -104,17 +104,19 @@ def run_replay(arguments: argparse.Namespace) -> int:
     from linkplan.studies.report.saving import save_report
 
     target = output_folder(arguments)
+    _refuse_beside_sample(arguments)
     experiment = saved_experiment(Path(arguments.plan))
     refuse_changed_tracker(Path(arguments.plan), arguments.tracker)
     rollout, said = replay(experiment, arguments.tracker, arguments.sample)
     plan = experiment.plan
-    title = f"sample {arguments.sample}"
-    comparison = Comparison(plan=plan, nominal={arguments.tracker: rollout}, mismatch=None, mismatched={}, title=title)
+    title, stem = f"sample {arguments.sample}", f"sample-{arguments.sample}"
+    runs = {arguments.tracker: rollout}
+    comparison = Comparison(plan=plan, nominal=runs, mismatch=None, mismatched={}, title=title, stem=stem)
     record = comparison_record(comparison) | {"tracker": arguments.tracker, "sample": said}
 
     def save(place: Path) -> None:
         write_json(place / "track.json", record)
-        save_time_series(comparison, place)
+        save_time_series(comparison, place, parquet=arguments.parquet)
         comparison_figure(comparison, place / "track.png")
         save_report(replay_report(comparison, said), place, page=arguments.report)
 
@@ -124,3 +126,18 @@ def run_replay(arguments: argparse.Namespace) -> int:
     failure = f"\n{said['failure']}" if said["failure"] else ""
     show(arguments, record, f"{comparison_text(comparison)}{failure}\nimperfections:\n{values}")
     return DONE if said["failure"] is None and rollout.stable else NO
+
+
+def _refuse_beside_sample(arguments: argparse.Namespace) -> None:
+    """Refuse what would make a sample's machine, or its plan, another than they were."""
+    given = {
+        "--set": bool(arguments.set),
+        "--anyway": arguments.anyway,
+        "--mass-factor": arguments.mass_factor != 1.0,
+        "--delay-periods": arguments.delay_periods != 0,
+    }
+    if named := [option for option, is_given in given.items() if is_given]:
+        raise ProblemError(
+            f"{', '.join(named)}: not with --sample, which runs a machine of an experiment again as it was; without it they"
+            " go with a plan"
+        )

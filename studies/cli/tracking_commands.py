@@ -43,8 +43,9 @@ def _single(plan: Plan, asked, arguments: argparse.Namespace, mismatch_given: bo
 
     mismatch = default_mismatch(plan, arguments.mass_factor, arguments.delay_periods) if mismatch_given else None
     rollout = track(plan, asked, mismatch)
-    title = "nominal" if mismatch is None else mismatch.name
-    return Comparison(plan=plan, nominal={rollout.tracker: rollout}, mismatch=None, mismatched={}, title=title)
+    title, stem = ("nominal", "nominal") if mismatch is None else (mismatch.name, "mismatch")
+    runs = {rollout.tracker: rollout}
+    return Comparison(plan=plan, nominal=runs, mismatch=None, mismatched={}, title=title, stem=stem)
 
 
 def _check_mismatch(arguments: argparse.Namespace) -> bool:

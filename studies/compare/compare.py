@@ -54,6 +54,7 @@ class Comparison:
     mismatch: Mismatch | None
     mismatched: dict[str, Rollout]
     title: str = "nominal"  # of the first side
+    stem: str = "nominal"  # of its files
     run_time: dict[str, RunTime] = field(default_factory=dict)
 
 

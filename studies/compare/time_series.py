@@ -41,7 +41,7 @@ def save_time_series(comparison: Comparison, folder: Path, *, parquet: bool = Fa
     With `parquet` the same columns are in nominal-pd.parquet, ..., too.
     """
     names = []
-    for side, runs in (("nominal", comparison.nominal), ("mismatch", comparison.mismatched)):
+    for side, runs in ((comparison.stem, comparison.nominal), ("mismatch", comparison.mismatched)):
         for number, (tracker, rollout) in enumerate(runs.items()):
             plain = "".join(letter if letter.isalnum() or letter in "+-_" else "_" for letter in tracker)
             stem = f"{side}-{plain}" if [*map(str.lower, runs)].count(tracker.lower()) == 1 else f"{side}-{number}-{plain}"

@@ -84,6 +84,10 @@ REFUSALS = [
     (["track", "no-such-plan"], ["no-such-plan"]),
     (["track", "{not_a_plan}"], ["has no plan.json"]),
     (["track", "{a_plan}", "--sample", "3"], ["holds no experiment", "experiment.json"]),
+    (
+        ["track", "{a_plan}", "--sample", "3", "--mass-factor", "1.2", "--set", "tracking.kp=3"],
+        ["--set, --mass-factor: not with"],
+    ),
     (["track", "{a_plan}", "--set", "tracking.kp=-1"], ["with tracking.kp=-1: tracking.kp is a number of at least 0"]),
     (["track", "{a_plan}", "--set", "motion.duration_s=1"], ["a saved plan is fixed; only tracking.* and imperfections.*"]),
     (["compare", "{a_plan}", "--delay-periods", "1.5"], ["--delay-periods is a whole number, got '1.5'"]),

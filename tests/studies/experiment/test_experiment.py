@@ -240,7 +240,7 @@ def test_a_push_that_no_machine_gets_before_its_run_ends_is_refused():
     push = ("imperfections.push_body=crank", "imperfections.push_force_x_n=5", "imperfections.push_duration_s=0.01")
     with pytest.raises(ProblemError, match=r"push_start_s is before the end of a run, at [\d.]+ s, .*; got 100 or more"):
         experiment_of(optimal("knee-reach", SHORT, *push, "imperfections.push_start_s=100"), FEW)
-    assert experiment_of(optimal("knee-reach", SHORT, *push, "imperfections.push_start_s=[0, 100]"), FEW).n == FEW.samples
+    assert experiment_of(optimal("knee-reach", SHORT, *push, "imperfections.push_start_s=[0, 0.02]"), FEW).n == FEW.samples
 
 
 @pytest.mark.parametrize(
@@ -267,10 +267,16 @@ def test_the_command_prints_within_eighty_columns_and_replays(tmp_path, ask, ask
     assert "success" in out
     code, said = ask_json(*words)
     assert said["trackers"]["lqr"]["success"]["n"] == 5
-    code, said = ask_json("track", str(tmp_path / "x"), "--sample", "2", "--tracker", "lqr", "-o", str(tmp_path / "again"))
+    code, said = ask_json(
+        "track", str(tmp_path / "x"), "--sample", "2", "--tracker", "lqr", "-o", str(tmp_path / "again"), "--parquet"
+    )
     assert code == 0
     assert said["sample"]["sample"] == 2
-    assert (tmp_path / "again" / "track.png").is_file()
+    written = {path.name for path in (tmp_path / "again").iterdir()}
+    assert {"track.png", "sample-2-lqr.csv", "sample-2-lqr.parquet"} <= written
+    code, _, err = ask("track", str(tmp_path / "x"))
+    assert code == 2
+    assert "plan.json; a plan is a folder with that and trajectory.npz, as" in err
     code, _, err = ask("experiment", "knee-reach", "--set", SHORT, "--samples", "6", "-o", str(tmp_path / "x"))
     assert code == 2
     assert "samples was 5, now 6" in err
