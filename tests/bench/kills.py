@@ -348,6 +348,9 @@ def ended(name: str, ways: tuple[str, ...], count: int, seed: int, *, by_time: b
             if command.resumes and not wrong:
                 wrong = _unlike(root, command, earlier)
             found.append(Outcome(command=name, way=way, moment=moment, code=code, new=new, wrong=wrong))
+            print(
+                f"{name} {number + 1}/{count * len(ways)}: {way} at {moment}, exit code {code}", file=sys.stderr, flush=True
+            )
             if wrong:
                 print(found[-1], flush=True)
             shutil.rmtree(root, ignore_errors=True)  # a compiler beside may still write there
@@ -375,6 +378,9 @@ def _unlike(root: Path, command: Command, alone: Path) -> str:
 
 def main() -> int:
     """End each command N times in each way and print what came of it; 1 where something was wrong."""
+    if {"-h", "--help"} & set(sys.argv) or len(sys.argv) < 3 or not all(word.isdecimal() for word in sys.argv[1:3]):
+        print(f"{__doc__}\ncommands: {', '.join(COMMANDS)}\nways: {', '.join(WAYS)}")
+        return 0 if {"-h", "--help"} & set(sys.argv) else 2
     count, seed, by_time = int(sys.argv[1]), int(sys.argv[2]), "late" in sys.argv[3:]
     names = [name for name in sys.argv[3:] if name in COMMANDS] or list(COMMANDS)
     wrong = 0
