@@ -81,21 +81,8 @@ class Command:
 
 
 # Three blocks of samples and a beginning, each of them short.
-_STUDY = (
-    *(
-        "experiment",
-        "planned",
-        "--set",
-        "tracking.duration_s=0.005",
-        "--samples",
-        "392",
-        "--trackers",
-        "pd",
-        "--threads",
-        "1",
-    ),
-    *("-o", "out"),
-)
+_LINE = "experiment planned --set tracking.duration_s=0.005 --samples 392 --trackers pd --threads 1 -o out"
+_STUDY = tuple(_LINE.split())
 COMMANDS = {
     "plan": Command(words=("plan", "knee-reach", "-o", "out"), record="plan.json"),
     "compiled": Command(

@@ -16,12 +16,15 @@ function cellOf(value) {
   return make("td", { class: text.length < 30 ? "short" : false }, text);
 }
 
+// Tables of more rows scroll in a window of their own, their heads staying.
+const WHOLE_ROWS = 40;
+
 function showTable(block) {
   const numbers = block.columns.map((_, k) => block.rows.some((row) => typeof row[k] === "number"));
   const heads = block.columns.map(([head, unit], k) => make("th", { scope: "col", class: numbers[k] ? "number" : false }, labelled({ label: head, unit })));
   const rows = block.rows.map((row) => make("tr", {}, ...row.map(cellOf)));
   const table = make("table", {}, make("thead", {}, make("tr", {}, ...heads)), make("tbody", {}, ...rows));
-  const inner = make("div", { class: "wide", tabindex: 0, role: "region", "aria-label": block.title || "table" }, table);
+  const inner = make("div", { class: block.rows.length > WHOLE_ROWS ? "wide" : "wide whole", tabindex: 0, role: "region", "aria-label": block.title || "table" }, table);
   return make("figure", {}, block.title ? make("figcaption", {}, block.title) : null, inner);
 }
 

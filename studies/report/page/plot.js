@@ -107,8 +107,20 @@ function drawLimits(u, limits) {
   ctx.restore();
 }
 
-/** Return uPlot's series for one of the document. */
-function seriesOf(one) {
+const MEASURED = ", measured";
+// A dot within this of the cursor is at it [px]: its number beside the line's is of the same place.
+const BESIDE = 6;
+
+/** Return the numbers in uPlot of what was measured of a line, by the line's own: both stand in one line of the legend. */
+function measuredOf(block) {
+  const at = new Map(block.series.map((one, k) => [one.name, k + 1]));
+  const dots = block.series.filter((one) => one.look === "points" && one.name.endsWith(MEASURED));
+  const pairs = dots.map((one) => [at.get(one.name.slice(0, -MEASURED.length)), at.get(one.name)]);
+  return new Map(pairs.filter(([line]) => line !== undefined));
+}
+
+/** Return uPlot's series for one of the document; `dots` is the number of what was measured of it, if anything was. */
+function seriesOf(one, dots) {
   const points = one.look === "points";
   const colour = () => theme.series(one.colour);
   return {
@@ -118,14 +130,20 @@ function seriesOf(one) {
     dash: dashes(one.look),
     paths: points ? () => null : undefined,
     points: points ? { show: true, size: 6, stroke: colour, fill: colour } : { show: false },
-    value: (u, v) => said(v),
+    value: (u, v) => {
+      if (!dots) return said(v);
+      const [here, at] = [u.cursor.idx, nearest(u.data[dots], u.cursor.idx)];
+      if (here === null || here === undefined || u.data[dots][at] === null || u.data[dots][at] === undefined) return said(v);
+      const [x, dot] = [here, at].map((k) => u.valToPos(u.data[0][k], "x"));
+      return Math.abs(x - dot) > BESIDE ? said(v) : `${said(v)} ● ${said(u.data[dots][at], 4)}`;
+    },
   };
 }
 
 /** Return the figure of a plot. */
 function showPlot(block) {
   const place = make("div", { class: "canvas", style: `min-height:${HEIGHT + 60}px` });
-  const figure = make("figure", { class: "plot" }, make("figcaption", {}, block.title), place);
+  const figure = make("figure", { class: "plot" }, make("figcaption", {}, `${block.title}${measuredOf(block).size ? "; dots measured" : ""}`), place);
   const cursor = block.group ? cursorOf(block.group) : null;
   const known = block.x.filter((x) => x !== null);
   if (cursor && known.length) cursor.reach(known[0], known[known.length - 1]);
@@ -150,6 +168,7 @@ function limitsSaid(block) {
 
 function buildPlot(block, place, cursor) {
   const table = tableOf(block);
+  const measured = measuredOf(block);
   let own = false; // the cursor is being moved by this program, not by a hand
   const options = {
     width: Math.max(place.clientWidth, 200),
@@ -158,7 +177,7 @@ function buildPlot(block, place, cursor) {
     padding: [8, 14, 0, 0],
     scales: { x: scaleOf(block.x_axis, [], 0), y: scaleOf(block.y_axis, block.limits.map((limit) => limit.value)) },
     axes: [axisOf(block.x_axis, "x"), axisOf(block.y_axis, "y")],
-    series: [{ label: labelled(block.x_axis), value: (u, v) => said(v) }, ...block.series.map(seriesOf)],
+    series: [{ label: labelled(block.x_axis), value: (u, v) => said(v) }, ...block.series.map((one, k) => seriesOf(one, measured.get(k + 1)))],
     cursor: {
       y: false,
       drag: { x: false, y: false, setScale: false },
@@ -169,6 +188,7 @@ function buildPlot(block, place, cursor) {
     hooks: {
       ready: [() => cursor && cursor.listen(follow)],
       draw: [(u) => drawLimits(u, block.limits)],
+      setSeries: [(u, k, what) => what.show !== undefined && measured.has(k) && u.setSeries(measured.get(k), { show: what.show })],
       setCursor: [
         (u) => {
           if (own || !cursor || u.cursor.left < 0) return;
@@ -180,6 +200,8 @@ function buildPlot(block, place, cursor) {
   };
   const plot = new uPlot(options, table, place);
   place.style.minHeight = "";
+  const legend = place.querySelectorAll(".u-legend .u-series");
+  for (const dots of measured.values()) legend[dots].style.display = "none";
   function follow(time) {
     own = true;
     const left = plot.valToPos(within(block, time), "x");
