@@ -46,7 +46,7 @@ def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
         ]
     hidden = len(sensitivity.factors) - len(order)
     if hidden:
-        lines += [f"{hidden} more matter less for every tracker; the record has them", ""]
+        lines += [f"{hidden} more matter{'s' if hidden == 1 else ''} less for every tracker; the record has them", ""]
     names = [metric for metric in sensitivity.metrics if any(_known(sensitivity, t, metric) for t in trackers)]
     rows = [[metric, *(_foremost(sensitivity, t, metric, numbers) for t in trackers)] for metric in names]
     lines += [
