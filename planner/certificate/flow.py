@@ -108,17 +108,76 @@ def strides(
         length = max(length for length in _STRETCHES if length <= min(longest, len(widths_s) - begin))
         some = slice(begin, begin + length)
         ends, middles, errors = evaluated(_stretch(rate, length), state, inputs[some].T, widths_s[some])
-        before = np.column_stack([state, ends[:, :-1]])
-        sizes = np.maximum(np.abs(before), np.abs(ends))
-        scale = _ATOL * np.maximum(1.0, np.abs(before)) + RTOL * sizes
-        fifth, third = (np.square(e / np.repeat(scale, _STEPS, axis=1)).sum(axis=0) for e in np.split(errors, 2))
-        short = fifth <= np.sqrt((fifth + 0.01 * third) * len(state))
+        short = _short(np.column_stack([state, ends[:, :-1]]), ends, errors, _STEPS)
         good = length if np.all(short) else int(np.argmin(short)) // _STEPS
         found.append(np.stack([middles, ends]).transpose(2, 0, 1)[:good])
         if good < length:
             break
         state, begin, longest = ends[:, -1], begin + length, 4 * longest
     return np.concatenate(found)
+
+
+def side_by_side(
+    rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, states: np.ndarray, shares: np.ndarray, until: float = np.inf
+) -> np.ndarray | None:
+    """Return the states (n_intervals, m, n) at shares of every interval, each from a state of its own; None where one fails.
+
+    A step from each share to the next, of all intervals in one call; where that is too long an interval is taken by `flow`.
+
+    Args:
+        rate: as of `strides`.
+        widths_s: (n_intervals,) [s].
+        inputs: (n_intervals, k), what is constant over each.
+        states: (n_intervals, n) at their beginnings.
+        shares: (m,) of an interval, increasing from above 0 to 1.
+        until: as of `flow`.
+    """
+    n, ends, found = len(widths_s), states.T, []
+    good, one, slope = np.ones(n, dtype=bool), _step(rate).map(n), rate.map(n)
+    with np.errstate(all="ignore"):  # a motion may diverge within an interval: `flow` says whether it does
+        (slopes,) = evaluated(slope, ends, inputs.T, np.zeros(n))
+        for at, to in itertools.pairwise(np.append(0.0, shares)):
+            check()
+            before = ends
+            ends, slopes, *errors = evaluated(one, ends, slopes, inputs.T, (to - at) * widths_s, np.full(n, at), np.full(n, to - at))
+            good &= _short(before, ends, np.vstack(errors), 1) & np.all(np.isfinite(ends), axis=0)
+            found.append(ends.T)
+    reached = np.stack(found, axis=1)
+    for k in np.flatnonzero(~good):
+        again = flow(called(rate, inputs[k], widths_s[k]), widths_s[k], states[k], shares, until)
+        if again is None:
+            return None
+        reached[k] = again
+    return reached
+
+
+def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
+    """Return a right-hand side on an interval for numpy.
+
+    It is called some thousand times per motion: CasADi reads and writes numpy's memory without copies.
+    """
+    buffer, evaluate = function.buffer()
+    # All of these live as long as the right-hand side: CasADi keeps addresses only.
+    state, flat, at, result = np.zeros(function.size1_in(0)), np.array(inputs), np.zeros(1), np.zeros(function.size1_out(0))
+    for index, array in enumerate((state, flat, at)):
+        buffer.set_arg(index, memoryview(array))
+    buffer.set_res(0, memoryview(result))
+    kept = function, buffer, flat
+
+    def rate(t: float, y: np.ndarray, kept=kept) -> np.ndarray:
+        del kept
+        state[:], at[0] = y, t / width
+        evaluate()
+        return np.array(result)
+
+    return rate
+
+
+def _short(before: np.ndarray, ends: np.ndarray, errors: np.ndarray, steps: int) -> np.ndarray:
+    """Return which steps (steps * m,) are short enough, from states (n, m) to (n, m), by their errors (2 n, steps * m)."""
+    scale = _ATOL * np.maximum(1.0, np.abs(before)) + RTOL * np.maximum(np.abs(before), np.abs(ends))
+    fifth, third = (np.square(e / np.repeat(scale, steps, axis=1)).sum(axis=0) for e in np.split(errors, 2))
+    return fifth <= np.sqrt((fifth + 0.01 * third) * len(before))
 
 
 @functools.lru_cache(maxsize=16)
@@ -134,7 +193,7 @@ def _over_interval(rate: ca.Function) -> ca.Function:
     begin, given, width = (ca.MX.sym(name, n) for name, n in (("x", rate.size1_in(0)), ("c", rate.size1_in(1)), ("T", 1)))
     one, x, slope, states, errors = _step(rate), begin, rate(begin, given, 0.0), [], []
     for step in range(_STEPS):
-        x, slope, *of_step = one(x, slope, given, width, step / _STEPS)
+        x, slope, *of_step = one(x, slope, given, width / _STEPS, step / _STEPS, 1 / _STEPS)
         states.append(x)
         errors.append(of_step)
     both = ca.vertcat(*(ca.horzcat(*of) for of in zip(*errors, strict=True)))
@@ -142,19 +201,22 @@ def _over_interval(rate: ca.Function) -> ca.Function:
 
 
 def _step(rate: ca.Function) -> ca.Function:
-    """Return one step: (state, its rate, inputs, width, share at its beginning) -> state, rate, fifth and third errors."""
+    """Return one step of h seconds: (state, its rate, inputs, h, share at its beginning, its share) -> state, rate, errors.
+
+    The errors are those of order five and three.
+    """
     n = rate.size1_in(0)
     begin, slope, given = ca.MX.sym("x", n), ca.MX.sym("k", n), ca.MX.sym("c", rate.size1_in(1))
-    width, at = ca.MX.sym("T"), ca.MX.sym("at")
-    h, slopes = width / _STEPS, [slope]
+    h, at, long = ca.MX.sym("h"), ca.MX.sym("at"), ca.MX.sym("long")
+    slopes = [slope]
 
     def combined(weights: np.ndarray) -> ca.MX:
         used = [j for j, weight in enumerate(weights[: len(slopes)]) if weight]
         return ca.horzcat(*[slopes[j] for j in used]) @ ca.DM(np.asarray(weights)[used])
 
     for row, share in zip(A[1:], C[1:], strict=True):
-        slopes.append(rate(begin + h * combined(row), given, at + float(share) / _STEPS))
+        slopes.append(rate(begin + h * combined(row), given, at + float(share) * long))
     end = begin + h * combined(B)
-    slopes.append(rate(end, given, at + 1 / _STEPS))
+    slopes.append(rate(end, given, at + long))
     fifth, third = (h * combined(weights) for weights in (E5, E3))
-    return ca.Function("step", [begin, slope, given, width, at], [end, slopes[-1], fifth, third])
+    return ca.Function("step", [begin, slope, given, h, at, long], [end, slopes[-1], fifth, third])

@@ -16,7 +16,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.flow import Rate, flow, strides
+from linkplan.planner.certificate.flow import called, flow, strides
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
 
@@ -103,7 +103,7 @@ def _anew(
 
     def arrives(k: int, begin: np.ndarray) -> np.ndarray | None:
         pose = poses[k] if np.array_equal(begin, begins[k]) else follow(mechanism, begin[None, :n_s], poses[k])[0]
-        reached = flow(_called(function, inputs[k], widths[k]), widths[k], np.concatenate([pose, begin[n_s:]]), last, until)
+        reached = flow(called(function, inputs[k], widths[k]), widths[k], np.concatenate([pose, begin[n_s:]]), last, until)
         return None if reached is None else np.concatenate([reached[0, :n_q][mechanism.independent], reached[0, n_q:]])
 
     error, carried = np.zeros(2 * n_s), np.eye(2 * n_s)
@@ -139,7 +139,7 @@ def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, unt
     while (k := len(reached) - 1) < len(widths):
         reached = np.concatenate([reached, strides(rate, widths[k:], inputs[k:], reached[-1, 1], until)])
         if (k := len(reached) - 1) < len(widths):
-            half = flow(_called(rate, inputs[k], widths[k]), widths[k], reached[-1, 1], np.array([0.5, 1.0]), until)
+            half = flow(called(rate, inputs[k], widths[k]), widths[k], reached[-1, 1], np.array([0.5, 1.0]), until)
             if half is None:
                 break
             reached = np.concatenate([reached, half[None]])
@@ -159,25 +159,3 @@ def _rate(mechanism: Mechanism, n_coefficients: int, n_u: int) -> ca.Function:
     effort = bernstein_value(ca.reshape(flat, n_coefficients, n_u), tau).T
     rates = mechanism.dynamics.flow(x[: mechanism.n_q], x[mechanism.n_q :], effort)
     return ca.Function("rate", [x, flat, tau], [ca.vertcat(*rates)], {"cse": True})
-
-
-def _called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
-    """Return a right-hand side on an interval for numpy.
-
-    It is called some thousand times per motion: CasADi reads and writes numpy's memory without copies.
-    """
-    buffer, evaluate = function.buffer()
-    # All of these live as long as the right-hand side: CasADi keeps addresses only.
-    state, flat, at, result = np.zeros(function.size1_in(0)), np.array(inputs), np.zeros(1), np.zeros(function.size1_out(0))
-    for index, array in enumerate((state, flat, at)):
-        buffer.set_arg(index, memoryview(array))
-    buffer.set_res(0, memoryview(result))
-    kept = function, buffer, flat
-
-    def rate(t: float, y: np.ndarray, kept=kept) -> np.ndarray:
-        del kept
-        state[:], at[0] = y, t / width
-        evaluate()
-        return np.array(result)
-
-    return rate

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 
 from linkplan.planner.certificate.boundary import missed
-from linkplan.planner.certificate.flow import RTOL, Rate, flow, flows
+from linkplan.planner.certificate.flow import RTOL, Rate, flows, side_by_side
 from linkplan.planner.certificate.integration import GROWTH
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
@@ -49,6 +49,9 @@ def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, 
         size: (n_x,) of the states.
         points: shares (m,) of an interval at which limits are looked at, the last of them 1.
     """
+    if _grows(problem, trajectory, size, problem.tolerance / np.finfo(float).eps):
+        # Rounding alone decides where one integration would end.
+        return _anew(problem, trajectory, size, points) or _in_one_go(problem, trajectory, size, points)
     whole = _in_one_go(problem, trajectory, size, points)
     if whole.errors.max() <= problem.tolerance or not is_unstable(problem, trajectory, size):
         return whole
@@ -56,14 +59,19 @@ def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, 
 
 
 def is_unstable(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> bool:
-    """Return whether an error grows too much along a motion, with each interval's dynamics as in its middle.
+    """Return whether an error grows too much along a motion, for one integration to judge it.
 
     Args:
         problem: what was asked.
         trajectory: the motion.
         size: (n_x,) of the states.
     """
-    breaks, n_x, most = trajectory.breaks_s, problem.n_x, _most(problem)
+    return _grows(problem, trajectory, size, _most(problem))
+
+
+def _grows(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, most: float) -> bool:
+    """Return whether an error grows by more than a factor, with each interval's dynamics as in its middle."""
+    breaks, n_x = trajectory.breaks_s, problem.n_x
     widths = np.diff(breaks)
     middle, p = breaks[:-1] + 0.5 * widths, np.tile(problem.parameters[:, None], (1, len(widths)))
     x, u = trajectory.state_at(middle), trajectory.effort_at(middle)
@@ -75,9 +83,12 @@ def is_unstable(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray
     with np.errstate(all="ignore"):  # what grows beyond all numbers grows too much
         for transition in scipy.linalg.expm(slopes * widths[:, None, None]):
             carried = transition @ carried
-            if not np.abs(carried).max() <= most:
+            # The spectral norm: that of a product is at most the product's of norms, so that nothing is lost by forgetting an
+            # error that is less than one made now. Of the largest entries that is not so: they all fall at first on a fine mesh.
+            grown = np.linalg.norm(carried, 2) if np.all(np.isfinite(carried)) else np.inf
+            if grown > most:
                 return True
-            if np.abs(carried).max() < 1:  # what has died away says nothing of errors made later
+            if grown < 1:
                 carried = np.eye(n_x)
     return False
 
@@ -124,35 +135,28 @@ def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray,
 
 def _anew(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, points: np.ndarray) -> Integrated | None:
     """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
-    n_x, p, breaks = problem.n_x, problem.parameters, trajectory.breaks_s
-    n, planned, varied = len(breaks) - 1, _planned(trajectory), _variation(problem)
+    n_x, breaks, planned = problem.n_x, trajectory.breaks_s, _planned(trajectory)
+    n = len(breaks) - 1
     errors, added, spent, beyond = np.zeros((n, n_x)), np.zeros((n, n_x)), np.zeros(n), np.zeros(n)
     error, carried, restarts = np.zeros(n_x), np.eye(n_x), 0
-    still = np.concatenate([[0.0], np.vstack([np.eye(n_x), np.zeros(n_x)]).ravel()])
-    shares, end = np.append(points[:-1], 1.0), planned[0]
-
-    def rate_on(k: int) -> Rate:
-        coefficients, width, t0 = trajectory.effort[:, k], breaks[k + 1] - breaks[k], breaks[k]
-
-        def rate(t: float, y: np.ndarray) -> np.ndarray:
-            value, slope = varied(y[:n_x], bernstein_value(coefficients, t / width), p, t0 + t)
-            grown = np.array(slope) @ y[n_x + 1 :].reshape(n_x + 1, n_x)[:n_x]
-            return np.concatenate([np.array(value).ravel(), grown.ravel()])
-
-        return rate
-
-    for k, width in enumerate(np.diff(breaks)):
-        reached = flow(rate_on(k), width, np.concatenate([planned[k], still]), shares, problem.solver.judged_until)
-        if reached is None:
-            return None
-        moved = reached[:, n_x + 1 :].reshape(len(shares), n_x + 1, n_x)
+    still = np.concatenate([[0.0], np.vstack([np.eye(n_x), np.zeros(n_x)]).ravel(order="F")])
+    begins = np.hstack([planned[:-1], np.tile(still, (n, 1))])
+    efforts = trajectory.effort.transpose(1, 2, 0).reshape(n, -1)
+    inputs = np.column_stack([efforts, breaks[:-1], np.diff(breaks)])
+    shares, end = np.append(points[1:-1], 1.0), planned[0]
+    varied = _varied_on(problem, trajectory.effort.shape[0])
+    reached = side_by_side(varied, np.diff(breaks), inputs, begins, shares, problem.solver.judged_until)
+    if reached is None:
+        return None
+    states, transitions = reached[:, :, : n_x + 1], reached[:, :, n_x + 1 :].reshape(n, -1, n_x, n_x + 1).swapaxes(2, 3)
+    for k in range(n):
         # States and cost from where the motion before has come to, to first order.
-        inside = reached[:, : n_x + 1] + moved @ (error * size)
+        inside = states[k] + transitions[k] @ (error * size)
         end = inside[-1, :n_x]
         error = (end - planned[k + 1]) / size
-        errors[k], added[k] = np.abs(error), np.abs(reached[-1, :n_x] - planned[k + 1]) / size
+        errors[k], added[k] = np.abs(error), np.abs(states[k, -1, :n_x] - planned[k + 1]) / size
         spent[k], beyond[k] = inside[-1, n_x], missed(inside[:, :n_x], *problem.state_limit.T, size)
-        carried = moved[-1, :n_x] * size / size[:, None] @ carried
+        carried = transitions[k, -1, :n_x] * size / size[:, None] @ carried
         if np.abs(carried).max() > _most(problem):
             error, carried, restarts = np.zeros(n_x), np.eye(n_x), restarts + 1
     if not restarts:
@@ -188,3 +192,16 @@ def _variation(problem: OdeProblem) -> ca.Function:
     running = problem.at_instant("running_cost")(x, u, p, t) if problem.running_cost is not None else ca.SX(0)
     value = ca.vertcat(rate(x, u, p, t), running)
     return ca.Function("variation", [x, u, p, t], [ca.densify(value), ca.densify(ca.jacobian(value, x))])
+
+
+def _varied_on(problem: OdeProblem, n_coefficients: int) -> ca.Function:
+    """Return the rate of state, cost and transition matrix (column by column) within an interval, of `Rate`'s inputs.
+
+    Those are: state, an interval's efforts, its beginning [s] and width [s], and the share of it.
+    """
+    n_x, n_u = problem.n_x, problem.n_u
+    y, given, share = ca.SX.sym("y", (n_x + 1) ** 2), ca.SX.sym("c", n_coefficients * n_u + 2), ca.SX.sym("tau")
+    u = bernstein_value(ca.reshape(given[:-2], n_coefficients, n_u), share).T
+    value, slope = _variation(problem)(y[:n_x], u, ca.DM(problem.parameters), given[-2] + share * given[-1])
+    transition = ca.reshape(y[n_x + 1 :], n_x + 1, n_x)
+    return ca.Function("varied", [y, given, share], [ca.vertcat(value, ca.vec(slope @ transition[:n_x, :]))], {"cse": True})
