@@ -28,7 +28,7 @@ from linkplan.planner.transcription.schemes import scheme
 _MORE = 1.1
 # An unstable motion whose integrated state is nearer to it, as a share of its size, is seen by its mesh: boundary layers and
 # limits along which it goes have intervals of their own size. Before, high degrees follow another motion between the nodes.
-_SEEN = 1e-3
+_SEEN = 1.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -44,8 +44,11 @@ _FINE = 1e-7
 # factor: the motion is smooth there, and nodes are worth more than intervals.
 _EVERYWHERE = 0.5
 _STANDS_OUT = 30.0
-# Fewer intervals in a row than these are no arc along a limit, but the end of one inside an interval.
-_AN_ARC = 3
+# An unstable motion's degree is not raised beyond this one.
+_UNSTABLE = 5
+# Fewer intervals than these are no arc along a limit, but the end of one inside an interval; nor is less than this share of
+# all, which is halved at less cost.
+_AN_ARC, _FEW = 3, 0.05
 # Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
 _ROUGH = 0.01
 # So often switches are read again from a motion that passes.
@@ -177,11 +180,14 @@ def refine(
             uneven = _uneven(at) if fixed is None else _rough(motion)
         marked = marked | uneven
         seen = at.findings is None or not at.findings.unseen
+        read = read if seen else turn  # rounds in which a mesh saw nothing were none on limits
         higher = _higher_on_arcs(kept, at, over) if seen else None
         if over.any() and loose:
             marked = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
         elif seen:
             higher = higher or _higher(kept, at.certificate, marked)
+        if warm and higher is not None and _degree(higher) > _UNSTABLE:
+            higher = None
         # Held throughout, limits overrun between the nodes by what the mesh errs by: tightened by that, the motion is late.
         held = fixed is not None and fixed.everything and fixed.paths.any()
         if _grown(at.found.mesh, marked | over) <= (finest if held else comfortable):
@@ -215,14 +221,16 @@ def refine(
                     continue
             break
         finer = _finer(
-            kept, at.found, marked, what, history, say, warm=warm, again=passed is not None, position_rows=position_rows
-        )
+            kept, at.found, marked, what, history, say, warm=warm, close=warm and seen, again=passed is not None,
+            position_rows=position_rows,
+        )  # fmt: skip
         if finer is None and position_rows and not begun:
             # What leaves its limit by the mesh's own error keeps it on a finer one.
             lost, position_rows, marked = True, False, np.ones(at.n_intervals, dtype=bool)
             finer = _finer(
-                kept, at.found, marked, "finer mesh", history, say, warm=warm, again=passed is not None, position_rows=False
-            )
+                kept, at.found, marked, "finer mesh", history, say, warm=warm, close=warm and seen, again=passed is not None,
+                position_rows=False,
+            )  # fmt: skip
         if finer is None:
             break
         if position_rows and not begun and aims.switches:
@@ -252,7 +260,7 @@ def better_of(before: JudgedT | None, now: JudgedT, aims: Aims) -> JudgedT:
 
 def _finer(
     case: Case[MotionT, CertificateT], coarse: Found[MotionT], marked: np.ndarray, what: str, history: list[Step], say: Say,
-    *, warm: bool, again: bool, position_rows: bool,
+    *, warm: bool, close: bool, again: bool, position_rows: bool,
 ) -> Found[MotionT] | None:  # fmt: skip
     """Return what is found with the marked intervals (n,) halved, or None.
 
@@ -267,7 +275,7 @@ def _finer(
             case, start, mesh, durations, what + word, history, say, position_rows=position_rows, fixed=fixed, **how
         )
 
-    ways = [("", {"warm": warm}), (", warm start", {"close": True})][: 2 if again else 1]
+    ways = [("", {"warm": warm, "close": close}), (", warm start", {"close": True})][: 2 if again else 1]
     found: list[Found[MotionT]] = []
     for word, how in reversed(ways) if bang_bang else ways:
         finer = tried(word, coarse.fixed, **how)
@@ -360,7 +368,7 @@ def _higher_on_arcs(case: Case[MotionT, CertificateT], at: _Judged[MotionT, Cert
     if case.aims.switches and (fixed is None or not np.all(fixed.paths[at.found.mesh.segment[over]].any(axis=1))):
         return None  # an arc that is not held may end inside an interval, which wants a switch time
     overrun = at.findings.overrun[over]
-    even = len(overrun) >= _AN_ARC and overrun.max() <= _STANDS_OUT * float(np.median(overrun))
+    even = len(overrun) >= max(_AN_ARC, _FEW * at.n_intervals) and overrun.max() <= _STANDS_OUT * float(np.median(overrun))
     return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 
 
@@ -370,6 +378,10 @@ def raised(mesh: MeshSettings) -> str | None:
     if family is None or mesh.refine == "intervals" or int(family[2]) == MAX_DEGREE:
         return None
     return f"{family[1]}-{min(int(family[2]) + 2, MAX_DEGREE)}"
+
+
+def _degree(scheme_name: str) -> int:
+    return int(scheme_name.rpartition("-")[2])
 
 
 def _widths(motion: Motion, marked: np.ndarray) -> np.ndarray:
