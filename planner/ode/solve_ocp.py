@@ -64,7 +64,11 @@ _PATIENCE = 5.0
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class OdePlan:
-    """A solution with its certificate, or none and the reason; `status` is "optimal", "infeasible" or "failed"."""
+    """A solution with its certificate, or none and the reason.
+
+    `status` is "optimal", "feasible" (certified, but less exact than was asked, or with an objective that still moves by more:
+    `message` says by how much), "infeasible" or "failed".
+    """
 
     problem: OdeProblem
     status: str
@@ -98,7 +102,7 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
         return OdePlan(problem=problem, status="infeasible", message=contradiction)
     deadline = time.monotonic() + (1 - CERTIFYING) * problem.solver.max_time_s
     plan = _planned(replace(problem, solver=replace(problem.solver, deadline=deadline)), say)
-    if plan.status == "failed" and time.monotonic() > deadline and _OF_TIME not in plan.message:
+    if plan.status in ("failed", "feasible") and time.monotonic() > deadline and _OF_TIME not in plan.message:
         plan = replace(plan, message=f"{plan.message}; the plan ran out of its {problem.solver.max_time_s:g} s {_OF_TIME}")
     return replace(plan, problem=problem)
 
@@ -120,7 +124,7 @@ def _planned(problem: OdeProblem, say: Say) -> OdePlan:
         plan = _refined(problem, one, history, say)
         if plan.status == "optimal" or one.away is not None:
             return plan
-        failed = failed or plan
+        failed = plan if failed is None or (failed.status, plan.status) == ("failed", "feasible") else failed
     return failed or _explain(problem, given[0], history, say)
 
 
@@ -249,6 +253,7 @@ def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say
     trajectory, certificate, objective = refined.motion, refined.certificate, refined.solution.objective
     away = first.away or unbounded_duration(problem, refined)
     status, message = "optimal", f"optimum {objective:.10g} in {trajectory.duration_s:.8g} s"
+    best = f"feasible: the best certified motion, {objective:.10g} in {trajectory.duration_s:.8g} s, keeps every limit"
     if certificate.integration_restarts:
         message += (
             "; the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
@@ -260,17 +265,14 @@ def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say
         status = "failed"
         message = f"failed: the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
     elif certificate.integration_error > problem.tolerance:
-        status = "failed"
+        status = "feasible"
         message = (
-            f"failed: the integrated state ends {certificate.integration_error:.3g} of its size from the solution, more than"
-            f" the tolerance {problem.tolerance:g}"
+            f"{best}, but the integrated state ends {certificate.integration_error:.3g} of its size from the solution, more"
+            f" than the tolerance {problem.tolerance:g}{_moved(refined)}"
         )
     elif not refined.settled:
-        status = "failed"
-        message = (
-            f"failed: objective_tolerance = {problem.objective_tolerance:g} was not reached: the objective,"
-            f" {objective:.10g}, changed by {refined.moved:.2g} of itself from mesh to mesh at the last"
-        )
+        status = "feasible"
+        message = f"{best}, but objective_tolerance = {problem.objective_tolerance:g} was not reached{_moved(refined)}"
     return OdePlan(
         problem=problem,
         status=status,
@@ -280,6 +282,13 @@ def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say
         certificate=certificate,
         history=tuple(history),
     )
+
+
+def _moved(refined: Refined[OdeTrajectory, OdeCertificate]) -> str:
+    """Return the words on what the objective changed by between the last two meshes whose motions pass."""
+    if refined.moved == 0.0:
+        return ""
+    return f"; its objective changed by {refined.moved:.2g} of itself from mesh to mesh at the last"
 
 
 def _contradiction(problem: OdeProblem) -> str | None:

@@ -281,14 +281,20 @@ def _finer(
         finer = tried(word, coarse.fixed, **how)
         if finer is not None:
             found.append(finer)
-            changed = abs(finer.solution.objective - coarse.solution.objective) > _SAME * abs(coarse.solution.objective)
-            if finer.solution.status == SUCCEEDED and not (bang_bang and changed):
+            if finer.solution.status == SUCCEEDED and not (bang_bang and not _alike(finer, coarse)):
                 break
-    if again and coarse.fixed is not None and all(finer.solution.status != SUCCEEDED for finer in found):
+    # A solver that stopped short where it began has lost nothing: on singular arcs it comes no nearer to its tolerance.
+    lost = all(finer.solution.status != SUCCEEDED and not _alike(finer, coarse) for finer in found)
+    if again and coarse.fixed is not None and lost:
         loose = tried(", efforts and paths free", None, close=True)
         if loose is not None:
             return loose
     return min(found, key=lambda finer: (finer.solution.status != SUCCEEDED, finer.solution.objective), default=None)
+
+
+def _alike(finer: Found[Any], coarse: Found[Any]) -> bool:
+    """Return whether objectives on two meshes are those of the same motion."""
+    return abs(finer.solution.objective - coarse.solution.objective) <= _SAME * abs(coarse.solution.objective)
 
 
 def _judged(case: Case[MotionT, CertificateT], found: Found[MotionT], history: list[Step]) -> _Judged[MotionT, CertificateT]:

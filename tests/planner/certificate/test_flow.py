@@ -5,7 +5,7 @@ import numpy as np
 from scipy.integrate import DOP853, solve_ivp
 
 from linkplan.planner.certificate import dormand_prince
-from linkplan.planner.certificate.flow import strides
+from linkplan.planner.certificate.flow import side_by_side, strides
 
 
 def pendulum():
@@ -40,3 +40,21 @@ def test_a_rate_that_is_not_a_number_ends_it_too():
     x, u, tau = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("tau")
     rate = ca.Function("rate", [x, u, tau], [ca.sqrt(1.0 - x + 0 * u * tau)])
     assert len(strides(rate, np.full(20, 0.2), np.zeros((20, 1)), np.array([2.0]))) == 0
+
+
+def test_intervals_side_by_side_go_each_from_its_own_state_where_even_steps_do_and_where_they_are_too_long():
+    widths, inputs = np.array([0.05, 3.0, 0.04]), np.random.default_rng(1).normal(0, 5, (3, 2))
+    states, shares = np.array([[1.0, 0.5], [2.0, 0.0], [-1.0, 3.0]]), np.array([0.1, 0.5, 0.8, 1.0])
+    reached = side_by_side(pendulum(), widths, inputs, states, shares)
+    for k, (h, (a, b)) in enumerate(zip(widths, inputs, strict=True)):
+        right = lambda t, x, a=a, b=b, h=h: [x[1], -9.81 * np.sin(x[0]) + a + b * t / h]  # noqa: E731
+        exact = solve_ivp(right, (0, h), states[k], method="DOP853", rtol=1e-13, atol=1e-14, t_eval=shares * h).y.T
+        np.testing.assert_allclose(reached[k], exact, rtol=0, atol=2e-10)
+
+
+def test_intervals_side_by_side_are_none_where_one_fails():
+    x, u, tau = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("tau")
+    rate = ca.Function("rate", [x, u, tau], [x**2 + 0 * u * tau])  # x = 1 / (1 / x_0 - t)
+    shares, begins = np.array([0.5, 1.0]), np.array([[0.1], [0.5]])
+    assert side_by_side(rate, np.full(2, 1.0), np.zeros((2, 1)), begins, shares) is not None
+    assert side_by_side(rate, np.full(2, 3.0), np.zeros((2, 1)), begins, shares) is None

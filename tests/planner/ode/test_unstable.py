@@ -8,8 +8,10 @@ import pytest
 
 from linkplan.planner.certificate.integration import GROWTH
 from linkplan.planner.ode.certificate import certify_ode
+from linkplan.planner.ode.integration import is_unstable
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import OdePlan
+from linkplan.planner.ode.trajectory import OdeTrajectory
 from tests.support.ode import FREE_EFFORT, solved
 from tests.support.tolerances_planner import ODE_CLOSED_FORM
 
@@ -48,6 +50,28 @@ def test_a_motion_that_no_integration_could_follow_is_planned_and_judged_anew_as
     assert 1 <= plan.certificate.integration_restarts <= POLE * LONG_S / np.log(GROWTH) + 1
     assert plan.certificate.integration_error <= plan.problem.tolerance
     assert "unstable" in plan.message
+
+
+@pytest.mark.parametrize("n_intervals", [20, 2000])
+@pytest.mark.parametrize(("coupling", "unstable"), [(5.0, True), (2.0, False)])
+def test_whether_a_motion_is_unstable_does_not_hang_on_its_mesh(n_intervals, coupling, unstable):
+    """x' = [[-3, c], [c, -3]] x grows by c - 3 in one direction; over a short time all of its entries fall."""
+    problem = OdeProblem(
+        name="coupled",
+        rate=lambda x, u, p, t: [-3 * x[0] + coupling * x[1] + u[0], coupling * x[0] - 3 * x[1]],  # noqa: ARG005
+        start=[0, 0],
+        goal=[0, 0],
+        effort_limit=FREE_EFFORT,
+        duration_s=LONG_S,
+        running_cost=lambda x, u, p, t: u[0] ** 2,  # noqa: ARG005
+    )
+    still = OdeTrajectory(
+        breaks_s=np.linspace(0.0, LONG_S, n_intervals + 1),
+        state=np.zeros((4, n_intervals, 2)),
+        effort=np.zeros((3, n_intervals, 1)),
+        n_x=2,
+    )
+    assert is_unstable(problem, still, np.ones(2)) == unstable
 
 
 def test_a_stable_motion_is_integrated_in_one_go():
