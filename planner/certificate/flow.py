@@ -118,7 +118,12 @@ def strides(
 
 
 def side_by_side(
-    rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, states: np.ndarray, shares: np.ndarray, until: float = np.inf
+    rate: ca.Function,
+    widths_s: np.ndarray,
+    inputs: np.ndarray,
+    states: np.ndarray,
+    shares: np.ndarray,
+    until: float = np.inf,
 ) -> np.ndarray | None:
     """Return the states (n_intervals, m, n) at shares of every interval, each from a state of its own; None where one fails.
 
@@ -139,7 +144,9 @@ def side_by_side(
         for at, to in itertools.pairwise(np.append(0.0, shares)):
             check()
             before = ends
-            ends, slopes, *errors = evaluated(one, ends, slopes, inputs.T, (to - at) * widths_s, np.full(n, at), np.full(n, to - at))
+            ends, slopes, *errors = evaluated(
+                one, ends, slopes, inputs.T, (to - at) * widths_s, np.full(n, at), np.full(n, to - at)
+            )
             good &= _short(before, ends, np.vstack(errors), 1) & np.all(np.isfinite(ends), axis=0)
             found.append(ends.T)
     reached = np.stack(found, axis=1)

@@ -27,7 +27,8 @@ from linkplan.planner.transcription.schemes import scheme
 # A bound tightened takes a little more than what was overrun.
 _MORE = 1.1
 # An unstable motion whose integrated state is nearer to it, as a share of its size, is seen by its mesh: boundary layers and
-# limits along which it goes have intervals of their own size. Before, high degrees follow another motion between the nodes.
+# limits along which it goes have intervals of their own size. Before, high degrees follow another motion between the nodes,
+# and the next mesh's answer is elsewhere; from there on it is next to this one's.
 _SEEN = 1.0
 
 

@@ -83,8 +83,8 @@ def _grows(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, mos
     with np.errstate(all="ignore"):  # what grows beyond all numbers grows too much
         for transition in scipy.linalg.expm(slopes * widths[:, None, None]):
             carried = transition @ carried
-            # The spectral norm: that of a product is at most the product's of norms, so that nothing is lost by forgetting an
-            # error that is less than one made now. Of the largest entries that is not so: they all fall at first on a fine mesh.
+            # The spectral norm: that of a product is at most the product of theirs, so that nothing is lost by forgetting an
+            # error that is less than one made now. Of the largest entries that is not so: on a fine mesh all fall at first.
             grown = np.linalg.norm(carried, 2) if np.all(np.isfinite(carried)) else np.inf
             if grown > most:
                 return True

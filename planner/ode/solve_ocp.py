@@ -66,8 +66,8 @@ _PATIENCE = 5.0
 class OdePlan:
     """A solution with its certificate, or none and the reason.
 
-    `status` is "optimal", "feasible" (certified, but less exact than was asked, or with an objective that still moves by more:
-    `message` says by how much), "infeasible" or "failed".
+    `status` is "optimal", "feasible" (certified, but less exact than was asked, or with an objective that still moves by
+    more: `message` says by how much), "infeasible" or "failed".
     """
 
     problem: OdeProblem

@@ -196,7 +196,7 @@ COPS_GLIDER = 2e-6
 # Half of the last of five and of six printed digits.
 FIVE_DIGITS = 5e-6
 SIX_DIGITS = 5e-7
-# The Alp rider, whose efforts cost next to nothing where it turns on a sphere: local optima lie 1e-6 apart. Measured 7e-7 below.
+# The Alp rider, which turns on a sphere for next to nothing: local optima lie 1e-6 apart, relative. Measured 7e-7 below.
 ALP_RIDER_PRINTED = 2e-6
 # The same as ODE_INTEGRATED where the effort chatters or bends between nodes.
 ODE_INTEGRATED_ROUGHLY = 1e-7
