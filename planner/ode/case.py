@@ -119,6 +119,7 @@ class OdeCase:
             overruns=bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -SLACK),
             overrun=over.reshape(len(certificate.growth)),
             touching=certificate.touching,
+            unstable=certificate.integration_restarts > 0,
             unseen=certificate.integration_restarts > 0 and certificate.integration_error > _SEEN,
             integration_error=certificate.integration_error,
         )

@@ -79,7 +79,8 @@ class Findings:
     `leaves_positions`: states leave their bounds between the nodes; `overruns`: so do they, or another limit is left there.
     `overrun` (n_intervals,): by what share of themselves limits are overrun between the nodes, at most, on each interval.
     `touching` (n_intervals,): whether a limit is touched on part of an interval only, None where that is not looked at.
-    `unseen`: the motion is unstable and the mesh too coarse to see what it does within intervals: no matter for the degree.
+    `unstable`: an error grows so much along the motion that it is judged interval by interval. `unseen`: so it does, and the
+    mesh is too coarse to see what the motion does within intervals: no matter for the degree.
     The integration error is noted in the history: [deg] of a mechanism, else as a share of the states' sizes.
     """
 
@@ -89,6 +90,7 @@ class Findings:
     overruns: bool
     overrun: np.ndarray
     touching: np.ndarray | None = None
+    unstable: bool = False
     unseen: bool = False
     integration_error_deg: float | None = None
     integration_error: float | None = None

@@ -46,9 +46,8 @@ _EVERYWHERE = 0.5
 _STANDS_OUT = 30.0
 # An unstable motion's degree is not raised beyond this one: the Alp rider (Betts 2010) took 9 s for 40 s of processor time.
 _UNSTABLE = 5
-# Fewer intervals than these are no arc along a limit, but the end of one inside an interval; nor is less than this share of
-# all, which is halved at less cost.
-_AN_ARC, _FEW = 3, 0.05
+# Fewer intervals in a row than these are no arc along a limit, but the end of one inside an interval.
+_AN_ARC = 3
 # Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
 _ROUGH = 0.01
 # So often switches are read again from a motion that passes.
@@ -180,13 +179,15 @@ def refine(
             uneven = _uneven(at) if fixed is None else _rough(motion)
         marked = marked | uneven
         seen = at.findings is None or not at.findings.unseen
+        unstable = warm and at.findings is not None and at.findings.unstable
+        close = unstable and seen  # by now each mesh's answer is next to the one before
         read = read if seen else turn  # rounds in which a mesh saw nothing were none on limits
         higher = _higher_on_arcs(kept, at, over) if seen else None
         if over.any() and loose:
             marked = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
         elif seen:
             higher = higher or _higher(kept, at.certificate, marked)
-        if warm and higher is not None and _degree(higher) > _UNSTABLE:
+        if unstable and higher is not None and _degree(higher) > _UNSTABLE:
             higher = None
         # Held throughout, limits overrun between the nodes by what the mesh errs by: tightened by that, the motion is late.
         held = fixed is not None and fixed.everything and fixed.paths.any()
@@ -221,14 +222,14 @@ def refine(
                     continue
             break
         finer = _finer(
-            kept, at.found, marked, what, history, say, warm=warm, close=warm and seen, again=passed is not None,
+            kept, at.found, marked, what, history, say, warm=warm, close=close, again=passed is not None,
             position_rows=position_rows,
         )  # fmt: skip
         if finer is None and position_rows and not begun:
             # What leaves its limit by the mesh's own error keeps it on a finer one.
             lost, position_rows, marked = True, False, np.ones(at.n_intervals, dtype=bool)
             finer = _finer(
-                kept, at.found, marked, "finer mesh", history, say, warm=warm, close=warm and seen, again=passed is not None,
+                kept, at.found, marked, "finer mesh", history, say, warm=warm, close=close, again=passed is not None,
                 position_rows=False,
             )  # fmt: skip
         if finer is None:
@@ -374,7 +375,7 @@ def _higher_on_arcs(case: Case[MotionT, CertificateT], at: _Judged[MotionT, Cert
     if case.aims.switches and (fixed is None or not np.all(fixed.paths[at.found.mesh.segment[over]].any(axis=1))):
         return None  # an arc that is not held may end inside an interval, which wants a switch time
     overrun = at.findings.overrun[over]
-    even = len(overrun) >= max(_AN_ARC, _FEW * at.n_intervals) and overrun.max() <= _STANDS_OUT * float(np.median(overrun))
+    even = len(overrun) >= _AN_ARC and overrun.max() <= _STANDS_OUT * float(np.median(overrun))
     return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 
 
