@@ -60,11 +60,16 @@ def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
         effort = np.where(largest > 0, np.minimum(largest, need), need)
     effort = np.where(effort > 0, effort, 1.0)
     residual = np.abs(maps).max(axis=0) @ effort
+    residual = np.where(residual > 0, residual, effort.max())
+    # On a spin actuators have no leverage but rounding's, which is no unit: what its own motion takes is.
+    spins, rates, none = np.isin(mechanism.independent, mechanism.passive_dofs), position / guess.duration_s, 0.0 * position
+    moved, still = (mechanism.dynamics.inverse_dynamics(poses[0], v, none) for v in (rates, none))
+    own = np.abs(inertia) @ rates / guess.duration_s + np.abs(np.array(moved - still)).ravel()
     return Scales(
         time_s=guess.duration_s,
         position=position,
         effort=effort,
-        residual=np.where(residual > 0, residual, effort.max()),
+        residual=np.where(spins, own, residual),
         length_m=extent,
     )
 

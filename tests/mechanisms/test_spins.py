@@ -10,11 +10,13 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.compare.compare import rollout_record, track
-from tests.support.spins import BUSH, FIXED_BUSH, ON_A_BALL, ROUND, SPINS, TWO_BALLS
+from tests.support.spins import BUSH, FIXED_BUSH, ON_A_BALL, ROUND, SPINS, TWO_BALLS, WISHBONE, WISHBONE_WITHOUT
 
 # Least effort with a bush left alone and with one fixed to the coupler, relative: what its drag and its moment of inertia
 # take. Measured 7e-4; held at both ends it takes 15 times as much.
 ALONE = 2e-3
+# Least effort of a steered wheel, its tie rod on balls and on a universal joint, relative: the moment of inertia of its spin.
+STEERED = 1e-4
 # A joint that a plan puts at zero [rad].
 PUT = 1e-9
 # A crank in MuJoCo under LQR, and a spin that nobody steers, through soft loops [deg]. Measured 0.002 and 0.0007 (bush).
@@ -103,3 +105,13 @@ def test_a_spatial_four_bar_turns_for_ever_and_its_rod_spins_on():
     assert abs(turns - round(turns)) > 1e-3, "its angle need not"
     rollout = track(plan, "lqr")
     assert np.degrees(np.abs(rollout.error[:, 0]).max()) < TRACKED_DEG
+
+
+@pytest.mark.slow
+def test_a_tie_rod_on_balls_steers_for_what_one_on_a_universal_joint_takes():
+    """Where actuators have no leverage on a spin but rounding's, that is no unit of its equation."""
+    motion = {"kind": "reach", "duration_s": 0.4, "start_m": {"rack": 0.0}, "goal_m": {"rack": 0.05}}
+    motion |= {"start_deg": {"upper": 0.0}, "goal_deg": {"upper": 8.0}}
+    with_balls, with_none = (planned(model, motion, mesh={"tolerance_deg": 1e-4}) for model in (WISHBONE, WISHBONE_WITHOUT))
+    assert len(with_balls.problem.mechanism.passive_dofs) == 1
+    assert abs(with_balls.objective / with_none.objective - 1) < STEERED
