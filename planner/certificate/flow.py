@@ -2,7 +2,8 @@
 
 By Dormand and Prince's method of order eight (Hairer, Norsett & Wanner, Solving ODEs I, section II.10): `strides` takes even
 steps, many intervals in one call of a CasADi function, and judges their errors afterwards by the method's own estimate;
-`flow` is scipy's, with adaptive steps, for intervals where even ones are too long.
+`flow` is scipy's, with adaptive steps, for intervals where even ones are too long. `stiff_flow` is for intervals on which it
+needs too many: the implicit method Radau IIA of order five (ibid. II, section IV.8), whose steps damping does not bound.
 """
 
 import functools
@@ -22,6 +23,8 @@ RTOL, _ATOL = 1e-12, 1e-13
 # The most evaluations of the dynamics on one interval, sixteen hundred steps; where a motion is one, some ten do. At a fold
 # where the reduced dynamics end, steps become ever smaller.
 _EVALUATIONS = 20_000
+# The same for the implicit method: a rod on a ball joint whose drag stops its spin in a microsecond takes some 350.
+_STIFF_EVALUATIONS = 4_000
 
 # Steps an interval, half of them to its middle: adaptive ones are one or two on the knee's meshes.
 _STEPS = 2
@@ -41,14 +44,35 @@ def flow(rate: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, unti
 
     `until` is on the monotonic clock [s]: what is not done by then has failed.
     """
+    return _flown(_counted(rate, until, _EVALUATIONS), width_s, state, shares, method="DOP853")
+
+
+def stiff_flow(
+    rate: Rate,
+    jacobian: Callable[[float, np.ndarray], np.ndarray],
+    width_s: float,
+    state: np.ndarray,
+    shares: np.ndarray,
+    until: float = np.inf,
+) -> np.ndarray | None:
+    """Return what `flow` does, by an implicit method, with the derivative (n, n) of the rate by the state."""
+    counted = _counted(rate, until, _STIFF_EVALUATIONS)
+    try:
+        return _flown(counted, width_s, state, shares, method="Radau", jac=jacobian)
+    except (ValueError, np.linalg.LinAlgError):  # numbers that are not finite, where an infeasible motion diverges
+        return None
+
+
+def _flown(counted: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, *, method, jac=None) -> np.ndarray | None:
     import scipy
 
     atol = _ATOL * np.maximum(1.0, np.abs(state))
+    own = {} if jac is None else {"jac": jac}
     # An infeasible motion may diverge: the outcome shows it, and needs no warnings.
     with np.errstate(all="ignore"):
         try:
             result = scipy.integrate.solve_ivp(
-                _counted(rate, until), (0.0, width_s), state, method="DOP853", rtol=RTOL, atol=atol, t_eval=shares * width_s
+                counted, (0.0, width_s), state, method=method, rtol=RTOL, atol=atol, t_eval=shares * width_s, **own
             )
         except _CrawlsError:
             return None
@@ -76,13 +100,13 @@ def flows(
         state = reached[-1]
 
 
-def _counted(rate: Rate, until: float) -> Rate:
+def _counted(rate: Rate, until: float, evaluations: int) -> Rate:
     """Return a right-hand side that may be called so often, and so long, and no more."""
     calls = itertools.count()
 
     def counted(t: float, y: np.ndarray) -> np.ndarray:
         check()
-        if next(calls) > _EVALUATIONS or time.monotonic() > until:
+        if next(calls) > evaluations or time.monotonic() > until:
             raise _CrawlsError
         return rate(t, y)
 

@@ -8,6 +8,7 @@ model, not whether somebody could follow it blindly; how often it was restarted 
 """
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
@@ -16,7 +17,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.flow import called, flow, strides
+from linkplan.planner.certificate.flow import called, flow, stiff_flow, strides
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
 
@@ -135,11 +136,16 @@ def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, unt
     """Return the states (m + 1, 2, n): the start twice, then the middle and end of every interval up to one that fails."""
     widths, inputs = np.diff(trajectory.breaks_s), _inputs(trajectory)
     rate = _rate(mechanism, *trajectory.effort[:, 0].shape)
-    reached = np.array([[state, state]])
+    reached, halves, stiff = np.array([[state, state]]), np.array([0.5, 1.0]), False
     while (k := len(reached) - 1) < len(widths):
-        reached = np.concatenate([reached, strides(rate, widths[k:], inputs[k:], reached[-1, 1], until)])
+        if not stiff:
+            reached = np.concatenate([reached, strides(rate, widths[k:], inputs[k:], reached[-1, 1], until)])
         if (k := len(reached) - 1) < len(widths):
-            half = flow(called(rate, inputs[k], widths[k]), widths[k], reached[-1, 1], np.array([0.5, 1.0]), until)
+            rates, begin = called(rate, inputs[k], widths[k]), reached[-1, 1]
+            half = None if stiff else flow(rates, widths[k], begin, halves, until)
+            if half is None:  # and so are the intervals after one that is stiff
+                half = stiff_flow(rates, _slope_on(rate, inputs[k], widths[k]), widths[k], begin, halves, until)
+                stiff = half is not None
             if half is None:
                 break
             reached = np.concatenate([reached, half[None]])
@@ -159,3 +165,15 @@ def _rate(mechanism: Mechanism, n_coefficients: int, n_u: int) -> ca.Function:
     effort = bernstein_value(ca.reshape(flat, n_coefficients, n_u), tau).T
     rates = mechanism.dynamics.flow(x[: mechanism.n_q], x[mechanism.n_q :], effort)
     return ca.Function("rate", [x, flat, tau], [ca.vertcat(*rates)], {"cse": True})
+
+
+def _slope_on(function: ca.Function, inputs: np.ndarray, width: float) -> Callable[[float, np.ndarray], np.ndarray]:
+    """Return the derivative (n, n) of a right-hand side by the state on an interval, for numpy."""
+    slope = _slope(function)
+    return lambda t, y: np.array(slope(y, inputs, t / width))
+
+
+@functools.lru_cache(maxsize=16)
+def _slope(function: ca.Function) -> ca.Function:
+    x, flat, tau = (ca.SX.sym(name, function.size1_in(i)) for i, name in enumerate(("x", "u", "tau")))
+    return ca.Function("slope", [x, flat, tau], [ca.jacobian(function(x, flat, tau), x)], {"cse": True})
