@@ -20,11 +20,9 @@ from linkplan.planner.certificate.dormand_prince import E3, E5, A, B, C
 
 # The integration's own error: two digits below the 1e-10 that certificates speak of.
 RTOL, _ATOL = 1e-12, 1e-13
-# The most evaluations of the dynamics on one interval, sixteen hundred steps; where a motion is one, some ten do. At a fold
-# where the reduced dynamics end, steps become ever smaller.
+# The most evaluations of the dynamics on one interval, sixteen hundred steps (of the implicit method three thousand); where
+# a motion is one, some ten do. At a fold where the reduced dynamics end, steps become ever smaller.
 _EVALUATIONS = 20_000
-# The same for the implicit method: a rod on a ball joint whose drag stops its spin in a microsecond takes some 350.
-_STIFF_EVALUATIONS = 4_000
 
 # Steps an interval, half of them to its middle: adaptive ones are one or two on the knee's meshes.
 _STEPS = 2
@@ -44,7 +42,7 @@ def flow(rate: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, unti
 
     `until` is on the monotonic clock [s]: what is not done by then has failed.
     """
-    return _flown(_counted(rate, until, _EVALUATIONS), width_s, state, shares, method="DOP853")
+    return _flown(_counted(rate, until), width_s, state, shares, method="DOP853")
 
 
 def stiff_flow(
@@ -56,7 +54,7 @@ def stiff_flow(
     until: float = np.inf,
 ) -> np.ndarray | None:
     """Return what `flow` does, by an implicit method, with the derivative (n, n) of the rate by the state."""
-    counted = _counted(rate, until, _STIFF_EVALUATIONS)
+    counted = _counted(rate, until)
     try:
         return _flown(counted, width_s, state, shares, method="Radau", jac=jacobian)
     except (ValueError, np.linalg.LinAlgError):  # numbers that are not finite, where an infeasible motion diverges
@@ -100,13 +98,13 @@ def flows(
         state = reached[-1]
 
 
-def _counted(rate: Rate, until: float, evaluations: int) -> Rate:
+def _counted(rate: Rate, until: float) -> Rate:
     """Return a right-hand side that may be called so often, and so long, and no more."""
     calls = itertools.count()
 
     def counted(t: float, y: np.ndarray) -> np.ndarray:
         check()
-        if next(calls) > evaluations or time.monotonic() > until:
+        if next(calls) > _EVALUATIONS or time.monotonic() > until:
             raise _CrawlsError
         return rate(t, y)
 
