@@ -1,23 +1,31 @@
 """From a first solution to a certified one: switch times as unknowns, finer meshes, higher degrees until it passes."""
 
-import re
 from dataclasses import dataclass, replace
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic
 
 import numpy as np
 
 from linkplan.models.interrupts import check
-from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement.case import Aims, Case, CertificateT, Findings, Found, MotionT, attempt
+from linkplan.planner.refinement.case import Aims, Case, CertificateT, Found, MotionT, attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, standing_off
 from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.refinement.judged import JudgedT, error_of, judged
+from linkplan.planner.refinement.marking import (
+    degree_of,
+    grown,
+    higher_for,
+    higher_on_arcs,
+    marked_for,
+    overrunning,
+    rough_of,
+    uneven_of,
+    widths_of,
+)
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits, limits_bind
 from linkplan.planner.refinement.switch_search import at_bounds, is_bang_bang, settle_switch_times
-from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.solvers.solve import Solution
-from linkplan.planner.transcription.mesh import Mesh, halved
-from linkplan.planner.transcription.schemes import MAX_DEGREE
+from linkplan.planner.transcription.mesh import halved
 
 # Rounds of refinement after the first solve.
 _ROUNDS = 12
@@ -32,24 +40,10 @@ _MERGED, _MERGED_ALL = 4, 8
 _AGAIN = 2
 # A mesh that has grown by this factor without passing will not pass by growing on.
 _MOST = 120
-# Where no tolerance is asked for, the target is followed as far as a mesh of so many intervals carries it; how far below the
-# worst interval's error another may be to be halved with it.
+# Where no tolerance is asked for, the target is followed as far as a mesh of so many intervals carries it.
 _COMFORTABLE = 100
-_WORST = 0.01
-_MARK = 0.5
-# A limit overrun between the nodes by more than this share of itself is a matter for the mesh; for less the limit is
-# tightened, which costs the objective about as much.
-_FINE = 1e-7
-# The degree is raised where at least this share of the intervals asks for more, and none stands out by more than this
-# factor: the motion is smooth there, and nodes are worth more than intervals.
-_EVERYWHERE = 0.5
-_STANDS_OUT = 30.0
 # An unstable motion's degree is not raised beyond this one: the Alp rider (Betts 2010) took 9 s for 40 s of processor time.
 _UNSTABLE = 5
-# Fewer intervals in a row than these are no arc along a limit, but the end of one inside an interval.
-_AN_ARC = 3
-# Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
-_ROUGH = 0.01
 # So often switches are read again from a motion that passes.
 _POLISHED = 3
 # Touched limits are refined until the objective changes by no more than this, relative.
@@ -81,30 +75,6 @@ class Refined(Generic[MotionT, CertificateT]):
         return arcs_against_their_limits(self.solution)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class _Judged(Generic[MotionT, CertificateT]):
-    """What was found, its certificate, and what that says; None where it has none."""
-
-    found: Found[MotionT]
-    certificate: CertificateT | None
-    findings: Findings | None
-
-    @property
-    def passed(self) -> bool:
-        return self.certificate is not None and self.certificate.passed
-
-    @property
-    def overruns(self) -> bool:
-        return self.findings is not None and self.findings.overruns
-
-    @property
-    def n_intervals(self) -> int:
-        return self.found.mesh.n_intervals
-
-
-JudgedT = TypeVar("JudgedT", bound=_Judged)
-
-
 def refine(
     case: Case[MotionT, CertificateT], found: Found[MotionT], history: list[Step], say: Say, *, warm: bool = False
 ) -> Refined[MotionT, CertificateT] | None:
@@ -120,7 +90,7 @@ def refine(
         found = replace(found, fixed=None)
     if aims.switches and found.fixed is None:
         found = settle_switch_times(case, found, history, say)
-    at = _judged(case, found, history)
+    at = judged(case, found, history)
     passed, before = None, np.inf  # the last that passed, to go back to where a finer one does not; the objective before
     best, moved = None, 0.0  # the best of all that passed, and by what share the last two differ
     settled, again, polished, read = True, 0, 0, 0  # and the round in which switches were last read
@@ -155,13 +125,13 @@ def refine(
                 better = settle_switch_times(kept, at.found, history, say, position_rows=position_rows)
                 if better.solution is solution:
                     break
-                at = _judged(case, better, history)
+                at = judged(case, better, history)
                 continue
             if solution.status == SUCCEEDED or tolerance is None:
                 before = solution.objective
         begun = position_rows
         position_rows = not lost and (position_rows or at.findings is None or at.findings.leaves_positions)
-        marked, over = _marked(at, aims.strictness) | off, _overrunning(at)
+        marked, over = marked_for(at, aims.strictness) | off, overrunning(at)
         overruns = np.inf if at.findings is None else at.findings.overrun.max(initial=0.0)
         overran, closes_in = overruns, at.overruns and overruns <= _LEAVES * overran
         loose = aims.switches and not (fixed is not None and fixed.everything)
@@ -171,27 +141,27 @@ def refine(
             if better.solution is not solution:
                 # Held throughout, a motion has next to nothing to gain between the nodes: a finer mesh is worth its rounds.
                 read = turn if better.fixed is not None and better.fixed.everything else read
-                at = _judged(case, better, history)
+                at = judged(case, better, history)
                 continue
         uneven = np.zeros(at.n_intervals, dtype=bool)
         if not settled and at.passed and (fixed is None or not (marked | over).any()):
             # With arcs held between switch times, limits begin and cease to bind there and not inside intervals.
-            uneven = _uneven(at) if fixed is None else _rough(motion)
+            uneven = uneven_of(at) if fixed is None else rough_of(motion)
         marked = marked | uneven
         seen = at.findings is None or not at.findings.unseen
         unstable = warm and at.findings is not None and at.findings.unstable
         close = unstable and seen  # by now each mesh's answer is next to the one before
         read = read if seen else turn  # rounds in which a mesh saw nothing were none on limits
-        higher = _higher_on_arcs(kept, at, over) if seen else None
+        higher = higher_on_arcs(kept, at, over) if seen else None
         if over.any() and loose:
             marked = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
         elif seen:
-            higher = higher or _higher(kept, at.certificate, marked)
-        if unstable and higher is not None and _degree(higher) > _UNSTABLE:
+            higher = higher or higher_for(kept, at.certificate, marked)
+        if unstable and higher is not None and degree_of(higher) > _UNSTABLE:
             higher = None
         # Held throughout, limits overrun between the nodes by what the mesh errs by: tightened by that, the motion is late.
         held = fixed is not None and fixed.everything and fixed.paths.any()
-        if _grown(at.found.mesh, marked | over) <= (finest if held else comfortable):
+        if grown(at.found.mesh, marked | over) <= (finest if held else comfortable):
             marked = marked | over
         what = "finer mesh"
         if position_rows and not begun and at.certificate is not None:
@@ -206,7 +176,7 @@ def refine(
         elif turn - read >= (_MERGED_ALL if over.any() else _MERGED) and at.overruns:
             kept, what = kept.tightened(at.certificate, motion), "finer mesh, constraints tightened between the nodes"
         tells = not np.any(uneven & ~marked)
-        n_finer = _grown(at.found.mesh, marked)
+        n_finer = grown(at.found.mesh, marked)
         if turn >= _ROUNDS and not (closes_in or (aims.tolerance_given and leaves)):
             break
         # What errs on each finer mesh by as much as before is another motion on each.
@@ -218,7 +188,7 @@ def refine(
                 polished += 1
                 better = settle_switch_times(kept, at.found, history, say, position_rows=position_rows)
                 if better.solution is not solution:
-                    at = _judged(case, better, history)
+                    at = judged(case, better, history)
                     continue
             break
         finer = _finer(
@@ -236,10 +206,10 @@ def refine(
             break
         if position_rows and not begun and aims.switches:
             finer = settle_switch_times(kept, replace(finer, fixed=None), history, say, position_rows=True)
-        at = _judged(case, finer, history)
+        at = judged(case, finer, history)
         now = max(at.findings.integration_error or 0.0, abs(at.found.solution.objective - before)) if at.findings else np.inf
         left, leaves = now, now <= _LEAVES * left
-        errs = _error(at)
+        errs = error_of(at)
         erred, falls = errs, errs <= _LEAVES * erred
     if not (at.passed and settled and aims.objective_tolerance is not None):
         at = better_of(best, at, aims) if at.passed else best or at
@@ -269,7 +239,7 @@ def _finer(
     looked for right at the coarser one's, and from afar too where that gives another.
     """
     mesh, start, bang_bang = halved(coarse.mesh, marked), case.start_from(coarse.motion), case.aims.bang_bang
-    durations = np.bincount(mesh.segment, weights=_widths(coarse.motion, marked))
+    durations = np.bincount(mesh.segment, weights=widths_of(coarse.motion, marked))
 
     def tried(word: str, fixed: FixedArcs | None, **how: bool) -> Found[MotionT] | None:
         return attempt(
@@ -296,102 +266,3 @@ def _finer(
 def _alike(finer: Found[Any], coarse: Found[Any]) -> bool:
     """Return whether objectives on two meshes are those of the same motion."""
     return abs(finer.solution.objective - coarse.solution.objective) <= _SAME * abs(coarse.solution.objective)
-
-
-def _judged(case: Case[MotionT, CertificateT], found: Found[MotionT], history: list[Step]) -> _Judged[MotionT, CertificateT]:
-    """Return what was found with its certificate, whose error is noted in the history."""
-    certificate = case.certify(found.motion)
-    findings = None if certificate is None else case.findings(certificate)
-    if findings is not None:
-        history[-1] = replace(
-            history[-1],
-            integration_error_deg=findings.integration_error_deg,
-            integration_error=findings.integration_error,
-        )
-    return _Judged(found=found, certificate=certificate, findings=findings)
-
-
-def _error(at: _Judged[Any, Any]) -> float:
-    """Return the integration error in its client's unit; infinite without a certificate."""
-    return np.inf if at.findings is None else at.findings.integration_error_deg or at.findings.integration_error or 0.0
-
-
-def _marked(at: _Judged[Any, Any], strictness: float) -> np.ndarray:
-    """Return which intervals (n,) to halve: those with more than their share of an error that is too large."""
-    certificate, n = at.certificate, at.n_intervals
-    if certificate is None or not np.all(np.isfinite(certificate.growth)):
-        return np.ones(n, dtype=bool)
-    growth = certificate.growth * strictness
-    marked = np.zeros(n, dtype=bool)
-    if certificate.residual_share.max() > 1.0:
-        marked |= certificate.residual_share > _MARK
-    if growth.sum() > 1.0:
-        marked |= growth > _MARK * max(1.0, _WORST * growth.max() * n) / n
-    return marked
-
-
-def _overrunning(at: _Judged[Any, Any]) -> np.ndarray:
-    """Return on which intervals (n,) a limit is overrun between the nodes by more than should be tightened."""
-    if at.findings is None:
-        return np.zeros(at.n_intervals, dtype=bool)
-    overrun = at.findings.overrun
-    return overrun > max(_FINE, _WORST * overrun.max(initial=0.0))
-
-
-def _grown(mesh: Mesh, marked: np.ndarray) -> int:
-    return mesh.n_intervals + int(marked.sum())
-
-
-def _uneven(at: _Judged[Any, Any]) -> np.ndarray:
-    """Return the intervals (n,) that the objective hangs on: next to kinks, and where limits begin or cease to bind."""
-    rough = _rough(at.found.motion)
-    touching = None if at.findings is None else at.findings.touching
-    return rough if touching is None else rough | touching
-
-
-def _rough(motion: Motion) -> np.ndarray:
-    """Return the intervals (n,) on which the efforts' polynomials bend most in their highest degree: next to kinks."""
-    widths, degree = np.diff(motion.breaks_s), motion.effort.shape[0] - 1
-    bend = np.abs(np.diff(motion.effort, n=degree, axis=0)[0]) if degree else np.abs(motion.effort[0])
-    size = np.maximum(np.abs(motion.effort).max(axis=(0, 1)), np.finfo(float).tiny)
-    rough = widths * (bend / size).max(axis=1)
-    return rough >= _ROUGH * rough.max()
-
-
-def _higher(case: Case[Any, CertificateT], certificate: CertificateT | None, marked: np.ndarray) -> str | None:
-    """Return the transcription of higher degree that is worth more than a finer mesh, or None."""
-    if certificate is None or not marked.any():
-        return None
-    growth = certificate.growth[marked]
-    even = marked.mean() >= _EVERYWHERE and growth.max() <= _STANDS_OUT * max(float(np.median(growth)), 1e-300)
-    return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
-
-
-def _higher_on_arcs(case: Case[MotionT, CertificateT], at: _Judged[MotionT, CertificateT], over: np.ndarray) -> str | None:
-    """Return the transcription of higher degree where motions along limits overrun them evenly: the arcs are smooth."""
-    if at.findings is None or not over.any():
-        return None
-    fixed = at.found.fixed
-    if case.aims.switches and (fixed is None or not np.all(fixed.paths[at.found.mesh.segment[over]].any(axis=1))):
-        return None  # an arc that is not held may end inside an interval, which wants a switch time
-    overrun = at.findings.overrun[over]
-    even = len(overrun) >= _AN_ARC and overrun.max() <= _STANDS_OUT * float(np.median(overrun))
-    return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
-
-
-def raised(mesh: MeshSettings) -> str | None:
-    """Return the transcription two degrees up from that of a mesh; None where there is none, or none is wanted."""
-    family = re.fullmatch(r"(radau|gauss)-(\d)", mesh.scheme)
-    if family is None or mesh.refine == "intervals" or int(family[2]) == MAX_DEGREE:
-        return None
-    return f"{family[1]}-{min(int(family[2]) + 2, MAX_DEGREE)}"
-
-
-def _degree(scheme_name: str) -> int:
-    return int(scheme_name.rpartition("-")[2])
-
-
-def _widths(motion: Motion, marked: np.ndarray) -> np.ndarray:
-    widths = np.diff(motion.breaks_s)
-    pieces = np.where(marked, 2, 1)
-    return np.repeat(widths / pieces, pieces)

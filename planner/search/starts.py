@@ -8,7 +8,7 @@ import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses, users_guess
 from linkplan.planner.plan import Plan
-from linkplan.planner.refinement.refine import raised
+from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
 from linkplan.planner.search.detours import detour_may_pay
 from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
