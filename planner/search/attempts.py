@@ -24,6 +24,9 @@ from linkplan.planner.trajectory import Trajectory
 
 # An answer whose objective a finer mesh changes by more than this share is said to move.
 MOVES = 1e-4
+# Efforts constant over intervals whose objective is above that of others, which keep no limit between the nodes, by no more
+# than this share are near enough to the best.
+_CONSTANT = 1e-3
 # Efforts that differ by no more than this share of the largest are the same.
 _JUST_THESE = 1e-6
 
@@ -138,6 +141,11 @@ def without_solving(
     return finished(problem, motion, certificate, objective, history, best if optimal else said, optimal=optimal)
 
 
+def only_feasible(plan: Plan, why: str) -> Plan:
+    """Return a plan that passes as one that is not known to be the best, and the words on why."""
+    return replace(plan, status="feasible", message=(plan.message.partition("-optimal ")[2] or plan.message) + why)
+
+
 def unsound(plan: Plan) -> bool:
     """Return whether a motion's certificate does not pass, for reasons that another way of solving may mend."""
     return plan.certificate is not None and plan.certificate.mendable
@@ -175,4 +183,11 @@ def with_constant_efforts(search: Search, problem: PlanningProblem, found: Found
     what = "efforts constant over intervals"
     again = solve_from(plain, motion_of(found.motion), mesh, durations, what, search.history, search.say)
     plan = None if again is None else certified(plain, again, search.history, search.say)
-    return plan if plan is not None and plan.passed else None
+    if plan is None or not plan.passed:
+        return None
+    freely = found.solution.objective
+    cost = (plan.objective - freely) / max(abs(freely), np.finfo(float).tiny)
+    if cost <= _CONSTANT:
+        return plan
+    why = f"; efforts constant over intervals may cost {cost:.1%} of the objective: a better motion is not excluded"
+    return only_feasible(plan, why)

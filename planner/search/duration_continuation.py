@@ -17,7 +17,7 @@ from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.switch_search import at_bounds
-from linkplan.planner.search.attempts import certified
+from linkplan.planner.search.attempts import certified, only_feasible
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.durations import longest
 from linkplan.planner.search.first_mesh import PER_SWING, graded_mesh
@@ -81,8 +81,8 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
     if plan is None or not plan.passed:
         return None
     if at.lost:
-        said = f"; the best within {at.longest_s:.5g} s: longer motions were lost on the way, better ones may exist"
-        return replace(plan, status="feasible", message=plan.message + said)
+        why = f"; the best within {at.longest_s:.5g} s: longer motions were lost on the way, better ones may exist"
+        return only_feasible(plan, why)
     if at.enough:
         said = f"; its last {DURATION_FACTOR - 1:.0%} of duration saved less than {SAVED:.1%}, longer motions were not tried"
         return replace(plan, message=plan.message + said)

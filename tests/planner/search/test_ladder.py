@@ -12,12 +12,14 @@ from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.search import ladder
+from linkplan.planner.search.attempts import with_constant_efforts
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import Budget, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.starts import from_a_smooth_path
 from linkplan.planner.solvers.outcome import OUT_OF_TIME
+from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
 # Less torque than any reach of the knee with the shank in this time needs.
 TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
@@ -193,3 +195,16 @@ def test_a_continuation_ends_where_it_has_gone_far_enough():
     assert path.arrived
     assert path.stages == (1.0, 2.0, 4.0)
     assert all(whole for *_, whole in enough)
+
+
+@pytest.mark.parametrize(("intervals", "status"), [(5, "feasible"), (40, "optimal")])
+def test_efforts_constant_over_intervals_are_the_best_only_where_they_cost_next_to_nothing(intervals, status):
+    """A pure inertia's least effort is a line: N constant pieces of it cost 1 / (N^2 - 1) more."""
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n", f"mesh.intervals={intervals}")
+    search = search_for(problem)
+    mesh, durations = first_mesh(problem, search.smooth)
+    found = attempt(case_of(problem), search.smooth, mesh, durations, "first", [], lambda _: None)
+    plan = with_constant_efforts(search, problem, found)
+    assert (plan.status, plan.certificate.passed) == (status, True)
+    assert ("may cost 4.2%" in plan.message) == (status == "feasible")
+    assert ("optimal" in plan.message) == (status == "optimal")
