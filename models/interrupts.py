@@ -37,7 +37,8 @@ def asked() -> int | None:
 
 def ended_by() -> int | None:
     """Return the number of the signal that came while it was last listened to, or None."""
-    return _State.last
+    # An interrupt raised just where listening ends leaves it where it was.
+    return _State.asked if _State.last is None else _State.last
 
 
 def check() -> None:

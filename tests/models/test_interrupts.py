@@ -7,6 +7,7 @@ from collections.abc import Callable
 import casadi as ca
 import pytest
 
+from linkplan.models import interrupts
 from linkplan.models.interrupts import asked, check, ended_by, listening, shielded
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
@@ -125,3 +126,9 @@ def test_in_a_program_of_the_users_their_handler_is_called_when_the_solver_has_s
         signal.signal(signal.SIGINT, before)
     assert heard == [signal.SIGINT]
     assert len(reads) == 3
+
+
+def test_a_signal_that_is_raised_just_where_listening_ends_is_still_named(monkeypatch):
+    monkeypatch.setattr(interrupts._State, "last", None)
+    monkeypatch.setattr(interrupts._State, "asked", signal.SIGTERM)
+    assert ended_by() == signal.SIGTERM
