@@ -23,8 +23,9 @@ from linkplan.planner.transcription.mesh import Mesh
 
 # What the integrated state is refined towards where no tolerance is asked for [deg].
 _TARGET_DEG = 1e-6
-# What the objective is to change by from mesh to mesh at the most where that is looked at, relative.
-_OBJECTIVE = 1e-7
+# What the objective is to change by from mesh to mesh at the most where that is looked at, relative; with limits on power of
+# several freedoms, where jumps stay inside intervals.
+_OBJECTIVE, _JUMPS_INSIDE = 1e-7, 1e-6
 # Speed limits are tightened where they were overrun so many times, then everywhere: what is left moves about, and is little.
 _LOCAL = 1
 
@@ -39,14 +40,15 @@ class MechanismCase:
     n_tightenings: int = 0
     kinks: bool = True  # whether to look for kinks of efforts that do not jump
     smoothing: float = SMOOTHING  # as of `formulate`
+    power_rows: bool = False  # whether limits on power are kept at every instant
     aims: Aims = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "aims", _aims(self.asked, kinks=self.kinks))
+        object.__setattr__(self, "aims", _aims(self.asked, kinks=self.kinks, power_rows=self.power_rows))
 
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""
-        kept = {"tightenings": self.tightenings, "smoothing": self.smoothing}
+        kept = {"tightenings": self.tightenings, "smoothing": self.smoothing, "power_rows": self.power_rows}
         return transcribe(self.problem, start, mesh, durations, **kept, **options)
 
     def motion(self, solution: Solution) -> Trajectory | None:
@@ -93,9 +95,20 @@ class MechanismCase:
         return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
 
 
-def case_of(problem: PlanningProblem, *, kinks: bool = True) -> MechanismCase:
-    """Return the case of a problem; `kinks` says whether kinks of efforts that do not jump are looked for."""
-    return MechanismCase(problem, problem, kinks=kinks)
+def case_of(problem: PlanningProblem, *, kinks: bool = True, power_rows: bool | None = None) -> MechanismCase:
+    """Return the case of a problem; `kinks` says whether kinks of efforts that do not jump are looked for.
+
+    `power_rows` are as of `formulate`: by default where several freedoms' powers are limited. Of one freedom the phase plane
+    knows which limit follows on which, and their arcs are held.
+    """
+    if power_rows is None:
+        power_rows = problem.mechanism.dof > 1 and may_keep_powers(problem)
+    return MechanismCase(problem, problem, kinks=kinks, power_rows=power_rows)
+
+
+def may_keep_powers(problem: PlanningProblem) -> bool:
+    """Return whether limits on power can be kept at every instant by rows that need not be known beforehand."""
+    return problem.mesh.effort == "polynomial" and bool(np.any(np.isfinite(problem.limits.power)))
 
 
 def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
@@ -107,19 +120,21 @@ def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
     return FixedArcs(efforts=guess.bang_efforts, paths=paths)
 
 
-def _aims(problem: PlanningProblem, *, kinks: bool) -> Aims:
+def _aims(problem: PlanningProblem, *, kinks: bool, power_rows: bool) -> Aims:
     """Return what the best motion of a problem looks like, and how exact it is to be.
 
     Efforts jump between limits, none and arcs where time or work count; where their squares do, they bend where they reach a
     limit and have no jumps; where time alone counts they are at their limits wherever no other limit binds. The objective's
-    change is looked at where limits on coefficients cost what a motion does not show.
+    change is looked at where limits on coefficients cost what a motion does not show. With limits on power kept at every
+    instant switches are not looked for: jumps may stand inside intervals.
     """
     objective = problem.objective
     continuous_efforts = objective.has("effort", "copper_loss")
     bending = kinks and continuous_efforts and not objective.has("tracking")
-    switches = (objective.has("time", "work") or bending) and not objective.has("effort_rate")
+    switches = not power_rows and (objective.has("time", "work") or bending) and not objective.has("effort_rate")
     lines = any(motor is not None and motor.has_line for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
+    tolerance = _OBJECTIVE if switches and (lines or bent) else None
     return Aims(
         effort_limit=problem.limits.effort,
         switches=switches,
@@ -127,8 +142,9 @@ def _aims(problem: PlanningProblem, *, kinks: bool) -> Aims:
         continuous_efforts=continuous_efforts,
         strictness=_strictness(problem),
         tolerance_given=problem.mesh.tolerance_deg is not None,
-        objective_tolerance=_OBJECTIVE if switches and (lines or bent) else None,
+        objective_tolerance=_JUMPS_INSIDE if power_rows else tolerance,
         kinks_at_limits=True,
+        enclosed=power_rows,
         layers=any(rubbing_of(problem.mechanism.model)),  # where dry friction turns over
     )
 

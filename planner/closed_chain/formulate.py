@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from linkplan.models.mechanism import Mechanism
 from linkplan.planner.closed_chain.mechanics import (
     RUNNING,
     WITH_EFFORT,
@@ -10,8 +9,10 @@ from linkplan.planner.closed_chain.mechanics import (
     Scales,
     control_unit,
     mechanism_system,
+    n_algebraic,
     node_numbers,
 )
+from linkplan.planner.closed_chain.power_rows import own_column, power_rows_of
 from linkplan.planner.closed_chain.site_rows import coordinate_key, coordinate_row, site_bounds, site_endpoint
 from linkplan.planner.problem.objective import QUADRATIC, Objective
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -30,6 +31,7 @@ def formulate(
     scales: Scales,
     *,
     position_rows: bool = False,
+    power_rows: bool = False,
     least_limit: bool = False,
     tightenings: tuple[Tightening, ...] = (),
     smoothing: float = SMOOTHING,
@@ -40,6 +42,7 @@ def formulate(
         problem: what to plan.
         scales: units of its unknowns.
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
+        power_rows: whether limits on power are kept between the nodes by constraint rows.
         least_limit: leave the objective out: only a motion is sought.
         tightenings: how far limits are tightened over the motion, where it overran them between nodes.
         smoothing: the weight of the squared effort rate where nothing else makes the effort smooth, in scaled units.
@@ -48,6 +51,7 @@ def formulate(
     n_s, n_u = mechanism.dof, mechanism.n_u
     speed_columns, speed_joints = _speed_limited(problem)
     motor_columns, motors = _motors_limited(problem)
+    powers = power_rows_of(problem, everywhere=power_rows)
     running = () if least_limit else tuple(term for term in RUNNING if objective.has(term))
     smoothed = is_smoothed(objective)
     rated = tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.effort_rate).any(axis=1)))
@@ -57,7 +61,8 @@ def formulate(
         running=running,
         speed_joints=speed_joints,
         motors=motors,
-        powers=tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.power).any(axis=1))),
+        powers=powers.at_nodes,
+        levers=powers.levers,
         closures=limits.limited_closures,
         singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
         controls=tuple(j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control),
@@ -66,12 +71,16 @@ def formulate(
         corners=problem.robust.corners,
         n_u=n_u,
     )
+    works = "work" in running
+    n_z = n_algebraic(mechanism, works=works, levers=len(powers.levers))
     rows = IntervalRows(
         costs=costs,
         speed_columns=speed_columns,
         position_columns=tuple(range(n_s)) if position_rows else (),
         rate_columns=rated,
         motor_columns=motor_columns,
+        power_columns=powers.columns,
+        power_levers=powers.of_levers(n_z - len(powers.levers)),
         open_end_path=tuple(i for i, kind in enumerate(asked.kinds) if kind in WITH_EFFORT),
     )
     unit = _term_units(problem, scales)
@@ -90,13 +99,14 @@ def formulate(
 
     rate = scales.position / scales.time_s
     independent, dependent = mechanism.independent, mechanism.dependent
-    works = "work" in running
-    algebraic = np.vstack([limits.position[dependent], np.tile([0.0, np.inf], (n_u if works else 0, 1))])
+    algebraic = [limits.position[dependent], np.tile([0.0, np.inf], (n_u if works else 0, 1))]
+    algebraic = np.vstack([*algebraic, np.tile([-np.inf, np.inf], (len(powers.levers), 1))])
     own = {
         "speed": limits.speed[independent[list(speed_columns)]] / rate[list(speed_columns), None],
         "position": limits.position[independent] / scales.position[:, None],
         "effort_rate": limits.effort_rate[list(rated)] * scales.time_s / scales.effort[list(rated), None],
         "motor": np.tile([-1.0, 1.0], (len(motor_columns), 1)),
+        "power": powers.bounds(problem, scales),
     }
     limited = [("speed", joint) for joint in speed_joints] + [("motor", j) for j in motors]
     limited += [("power", j) for j in asked.powers] + [("closure_force", c) for c in asked.closures]
@@ -122,14 +132,15 @@ def formulate(
     ]
     path = np.vstack([part.reshape(-1, 2) for part in path])
     state = np.vstack([limits.position[independent] / scales.position[:, None], limits.speed[independent] / rate[:, None]])
-    endpoint, places = site_endpoint(problem, scales.position)
+    of_powers = tightening_over(tightenings, powers.items, own["power"])
+    endpoint, places = site_endpoint(problem, scales.position, n_z)
     adrift = tuple(np.flatnonzero(problem.goes_on).tolist())
     returns = tuple(i for i in range(2 * n_s) if i not in adrift)
     return Formulation(
         build_system=lambda: mechanism_system(mechanism, asked),
         n_s=n_s,
         n_x=0,
-        n_z=len(algebraic),
+        n_z=n_z,
         n_u=n_u,
         rows=rows,
         units=Units(
@@ -158,6 +169,7 @@ def formulate(
         ),
         theta=theta,
         tightening=tightening_over(tightenings, limited, path),
+        own_tightening={} if of_powers is None else {"power": of_powers},
         position_path=tuple(limited.index(row) for row in of_tendons + of_sites),
         passed=tuple(
             (k + 1, limited.index(("passed", passed.index((site, axis)))), coordinate_row(mechanism, site, axis, value))
@@ -204,19 +216,12 @@ def _motors_limited(problem: PlanningProblem) -> tuple[tuple[tuple[int, int], ..
     columns, others = [], []
     for j, motor in enumerate(problem.motors):
         if motor is not None and motor.has_line:
-            column = _own_column(problem.mechanism, j)
+            column = own_column(problem.mechanism, j)
             if column is None:
                 others.append(j)
             else:
                 columns.append((j, column))
     return tuple(columns), tuple(others)
-
-
-def _own_column(mechanism: Mechanism, j: int) -> int | None:
-    """Return the independent column that an actuator drives directly, or None."""
-    joint = mechanism.actuators[j].joint
-    places = np.flatnonzero(mechanism.independent == joint) if joint is not None else []
-    return int(places[0]) if len(places) else None
 
 
 def _line(problem: PlanningProblem, j: int) -> tuple[float, float]:

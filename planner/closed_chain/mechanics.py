@@ -1,7 +1,8 @@
 """A mechanism as a system for the transcription: closure and reduced dynamics at a node, all scaled.
 
 Second-order coordinates are the independent joints. Algebraic unknowns are the dependent ones (lifted: tied by phi(s, z)
-= 0) and, where positive work costs, each actuator's positive power (P >= u w, P >= 0: exact, with no kink in the program).
+= 0) and, where positive work costs, each actuator's positive power (P >= u w, P >= 0: exact, with no kink in the program);
+where power is limited at every instant, the levers of actuators on coordinates that they do not drive themselves.
 Equations: phi(q) / length and (inverse_dynamics(q, v, a) - Gamma^T B u) / scale. Path quantities: what limits ask for beyond
 the bounds of the unknowns themselves.
 """
@@ -60,7 +61,8 @@ class Scales:
 class NodeTerms:
     """What is looked at in a node, the structure of its functions: running costs out of `RUNNING`, and path quantities.
 
-    `speed_joints` are dependent joints, `motors` and `powers` actuators, `closures` those whose force is limited; `singular`
+    `speed_joints` are dependent joints, `motors` and `powers` actuators, `levers` pairs (actuator, independent column)
+    whose entry of the effort map is an algebraic unknown, `closures` those whose force is limited; `singular`
     is the number of blocks of J_z whose determinants are; `controls` are servos whose ctrl is; `tendons` are places in
     `Mechanism.tendons`; `sites` are `SiteLimit.key`s; `corners` are machines whose `n_u` efforts each are limited.
     """
@@ -69,6 +71,7 @@ class NodeTerms:
     speed_joints: tuple[int, ...] = ()
     motors: tuple[int, ...] = ()
     powers: tuple[int, ...] = ()
+    levers: tuple[tuple[int, int], ...] = ()
     closures: tuple[int, ...] = ()
     singular: int = 0
     controls: tuple[int, ...] = ()
@@ -98,7 +101,8 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     """
     n_s, n_q, n_u = mechanism.dof, mechanism.n_q, mechanism.n_u
     works = "work" in asked.running
-    node = node_symbols(n_s, 0, n_q - n_s + (n_u if works else 0), n_u)
+    node = node_symbols(n_s, 0, n_algebraic(mechanism, works=works, levers=len(asked.levers)), n_u)
+    z, working, levers = ca.vertsplit(node.z, [0, n_q - n_s, node.z.numel() - len(asked.levers), node.z.numel()])
     sizes = {"weight": len(asked.running), "reference": n_s if "tracking" in asked.running else 0}
     sizes |= {"time": 1, "position": n_s, "effort": n_u, "residual": n_s, "length": 1, "power": 1, "force": 1}
     sizes |= {"line": 2 * len(asked.motors), "rating": len(asked.closures), "home": asked.singular}
@@ -106,20 +110,25 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     rate = given["position"] / given["time"]
     order = np.argsort(np.concatenate([mechanism.independent, mechanism.dependent]))
-    q = ca.vertcat(node.s * given["position"], node.z[: n_q - n_s])[[int(i) for i in order]]
+    q = ca.vertcat(node.s * given["position"], z)[[int(i) for i in order]]
     v, a, u = node.v * rate, node.a * rate / given["time"], node.u * given["effort"]
     call = _caller(mechanism, given["payload"])
     equations = ca.vertcat(
         call("independent_closure", q) / given["length"], call("residual", q, v, a, u) / given["residual"]
     )
+    kinds = ("closure",) * (n_q - n_s) + ("dynamics",) * n_s
+    if asked.levers:
+        leverage = ca.diag(rate) @ call("effort_map", q) @ ca.diag(given["effort"]) / given["power"]
+        equations = ca.vertcat(equations, ca.vertcat(*(leverage[s, j] for j, s in asked.levers)) - levers)
+        kinds += ("leverage",) * len(asked.levers)
     path = _path(mechanism, asked, given, call, (q, v, a, u))
-    kinds = ("closure",) * (n_q - n_s) + ("dynamics",) * n_s + asked.kinds
+    kinds += asked.kinds
     if works:
         spent = u * (call("effort_map", q).T @ v) / given["power"]
-        path.append(node.z[n_q - n_s :] - spent)
+        path.append(working - spent)
         kinds += ("work",) * n_u
     path = ca.vertcat(ca.SX(0, 1), *path)
-    running = _running(mechanism, asked, given, node, call, (q, v, a, u))
+    running = _running(asked, given, node, working, call, (q, v, a, u))
     theta = ca.vertcat(*given.values())
     column = ca.densify(ca.vertcat(equations, path, running))
     return System(
@@ -132,6 +141,11 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         n_path=path.numel(),
         kinds=kinds,
     )
+
+
+def n_algebraic(mechanism: Mechanism, *, works: bool, levers: int) -> int:
+    """Return the number of algebraic unknowns: dependent joints, positive powers where work costs, levers."""
+    return len(mechanism.dependent) + (mechanism.n_u if works else 0) + levers
 
 
 def _caller(mechanism: Mechanism, payload: ca.SX) -> Callable[..., ca.SX]:
@@ -179,7 +193,7 @@ def control_unit(mechanism: Mechanism, actuator: int) -> float:
 
 
 def _running(
-    mechanism: Mechanism, asked: NodeTerms, given: dict[str, ca.SX], node: NodeSymbols, call: Callable[..., ca.SX], motion
+    asked: NodeTerms, given: dict[str, ca.SX], node: NodeSymbols, working: ca.SX, call: Callable[..., ca.SX], motion
 ) -> ca.SX:
     """Return the weighted running costs, each in its own unit."""
     total = ca.SX(0)
@@ -188,7 +202,7 @@ def _running(
             share_of = (given["position"] / ca.mmax(given["position"])) ** 2
             value = ca.dot(share_of, (node.s - given["reference"]) ** 2)
         elif term == "work":
-            value = ca.sum1(node.z[mechanism.n_q - mechanism.dof :])
+            value = ca.sum1(working)
         else:
             value = ca.sumsqr(call("closure_force", *motion)) / given["force"] ** 2
         total += given["weight"][item] * value

@@ -10,6 +10,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate, is_smoothed
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
 from linkplan.planner.closed_chain.mechanics import Scales
+from linkplan.planner.closed_chain.power_rows import power_rows_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.tightening import Tightening
 from linkplan.planner.trajectory import Trajectory
@@ -82,6 +83,7 @@ def transcribe(
     *,
     scales: Scales | None = None,
     position_rows: bool = False,
+    power_rows: bool = False,
     least_limit: bool = False,
     bang_efforts: np.ndarray | None = None,
     constrained_paths: np.ndarray | None = None,
@@ -97,6 +99,7 @@ def transcribe(
         durations: guessed durations of the segments.
         scales: units; chosen from the guess by default.
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
+        power_rows: whether limits on power are kept between the nodes by constraint rows.
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
         bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
         constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole
@@ -109,6 +112,7 @@ def transcribe(
         problem,
         scales,
         position_rows=position_rows,
+        power_rows=power_rows,
         least_limit=least_limit,
         tightenings=tightenings,
         smoothing=smoothing,
@@ -118,7 +122,7 @@ def transcribe(
         scheme(problem.mesh.scheme, problem.mesh.effort),
         mesh,
         durations,
-        _start(problem, guess, scales, formulation.n_z),
+        _start(problem, guess, scales, formulation),
         compile_mode=problem.solver.compile,
         deadline=problem.solver.deadline,
         least_limit=least_limit,
@@ -158,9 +162,16 @@ def is_program_of(transcribed: Transcribed, problem: PlanningProblem) -> bool:
 def _with_numbers_of(
     problem: PlanningProblem, transcribed: Transcribed, tightenings: tuple[Tightening, ...] = ()
 ) -> Formulation:
-    positions = bool(transcribed.formulation.rows.position_columns)
-    origin = transcribed.origin
-    return formulate(problem, origin.scales, position_rows=positions, tightenings=tightenings, smoothing=origin.smoothing)
+    origin, rows = transcribed.origin, transcribed.formulation.rows
+    positions, powers = bool(rows.position_columns), bool(rows.power_columns or rows.power_levers)
+    return formulate(
+        problem,
+        origin.scales,
+        position_rows=positions,
+        power_rows=powers,
+        tightenings=tightenings,
+        smoothing=origin.smoothing,
+    )
 
 
 def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory) -> float:
@@ -182,10 +193,11 @@ def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory
     return objective - origin.smoothing * transcribed.units.objective * origin.scales.time_s * integral
 
 
-def _start(problem: PlanningProblem, guess: Guess, scales: Scales, n_z: int) -> Start:
+def _start(problem: PlanningProblem, guess: Guess, scales: Scales, formulation: Formulation) -> Start:
     """Return a guess as a scaled start: loops closed, efforts by inverse dynamics where it has none."""
     mechanism = problem.mechanism
     rate = scales.position / scales.time_s
+    levers = power_rows_of(problem, everywhere=bool(formulation.rows.power_levers)).levers
 
     def states(times: np.ndarray) -> np.ndarray:
         return np.hstack([guess.position(times) / scales.position, guess.velocity(times) / rate])
@@ -195,9 +207,12 @@ def _start(problem: PlanningProblem, guess: Guess, scales: Scales, n_z: int) -> 
         poses = poses_along(mechanism, guess, times)
         effort = guess.effort(times) if guess.effort is not None else needed_effort(mechanism, poses, v, a)[0]
         algebraic = poses[:, mechanism.dependent]
-        if n_z > algebraic.shape[1]:
-            w = np.einsum("ksu,ks->ku", sampled(mechanism.dynamics.effort_map, poses), v)
-            algebraic = np.hstack([algebraic, np.maximum(effort * w / scales.power, 0.0)])
+        if formulation.n_z > algebraic.shape[1]:
+            maps = sampled(mechanism.dynamics.effort_map, poses)
+            n_works = formulation.n_z - algebraic.shape[1] - len(levers)
+            spent = np.maximum(effort * np.einsum("ksu,ks->ku", maps, v) / scales.power, 0.0)[:, :n_works]
+            own = [maps[:, s, j] * scales.effort[j] * rate[s] / scales.power for j, s in levers]
+            algebraic = np.column_stack([algebraic, spent, *own])
         return a / (rate / scales.time_s), np.zeros((len(times), 0)), algebraic, effort
 
     return Start(states=states, nodes=nodes)

@@ -36,7 +36,8 @@ from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.problem.settings import CERTIFYING
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, Step, silent, step_of
-from linkplan.planner.refinement.refine import Refined, refine
+from linkplan.planner.refinement.refine import refine
+from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import broken, uniform

@@ -15,7 +15,7 @@ from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Found
 from linkplan.planner.refinement.free_duration import LONGER, SHORTER, bounded_by_guess
 from linkplan.planner.refinement.perturbation import perturbation
-from linkplan.planner.refinement.refine import Refined
+from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.transcription.formulation import Start
 
 # Rows that a guess is given at least before it is bent.

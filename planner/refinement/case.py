@@ -57,7 +57,8 @@ class Aims:
     `strictness` is how many times more exact than a certificate demands the integrated state is to be, `tolerance_given`
     whether the user asked for that, `objective_tolerance` what the objective may change by from mesh to mesh, relative, None
     where it is not looked at; `kinks_at_limits` that the motion is smooth where no limit binds: the integration error tells
-    all there. `layers` says that the motion has layers so thin that finer meshes err as much until they are seen.
+    all there. `enclosed` says that limits which efforts jump between are kept at every instant by rows on coefficients.
+    `layers` says that the motion has layers so thin that finer meshes err as much until they are seen.
     """
 
     effort_limit: np.ndarray
@@ -68,6 +69,7 @@ class Aims:
     tolerance_given: bool
     objective_tolerance: float | None
     kinks_at_limits: bool = False
+    enclosed: bool = False
     layers: bool = False
 
 

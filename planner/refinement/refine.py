@@ -1,15 +1,15 @@
 """From a first solution to a certified one: switch times as unknowns, finer meshes, higher degrees until it passes."""
 
-from dataclasses import dataclass, replace
-from typing import Any, Generic
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from linkplan.models.interrupts import check
-from linkplan.planner.refinement.case import Aims, Case, CertificateT, Found, MotionT, attempt
+from linkplan.planner.refinement.case import Case, CertificateT, Found, MotionT, attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, standing_off
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.refinement.judged import JudgedT, error_of, judged
+from linkplan.planner.refinement.judged import error_of, judged
 from linkplan.planner.refinement.marking import (
     degree_of,
     grown,
@@ -21,10 +21,11 @@ from linkplan.planner.refinement.marking import (
     uneven_of,
     widths_of,
 )
-from linkplan.planner.refinement.pontryagin import arcs_against_their_limits, limits_bind
+from linkplan.planner.refinement.pontryagin import limits_bind
+from linkplan.planner.refinement.refined import Refined, better_of
+from linkplan.planner.refinement.rough_intervals import refine_rough
 from linkplan.planner.refinement.switch_search import at_bounds, is_bang_bang, settle_switch_times
 from linkplan.planner.solvers.outcome import SUCCEEDED
-from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.mesh import halved
 
 # Rounds of refinement after the first solve.
@@ -50,29 +51,6 @@ _POLISHED = 3
 _TOUCHED = 1e-7
 # Answers on two meshes that are no further apart are the same motion, relative.
 _SAME = 1e-6
-# Of motions that pass, a coarser mesh's is kept where it is better than the last one by more than this share: what that mesh
-# errs by is less, so that a finer one has lost it. The other one where the coarser is not exact and the finer is.
-_LOST, _LOST_EXACT = 1e-5, 1e-4
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Refined(Generic[MotionT, CertificateT]):
-    """A motion with its solution and certificate, which may not pass.
-
-    `settled` says whether the objective has, from mesh to mesh, where that is asked for; `moved` by what share of itself it
-    changed between the last two meshes on which the motion passed, 0 where it passed on one.
-    """
-
-    motion: MotionT
-    solution: Solution
-    certificate: CertificateT
-    settled: bool
-    moved: float = 0.0
-
-    @property
-    def against(self) -> np.ndarray:
-        """The instants (n,) [s] at which what is held would better not be: none of a local optimum."""
-        return arcs_against_their_limits(self.solution)
 
 
 def refine(
@@ -84,6 +62,8 @@ def refine(
     coarser one's answer: less exact, but a motion that is unstable is not lost on the way.
     """
     aims, kept, position_rows = case.aims, case, False
+    if aims.enclosed:
+        return refine_rough(case, found, history, say)
     finest = _MOST * case.problem.mesh.intervals
     comfortable = finest if aims.tolerance_given else _COMFORTABLE
     if not (found.fixed is not None and found.fixed.everything and not at_bounds(found.solution)):
@@ -218,15 +198,6 @@ def refine(
     return Refined(
         motion=at.found.motion, solution=at.found.solution, certificate=at.certificate, settled=settled, moved=moved
     )
-
-
-def better_of(before: JudgedT | None, now: JudgedT, aims: Aims) -> JudgedT:
-    """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had."""
-    if before is None or (aims.tolerance_given and now.findings.exact and not before.findings.exact):
-        return now
-    then, objective = before.found.solution.objective, now.found.solution.objective
-    share = _LOST_EXACT if now.findings.exact and not before.findings.exact else _LOST
-    return before if then < objective - share * abs(objective) else now
 
 
 def _finer(

@@ -10,7 +10,8 @@ from linkplan.planner.refinement.case import Case, CertificateT, MotionT, attemp
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.pontryagin import held_wrongly, interval_breaks
-from linkplan.planner.refinement.refine import Refined, refine
+from linkplan.planner.refinement.refine import refine
+from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.refinement.switch_search import mesh_with_switches
 from linkplan.planner.solvers.solve import Solution
 

@@ -9,6 +9,7 @@ from functools import cache
 from math import comb
 from typing import Any, Self
 
+import casadi as ca
 import numpy as np
 
 
@@ -79,6 +80,17 @@ def bernstein_gram(degree: int) -> np.ndarray:
     i, j = np.meshgrid(k, k, indexing="ij")
     of = _binomials(degree)
     return np.outer(of, of) / ((2 * degree + 1) * _binomials(2 * degree)[i + j])
+
+
+def bernstein_product(first: Any, second: Any) -> Any:
+    """Return the coefficients of two polynomials' product: columns of coefficients, CasADi's symbols."""
+    m, n = first.numel() - 1, second.numel() - 1
+    of_first, of_second, of_both = _binomials(m), _binomials(n), _binomials(m + n)
+    terms = [
+        sum(of_first[i] * of_second[k - i] * first[i] * second[k - i] for i in range(max(0, k - n), min(m, k) + 1))
+        for k in range(m + n + 1)
+    ]
+    return ca.vertcat(*(term / of_both[k] for k, term in enumerate(terms)))
 
 
 def bernstein_integral(degree: int) -> np.ndarray:

@@ -246,6 +246,10 @@ def row_bounds(
     equations = np.zeros((n, m, interval.n_equations, 2))
     at_nodes = np.concatenate([equations, at_nodes], axis=2).reshape(n, -1, 2)
     at_open_ends = np.concatenate([equations[:, 0], at_open_ends], axis=1)[:, list(interval.open_end_rows)]
-    own = np.broadcast_to(own, (n, *own.shape))
+    own = np.tile(own, (n, 1, 1))
+    for kind, tightening in formulation.own_tightening.items():
+        amount = tightening(breaks_s)
+        for row in np.flatnonzero(np.array(interval.own_kinds) == kind):
+            own[:, row] += amount[:, interval.own_items[row], None] * np.array([1.0, -1.0])
     both = np.concatenate([own, at_nodes, np.tile(at_open_ends, (1, interval.n_open_ends, 1))], axis=1)
     return both[:, :, 0].ravel(), both[:, :, 1].ravel()

@@ -49,7 +49,7 @@ class Formulation:
     that end as they began, but for what they have gone on by, `advance` (n_returns,) or nothing; `adrift` are those that
     need not, as nothing depends on them. `smooth` says whether efforts may not jump. `eta` are an interval's own parameters,
     `theta` maps times (n, m) [s] to those of nodes (n, m, n_theta). `tightening` maps breaks (n + 1,) [s] to how far
-    (n, n_path) path bounds are tightened on each interval.
+    (n, n_path) path bounds are tightened on each interval, `own_tightening` by kind how far (n, n_items) own ones are.
     `position_path` are path quantities that follow from the positions of the second-order coordinates alone: where a phase
     boundary gives those, nothing is left to bound. `passed` are values that path quantities have at phase boundaries on the
     way: (boundary, quantity, value).
@@ -73,6 +73,7 @@ class Formulation:
     eta: np.ndarray
     theta: Callable[[np.ndarray], np.ndarray]
     tightening: Callable[[np.ndarray], np.ndarray] | None = None
+    own_tightening: dict[str, Callable[[np.ndarray], np.ndarray]] = field(default_factory=dict)
     position_path: tuple[int, ...] = ()
     passed: tuple[tuple[int, int, float], ...] = ()
     advance: np.ndarray | float = 0.0

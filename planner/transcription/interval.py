@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from linkplan.planner.transcription.bernstein import bernstein_elevation, bernstein_gram
+from linkplan.planner.transcription.bernstein import bernstein_elevation, bernstein_gram, bernstein_matrix, bernstein_product
 from linkplan.planner.transcription.layout import Layout
 from linkplan.planner.transcription.node import NodeFunctions, Pattern, as_kept, build_node, nonzeros, triplets
 from linkplan.planner.transcription.schemes import Scheme
@@ -32,7 +32,9 @@ class IntervalRows:
 
     `costs` are names out of `COSTS`. `speed_columns` and `position_columns` are second-order coordinates, `state_columns`
     first-order states, `rate_columns` efforts whose rate is bounded. `motor_columns` are pairs (effort, coordinate) whose
-    line alpha u + beta v is bounded. Weights, alpha and beta are numbers of the program (eta), not of its structure.
+    line alpha u + beta v is bounded, `power_columns` pairs whose product u v is, `power_levers` (effort, levers) whose
+    product with the sum of levers times speeds is, each a pair (algebraic unknown, coordinate): a polynomial through the
+    nodes. Weights, alpha and beta are numbers of the program (eta), not of its structure.
     `at_open_ends` are path quantities that jump with the effort: they are bounded at an interval's ends too.
     """
 
@@ -42,6 +44,8 @@ class IntervalRows:
     state_columns: tuple[int, ...] = ()
     rate_columns: tuple[int, ...] = ()
     motor_columns: tuple[tuple[int, int], ...] = ()
+    power_columns: tuple[tuple[int, int], ...] = ()
+    power_levers: tuple[tuple[int, tuple[tuple[int, int], ...]], ...] = ()
     open_end_path: tuple[int, ...] = ()
 
     def n_eta(self, n_u: int) -> int:
@@ -68,7 +72,7 @@ class ChainFunctions:
     jacobian_pattern: Pattern
     hessian_pattern: Pattern
     n_own: int
-    own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position", "state", "effort_rate", "motor"
+    own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position", "state", "effort_rate", "power", "motor"
     own_items: tuple[int, ...]  # per own row: of which of its kind's columns
 
     def __post_init__(self) -> None:
@@ -315,6 +319,12 @@ def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows,
     for item, column in enumerate(rows.rate_columns):
         add("effort_rate", item, degree * (parts.u[1:, column] - parts.u[:-1, column]) / h)
     lift = ca.DM(bernstein_elevation(degree, scheme.velocity_coefficients.shape[0] - 1))
+    for item, (effort, column) in enumerate(rows.power_columns):
+        add("power", item, bernstein_product(parts.u[:, effort], speed(column)))
+    through_nodes = ca.DM(np.linalg.inv(bernstein_matrix(scheme.n_nodes - 1, np.array(scheme.nodes))))
+    for item, (effort, levers) in enumerate(rows.power_levers, start=len(rows.power_columns)):
+        speeds = [bernstein_product(through_nodes @ parts.z[:, lever], speed(column)) for lever, column in levers]
+        add("power", item, bernstein_product(parts.u[:, effort], ca.sum2(ca.horzcat(*speeds))))
     first = eta.numel() - 2 * len(rows.motor_columns)
     for item, (effort, column) in enumerate(rows.motor_columns):
         alpha, beta = eta[first + 2 * item], eta[first + 2 * item + 1]

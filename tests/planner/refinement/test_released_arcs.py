@@ -5,7 +5,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.refinement.refine import Refined
+from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.refinement.released_arcs import arcs_let_go, released
 from tests.support.bodies import HINGE_INERTIA, TURN
 from tests.support.held_arcs import held, held_case

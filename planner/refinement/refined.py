@@ -1,0 +1,44 @@
+"""What refinement comes to: a motion with its solution and certificate, and the better of two."""
+
+from dataclasses import dataclass
+from typing import Generic
+
+import numpy as np
+
+from linkplan.planner.refinement.case import Aims, CertificateT, MotionT
+from linkplan.planner.refinement.judged import JudgedT
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
+from linkplan.planner.solvers.solve import Solution
+
+# Of motions that pass, a coarser mesh's is kept where it is better than the last one by more than this share: what that mesh
+# errs by is less, so that a finer one has lost it. The other one where the coarser is not exact and the finer is.
+_LOST, _LOST_EXACT = 1e-5, 1e-4
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Refined(Generic[MotionT, CertificateT]):
+    """A motion with its solution and certificate, which may not pass.
+
+    `settled` says whether the objective has, from mesh to mesh, where that is asked for; `moved` by what share of itself it
+    changed between the last two meshes on which the motion passed, 0 where it passed on one.
+    """
+
+    motion: MotionT
+    solution: Solution
+    certificate: CertificateT
+    settled: bool
+    moved: float = 0.0
+
+    @property
+    def against(self) -> np.ndarray:
+        """The instants (n,) [s] at which what is held would better not be: none of a local optimum."""
+        return arcs_against_their_limits(self.solution)
+
+
+def better_of(before: JudgedT | None, now: JudgedT, aims: Aims) -> JudgedT:
+    """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had."""
+    if before is None or (aims.tolerance_given and now.findings.exact and not before.findings.exact):
+        return now
+    then, objective = before.found.solution.objective, now.found.solution.objective
+    share = _LOST_EXACT if now.findings.exact and not before.findings.exact else _LOST
+    return before if then < objective - share * abs(objective) else now
