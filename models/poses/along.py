@@ -11,6 +11,8 @@ from linkplan.models.tree.friction import rubbing_of
 # Samples of a function of many outputs that are evaluated side by side: CasADi takes longer to lay out more of them, as one
 # sparse matrix, than it takes to evaluate them.
 _TOGETHER, _MANY = 32, 256
+# An actuator has no arm on what it moves by less than this share of the largest: rounding, at its dead centre.
+_NO_ARM = 1e-12
 # Many times the speed about which dry friction turns over: joints that move a hundredth as fast rub in full, too.
 _FAST = 1000.0
 
@@ -105,5 +107,5 @@ def demanded(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) 
 def least_effort(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
     """Return the least efforts (n, n_u) that give generalised ones (n, n_s), or come nearest to them."""
     same = len(maps) > 1 and bool(np.all(maps == maps[0]))  # motors on the coordinates themselves: one inverse for all
-    inverse = np.broadcast_to(np.linalg.pinv(maps[0]), maps.transpose(0, 2, 1).shape) if same else np.linalg.pinv(maps)
+    inverse = np.broadcast_to(np.linalg.pinv(maps[0], rcond=_NO_ARM), maps.transpose(0, 2, 1).shape) if same else np.linalg.pinv(maps, rcond=_NO_ARM)
     return np.einsum("kus,ks->ku", inverse, tau)

@@ -41,7 +41,9 @@ def solve_positive(A: ca.SX, b: ca.SX) -> ca.SX:
     """Return A^-1 b for a positive definite A, an inertia: by LDL^T beyond three unknowns, a quarter as long as QR."""
     if A.shape[0] <= _CRAMER:
         return factorise(A)(b)
-    D, LT, order = ca.ldl(ca.sparsify(A))
+    A = ca.sparsify(A)
+    pattern = A.sparsity()  # terms that cancel need not do so on both sides of the diagonal
+    D, LT, order = ca.ldl(ca.project(A, pattern.unite(pattern.T)))
     return ca.ldl_solve(b, D, LT, order)
 
 

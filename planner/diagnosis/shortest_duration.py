@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from linkplan.planner.search.durations import longest
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_time import shortest_motion
 
@@ -9,7 +10,7 @@ from linkplan.planner.search.least_time import shortest_motion
 def shortest_sentence(search: Search, details: dict[str, float]) -> str:
     """Return the words on the shortest feasible duration, where it can be found; its figure goes into the details."""
     problem, motion = search.problem, search.problem.motion
-    if motion.kind != "reach" or motion.duration_s is None or motion.stays:
+    if motion.kind != "reach" or motion.stays or not np.isfinite(longest(problem)):
         return ""
     if any(w.time_s is not None for w in motion.waypoints) or not np.all(np.isfinite(problem.limits.effort)):
         return ""

@@ -90,7 +90,7 @@ def path_text(path: KinematicLoopPath, *, brief: bool = False) -> str:
     constant = [column.said() for column in columns if column.is_constant]
     if brief:
         lines = [f"along {path.title}:", table([c.title for c in varying], [[c.cell(k) for c in varying] for k in at])]
-        said = [*weight_sentences(path), *unheld_sentences(path)]
+        said = [*weight_sentences(path, changing=path.coordinate != 0), *unheld_sentences(path, changing=path.coordinate != 0)]
         changes = len(varying) > len(where)
         return "\n".join([*lines[: 1 + changes], *said]) if said or changes else ""
     lines = [f"along {path.title}, at rest ({len(at)} of {len(path.poses)} poses):"]
@@ -172,18 +172,23 @@ def _same(own: np.ndarray, felt: np.ndarray) -> list[int | None]:
 
 
 def _pose(path: KinematicLoopPath, k: int) -> str:
-    joints = zip(path.mechanism.independent_joints, path.positions[k], strict=True)
+    """Return where the path's coordinate stands, the others being at home; of a motion, where all of them do."""
+    leading = slice(None) if path.coordinate is None else slice(path.coordinate, path.coordinate + 1)
+    joints = zip(path.mechanism.independent_joints[leading], path.positions[k][leading], strict=True)
     return ", ".join(f"{joint.name} = {joint.said(x)} {joint.unit}" for joint, x in joints)
 
 
-def weight_sentences(path: KinematicLoopPath) -> list[str]:
-    """Return a sentence for each actuator whose limit does not hold weight and springs at some pose of a path."""
+def weight_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list[str]:
+    """Return a sentence for each actuator whose limit does not hold weight and springs at some pose of a path.
+
+    Of those alone that are asked for more at one pose than at another, if `changing`.
+    """
     said = []
     for j, actuator in enumerate(path.mechanism.actuators):
         effort, (low, high) = path.holding_effort[:, j], path.limit[j]
         over = np.maximum(low - effort, effort - high)
         beyond = over > _BEYOND * max(_scale(effort), _scale(path.limit[j]))
-        if beyond.any():
+        if beyond.any() and not (changing and np.ptp(effort) <= _CONSTANT * _scale(effort)):
             k = int(np.argmax(over))
             said.append(
                 f"holding weight and springs asks {actuator.name} for {effort[k]:.4g} {actuator.unit} at {_pose(path, k)},"
@@ -192,13 +197,19 @@ def weight_sentences(path: KinematicLoopPath) -> list[str]:
     return said
 
 
-def unheld_sentences(path: KinematicLoopPath) -> list[str]:
-    """Return a sentence for each coordinate that no effort of the actuators holds still at some pose of a path."""
+def unheld_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list[str]:
+    """Return a sentence for each coordinate that no effort of the actuators holds still at some pose of a path.
+
+    Of those alone of which more is missing at one pose than at another, if `changing`. Rods that spin about their own line
+    are left out: it is rounding that is missing there.
+    """
     said, least = [], _BEYOND * _scale(path.gravity_effort)
     for i, joint in enumerate(path.mechanism.independent_joints):
+        if int(path.mechanism.independent[i]) in path.mechanism.passive_dofs:
+            continue
         missing = np.abs(path.unheld_effort[:, i])
         beyond = missing > least
-        if beyond.any():
+        if beyond.any() and not (changing and np.ptp(missing) <= _CONSTANT * _scale(missing)):
             k = int(np.argmax(missing))
             said.append(
                 f"no actuator holds {joint.name} still in {int(beyond.sum())} of {len(missing)} poses:"

@@ -177,10 +177,13 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
                 elsewhere = np.isfinite([joint.lower, joint.upper]).any() and not abs(end.position - own) <= _SHORT * (
                     joint.upper - joint.lower
                 )
+                pose = can.poses[0] if end is can.lower else can.poses[-1]
                 if other.kind == "slide" and joint.kind == "hinge":
                     notes.append(
                         f"{stop}, a stroke's end inside {joint.name}'s own range {_range(joint)}" if elsewhere else stop
                     )
+                elif elsewhere and _moves_with_others(mechanism, pose, end.joint, column):
+                    notes.append(f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {_range(joint)})")
                 elif elsewhere:
                     problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
                 else:  # the coordinate has no range of its own that says otherwise: the stop is meant
@@ -194,6 +197,13 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
     return problems, notes
+
+
+def _moves_with_others(mechanism: Mechanism, pose: np.ndarray, joint: int, column: int) -> bool:
+    """Return whether a joint moves with other coordinates too, spins apart: where it stops one of them, they may give way."""
+    rates = np.abs(np.array(mechanism.dynamics.velocity_map(pose))[joint])
+    free = np.isin(mechanism.independent, list(mechanism.passive_dofs))
+    return bool(np.any(np.delete(rates * ~free, column) > NO_ARM * rates.max()))
 
 
 def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:

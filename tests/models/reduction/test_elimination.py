@@ -51,6 +51,18 @@ def test_an_inertia_is_inverted_as_numpy_does(n):
     assert np.abs(A @ np.array(function(A, right)).ravel() - right).max() < SOLVED * np.linalg.cond(A)
 
 
+def test_an_inertia_whose_terms_cancel_on_one_side_of_the_diagonal_alone_is_inverted():
+    """A welded arm's reduced inertia did so: refused as not symmetric."""
+    symbol, b = ca.SX.sym("a", 5, 5), ca.SX.sym("b", 5)
+    lopsided = ca.SX(symbol)
+    lopsided[0, 4], lopsided[4, 0] = 0, symbol[4, 0] - symbol[0, 4]  # which for a symmetric matrix vanishes
+    function = ca.Function("f", [symbol, b], [solve_positive(lopsided, b)])
+    A, right = 4.0 * np.eye(5) + np.ones((5, 5)), np.arange(1.0, 6.0)
+    exact = A.copy()
+    exact[0, 4] = exact[4, 0] = 0.0
+    assert np.abs(exact @ np.array(function(A, right)).ravel() - right).max() < SOLVED * np.linalg.cond(exact)
+
+
 def test_a_matrix_that_no_fixed_order_of_pivots_solves_is_solved():
     angle, b = ca.SX.sym("angle"), ca.SX.sym("b", 4)
     turn = ca.SX(ca.DM(np.eye(4)))
