@@ -35,6 +35,7 @@ from linkplan.models.tree.friction import friction_notes, transition_speed
 from linkplan.models.tree.joints import Joint, index_of, read_joints
 from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import TendonLimit, is_fixed, limited_tendons, tendon_joints
+from linkplan.models.urdf import conversion_notes
 
 # A named choice of coordinates is refused where a column of J_z is left with less than this share of itself: the pose
 # is then within some microradians of a dead centre of the choice.
@@ -250,7 +251,6 @@ def load_mechanism(
         function=ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(ca.jacobian(phi, tree.q))]),
         rows=tuple(closure.rows for closure in closures),
     )
-
     extent = extent_m(model)
     unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])  # what counts as a radian
     tolerance = closure_tolerance(closure_tolerance_m, extent)
@@ -290,7 +290,7 @@ def load_mechanism(
         find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent) if closures else ((), [])
     )
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
-    notes += friction_notes(model, transition, extent)
+    notes += [*friction_notes(model, transition, extent), *conversion_notes(source)]
     at_reference = numerical_rank(loop.residual(reference)[1] * unit, share)
     if loop.gap(loop.residual(reference)[0]) <= _CLOSED_REFERENCE_M and at_reference != rank:
         notes.append(f"the model's reference pose is singular: the closure has rank {at_reference} there and {rank} at home")

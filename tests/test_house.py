@@ -21,8 +21,9 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "interrupts", "names", "reading", "catalogue", "payload", "model_size", "model_door", "library",
-        "digest", "tree", "closure", "reduction", "actuation", "audit", "stiffness", "source_table", "mechanism", "poses",
+        "errors", "interrupts", "names", "reading", "catalogue", "payload", "model_size", "model_door", "urdf",
+        "library", "digest", "tree", "closure", "reduction", "actuation", "audit", "stiffness", "source_table",
+        "mechanism", "poses",
     ),
     "planner": (
         "transcription", "trajectory", "keys", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain",

@@ -107,5 +107,9 @@ def demanded(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) 
 def least_effort(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
     """Return the least efforts (n, n_u) that give generalised ones (n, n_s), or come nearest to them."""
     same = len(maps) > 1 and bool(np.all(maps == maps[0]))  # motors on the coordinates themselves: one inverse for all
-    inverse = np.broadcast_to(np.linalg.pinv(maps[0], rcond=_NO_ARM), maps.transpose(0, 2, 1).shape) if same else np.linalg.pinv(maps, rcond=_NO_ARM)
+    inverse = (
+        np.broadcast_to(np.linalg.pinv(maps[0], rcond=_NO_ARM), maps.transpose(0, 2, 1).shape)
+        if same
+        else np.linalg.pinv(maps, rcond=_NO_ARM)
+    )
     return np.einsum("kus,ks->ku", inverse, tau)

@@ -3,6 +3,8 @@
 import time
 from dataclasses import replace
 
+import numpy as np
+
 from linkplan.planner.plan import Plan
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Rung, Search, climb
 from linkplan.planner.search.starts import along_power, from_a_smooth_path, from_the_phase_plane, is_along_power
@@ -25,6 +27,8 @@ _SHARE = 0.5
 def shortest_motion(search: Search) -> Plan | None:
     """Return the certified plan of least time within a reach's limits; None where it was not found."""
     found = [plan for plan in search.least_times if plan is not None and plan.passed]
+    if not np.all(np.isfinite(search.problem.limits.effort)):  # no time is the least then, and none may be asked for
+        return None
     if not found and not search.shortest:
         motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         # Efforts constant over intervals, as least work has them, would be late.

@@ -90,7 +90,10 @@ def path_text(path: KinematicLoopPath, *, brief: bool = False) -> str:
     constant = [column.said() for column in columns if column.is_constant]
     if brief:
         lines = [f"along {path.title}:", table([c.title for c in varying], [[c.cell(k) for c in varying] for k in at])]
-        said = [*weight_sentences(path, changing=path.coordinate != 0), *unheld_sentences(path, changing=path.coordinate != 0)]
+        said = [
+            *weight_sentences(path, changing=path.coordinate != 0),
+            *unheld_sentences(path, changing=path.coordinate != 0),
+        ]
         changes = len(varying) > len(where)
         return "\n".join([*lines[: 1 + changes], *said]) if said or changes else ""
     lines = [f"along {path.title}, at rest ({len(at)} of {len(path.poses)} poses):"]

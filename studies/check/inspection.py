@@ -126,13 +126,25 @@ def _closure_gaps(mechanism: Mechanism) -> dict[str, float]:
     return dict(sorted(gaps.items())) or {"m": 0.0}
 
 
+def _open_loops(mechanism: Mechanism) -> str:
+    """Return which closures stand open at the model's reference pose, and by how much: points in mm, angles in rad."""
+    phi, names = np.array(mechanism.dynamics.closure(mechanism.reference)).ravel(), []
+    widest: dict[str, float] = {}
+    for closure in mechanism.closures:
+        gap = float(closure.gap(phi))
+        if gap > (OPEN_M if closure.unit == "m" else OPEN_M / mechanism.extent_m):
+            names.append(closure.name)
+            widest[closure.unit] = max(widest.get(closure.unit, 0.0), gap)
+    by = [f"{1e3 * gap:.3g} mm" if unit == "m" else f"{gap:.3g} rad" for unit, gap in sorted(widest.items())]
+    return f"{', '.join(dict.fromkeys(names))} is open by {' and '.join(by)}"
+
+
 def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     """Return the problems, and the notes on what is worth knowing but no fault, each a sentence."""
     problems, notes = [], []
     if mechanism.home_gap_m > OPEN_M:
         problems.append(
-            f"loop {', '.join(mechanism.closure_names)} is open by {1e3 * mechanism.home_gap_m:.3g} mm at the model's"
-            " reference pose: the simulator closes it abruptly, on either branch"
+            f"loop {_open_loops(mechanism)} at the model's reference pose: the simulator closes it abruptly, on either branch"
         )
         notes.append(f"a pose that closes it, to write into the model: {keyframe_of(mechanism.coordinates, mechanism.home)}")
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
@@ -183,7 +195,9 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
                         f"{stop}, a stroke's end inside {joint.name}'s own range {_range(joint)}" if elsewhere else stop
                     )
                 elif elsewhere and _moves_with_others(mechanism, pose, end.joint, column):
-                    notes.append(f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {_range(joint)})")
+                    notes.append(
+                        f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {_range(joint)})"
+                    )
                 elif elsewhere:
                     problems.append(f"{stop} ({joint.name}'s own range: {_range(joint)})")
                 else:  # the coordinate has no range of its own that says otherwise: the stop is meant

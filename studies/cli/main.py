@@ -10,6 +10,7 @@ import importlib
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -60,6 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if argv is None:
         keep_closed_streams_closed()
+        warnings.showwarning = _warned
     before = _Before()
     try:
         with listening(to_the_end=argv is None):
@@ -85,6 +87,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         let_go()
     return code
+
+
+def _warned(message: Warning | str, category: type[Warning], *_: object) -> None:
+    """Say a warning in a line of its own, without the place in the program that it comes from."""
+    put(sys.stderr, f"{'warning' if issubclass(category, RuntimeWarning | UserWarning) else category.__name__}: {message}\n")
 
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:

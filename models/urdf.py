@@ -1,0 +1,64 @@
+"""What MuJoCo's converter leaves out of a URDF: named, never dropped in silence.
+
+It makes joints, masses, shapes, ranges, damping, dry friction, effort limits and couplings (`mimic`) of a URDF, and reads
+compiler, option and size in its <mujoco> element (MuJoCo, "URDF extensions"). Whatever else stands there is passed over.
+"""
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from linkplan.models.catalogue import is_text
+
+_READ_IN_MUJOCO = ("compiler", "option", "size")
+_READ = ("link", "joint", "material", "mujoco")
+# How many names are said of a kind.
+_NAMED = 6
+
+
+def conversion_notes(source: str | Path) -> list[str]:
+    """Return a sentence on each kind of thing in a URDF, a path or text, that its conversion leaves out; none for MJCF."""
+    root = _root(str(source))
+    if root is None or root.tag != "robot":
+        return []
+    notes = []
+    speeds = [
+        f"{joint.get('name')} {limit.get('velocity')}"
+        for joint in root.iter("joint")
+        for limit in joint.findall("limit")
+        if float(limit.get("velocity", "0")) > 0
+    ]
+    if speeds:
+        notes.append(
+            f"MuJoCo's converter leaves out the URDF's speed limits (joint {_some(speeds)}, rad/s or m/s):"
+            " limits.speed_deg_s and limits.speed_m_s keep them"
+        )
+    soft = [str(joint.get("name")) for joint in root.iter("joint") if joint.find("safety_controller") is not None]
+    others = [child.tag for child in root if child.tag not in _READ] + ["safety_controller"] * bool(soft)
+    inside = [child.tag for block in root.findall("mujoco") for child in block if child.tag not in _READ_IN_MUJOCO]
+    if others:
+        notes.append(f"MuJoCo's converter leaves out the URDF's elements {_some(list(dict.fromkeys(others)))}")
+    if inside:
+        notes.append(
+            f"MuJoCo passes over {_some(list(dict.fromkeys(inside)))} in the URDF's <mujoco> element, where it reads"
+            f" {', '.join(_READ_IN_MUJOCO)} alone"
+        )
+    notes.append(
+        "a URDF has no actuators for MuJoCo, and no closures but mimic: an MJCF file with them that attaches it is a model,"
+        ' with <asset><model name="NAME" file="FILE.urdf"/></asset> and <frame><attach model="NAME" prefix="P_"/></frame>'
+    )
+    return notes
+
+
+def _root(source: str) -> ET.Element | None:
+    try:
+        if is_text(source):
+            return ET.fromstring(source)
+        path = Path(source)
+        return ET.fromstring(path.read_bytes()) if path.suffix.lower() in (".urdf", ".xml") and path.is_file() else None
+    except (ET.ParseError, OSError, ValueError, LookupError):  # MuJoCo's own reader has read it, and is less strict
+        return None
+
+
+def _some(names: list[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{', '.join(names[:_NAMED])}{more}"

@@ -1,0 +1,60 @@
+"""A URDF goes through MuJoCo's converter: what that makes is planned with, what it leaves out is named."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.urdf import conversion_notes
+
+LINK = (
+    '<link name="{}"><inertial><mass value="1"/><origin xyz="0 0 -0.1"/>'
+    '<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+)
+JOINT = (
+    '<joint name="{}" type="revolute"><parent link="{}"/><child link="{}"/><origin xyz="0 0 -0.2"/><axis xyz="0 1 0"/>'
+    '<limit lower="-1" upper="1" effort="5" {}/>{}</joint>'
+)
+
+
+def urdf(inside: str = "", beside: str = "", velocity: str = "") -> str:
+    joints = JOINT.format("hip", "base", "a", velocity, '<dynamics damping="0.1"/>')
+    joints += JOINT.format("knee", "a", "b", velocity, '<mimic joint="hip" multiplier="-2"/>')
+    links = '<link name="base"/>' + LINK.format("a") + LINK.format("b")
+    return f'<robot name="leg"><mujoco>{inside}</mujoco>{links}{joints}{beside}</robot>'
+
+
+ATTACHED = """<mujoco><asset><model name="leg" file="leg.urdf"/></asset><worldbody><frame><attach model="leg" prefix="l_"/></frame>
+</worldbody><actuator><motor name="drive" joint="l_hip" ctrlrange="-9 9"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (urdf(velocity='velocity="3"'), ["speed limits", "hip 3, knee 3", "limits.speed_deg_s"]),
+        (urdf(beside='<transmission name="t"/><gazebo/>'), ["leaves out", "transmission, gazebo"]),
+        (urdf(inside='<option timestep="1e-3"/><actuator><motor joint="hip"/></actuator>'), ["passes over actuator in"]),
+        (urdf(), ["no actuators", "<attach"]),
+    ],
+)
+def test_what_the_converter_leaves_out_is_a_note(text, said):
+    notes = load_mechanism(text).notes
+    assert any(all(words in note for words in said) for note in notes), notes
+
+
+def test_what_a_urdf_does_not_say_is_not_told_of():
+    (only,) = conversion_notes(urdf(inside='<compiler fusestatic="true"/>'))
+    assert "no actuators" in only
+
+
+def test_a_model_in_mjcf_is_no_urdf():
+    assert conversion_notes("<mujoco><actuator/></mujoco>") == []
+    assert conversion_notes("optimus-knee") == []
+
+
+def test_an_mjcf_that_attaches_a_urdf_gives_it_a_motor_and_keeps_its_coupling_and_effort_limit(tmp_path):
+    (tmp_path / "leg.urdf").write_text(urdf())
+    (tmp_path / "leg.xml").write_text(ATTACHED)
+    mechanism = load_mechanism(tmp_path / "leg.xml")
+    (motor,) = mechanism.actuators
+    assert (mechanism.dof, motor.lower, motor.upper) == (1, -5.0, 5.0)
+    assert np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, 0] == pytest.approx([1.0, -2.0])
