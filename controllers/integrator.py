@@ -6,9 +6,9 @@ With a = A_s ds + A_v dv + B du the reduced dynamics' derivatives, and v_{t+h} =
 (MuJoCo, "Computation", Numerical integration):
 
     Euler           F = M_r^-1 Gamma^T M (M + h D)^-1 M Gamma, D the joints' damping; F = I without damping
-    implicitfast    the same, whether or not Euler's implicit damping is switched off
-    implicit        the same with D = -d(forces)/dq', Coriolis terms included
-    discrete        (M_r + h D_r + h^2 K_r) F a = M_r a - h K_r v, K the joints' springs
+    implicitfast    the same, D of joints, tendons and servos, but for what couples two branches of the tree
+    implicit        the same with Coriolis terms
+    discrete        (M_r + h D_r + h^2 K_r) F a = M_r a - h K_r v, D whole, K the springs of joints, tendons and servos
     RK4             the Taylor polynomial of the exponential to the fourth order
 
 The loop constraint is taken as hard. MuJoCo's is soft: with an impedance d it gives way by (1 - d) / d of the load, and its
@@ -23,6 +23,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates, sampled
 
+_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
@@ -46,8 +47,7 @@ def simulator_step(
         gamma = sampled(mechanism.dynamics.velocity_map, pose)
         rates = joint_rates(mechanism, pose, velocity)
         inertia = sampled(mechanism.dynamics.reduced_inertia, pose)
-        D = _reduced(gamma, _damping(mechanism.model, rates))
-        K = _reduced(gamma, _stiffness(mechanism.model, pose))
+        D, K = (_reduced(gamma, of_all) for of_all in _discrete_terms(mechanism, pose, rates))
         metric = inertia + h * D + h**2 * K
         by_s, by_u = np.linalg.solve(metric, inertia @ by_s), np.linalg.solve(metric, inertia @ by_u)
         by_v = np.linalg.solve(metric, inertia @ by_v - h * K)
@@ -98,12 +98,13 @@ def _implicit_factor(mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarra
             n_q = mechanism.n_q
             of_bias = np.array(bias(pose[k], rates[k], np.zeros(n_q))[1])
             D[k] = of_bias - np.array(passive(pose[k], rates[k], np.zeros(n_q))[1])
+        D = (D + _servo_terms(mechanism, pose, 2)) * _related(model)
+    elif kind == int(mujoco.mjtIntegrator.mjINT_IMPLICITFAST):
+        D = _diagonal(_damping(model, rates)) + _tendon_terms(mechanism, pose, rates)[0]
+        D = (D + _servo_terms(mechanism, pose, 2)) * _related(model)
     else:
-        off = kind == int(mujoco.mjtIntegrator.mjINT_EULER) and bool(
-            model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP)
-        )
-        damping = np.zeros_like(rates) if off else _damping(model, rates)
-        D = damping[:, :, None] * np.eye(mechanism.n_q)
+        off = bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_EULERDAMP))
+        D = _diagonal(np.zeros_like(rates) if off else _damping(model, rates))
     if not np.any(D):
         return np.broadcast_to(np.eye(n_s), (n, n_s, n_s))
     M = sampled(mechanism.dynamics.mass_matrix, pose)
@@ -112,8 +113,83 @@ def _implicit_factor(mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarra
     return np.linalg.solve(gamma.swapaxes(1, 2) @ M @ gamma, gamma.swapaxes(1, 2) @ kept @ gamma)
 
 
-def _reduced(gamma: np.ndarray, diagonal: np.ndarray) -> np.ndarray:
-    return gamma.swapaxes(1, 2) @ (diagonal[:, :, None] * gamma)
+def _reduced(gamma: np.ndarray, of_all: np.ndarray) -> np.ndarray:
+    return gamma.swapaxes(1, 2) @ of_all @ gamma
+
+
+def _diagonal(values: np.ndarray) -> np.ndarray:
+    return values[:, :, None] * np.eye(values.shape[1])
+
+
+def _discrete_terms(mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return D and K (n, n_q, n_q) of the effective metric M + h D + h^2 K: joints', tendons' and servos'.
+
+    The dual solver, PGS, leaves out tendons and actuators (MuJoCo, "Numerical integration").
+    """
+    D, K = _diagonal(_damping(mechanism.model, rates)), _diagonal(_stiffness(mechanism.model, pose))
+    if int(mechanism.model.opt.solver) == int(mujoco.mjtSolver.mjSOL_PGS):
+        return D, K
+    by_speed, by_length = _tendon_terms(mechanism, pose, rates)
+    return D + by_speed + _servo_terms(mechanism, pose, 2), K + by_length + _servo_terms(mechanism, pose, 1)
+
+
+def _servo_terms(mechanism: Mechanism, pose: np.ndarray, power: int) -> np.ndarray:
+    """Return sum -b B B^T (n, n_q, n_q), b a servo's bias by length (power 1) or speed (2), B its moments.
+
+    Whoever runs a servo sets its ctrl anew, so that its effort is the one asked for; but the step's inertia has its terms
+    all the same. Those of a gain that moves are left out.
+    """
+    own = np.array([max(0.0, -actuator.biases[power]) for actuator in mechanism.actuators])
+    if not own.any():
+        return np.zeros((len(pose), mechanism.n_q, mechanism.n_q))
+    moments = sampled(mechanism.dynamics.effort_matrix, pose)
+    return (moments * own) @ moments.swapaxes(1, 2)
+
+
+def _tendon_terms(mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return what tendons' dampers (their actuators' own among them) and springs add to D and K (n, n_q, n_q)."""
+    model, n_q = mechanism.model, mechanism.n_q
+    D, K = np.zeros((2, len(pose), n_q, n_q))
+    owners = [(a, int(model.actuator_trnid[a, 0])) for a in range(model.nu) if int(model.actuator_trntype[a]) == _TENDON]
+    forces = model.tendon_damping, model.tendon_dampingpoly, model.tendon_stiffness, model.tendon_stiffnesspoly
+    if not any(np.any(force) for force in (*forces, [model.actuator_damping[a] for a, _ in owners])):
+        return D, K
+    data, flags = mujoco.MjData(model), model.opt.disableflags
+    for k, (q, rate) in enumerate(zip(pose, rates, strict=True)):
+        data.qpos[:], arms = mechanism.qpos_of(q), np.zeros((model.ntendon, model.nv))
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mju_sparse2dense(arms, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
+        arms = arms @ np.array([mechanism.qvel_of(q, unit) for unit in np.eye(n_q)]).T
+        for tendon, arm in enumerate(arms):
+            both, speed = np.outer(arm, arm), abs(float(arm @ rate))
+            if not flags & int(mujoco.mjtDisableBit.mjDSBL_DAMPER):
+                drag = _slope(model.tendon_damping[tendon], model.tendon_dampingpoly[tendon], speed)
+                for actuator in (a for a, pulled in owners if pulled == tendon):
+                    own = _slope(model.actuator_damping[actuator], model.actuator_dampingpoly[actuator], speed)
+                    drag += float(model.actuator_gear[actuator, 0]) ** 2 * own
+                D[k] += drag * both
+            low, high = model.tendon_lengthspring[tendon]
+            x = max(data.ten_length[tendon] - high, 0.0) + min(data.ten_length[tendon] - low, 0.0)
+            slack = low < data.ten_length[tendon] < high
+            if not slack and not flags & int(mujoco.mjtDisableBit.mjDSBL_SPRING):
+                K[k] += max(_slope(model.tendon_stiffness[tendon], model.tendon_stiffnesspoly[tendon], x), 0.0) * both
+    return D, K
+
+
+def _slope(a: float, poly: np.ndarray, x: float) -> float:
+    """Return the slope of a x + b x^2 + c x^3."""
+    return float(a + 2 * poly[0] * x + 3 * poly[1] * x**2)
+
+
+def _related(model: mujoco.MjModel) -> np.ndarray:
+    """Return (nv, nv) whether of two degrees of freedom one carries the other: elsewhere the simulator drops D."""
+    related = np.eye(model.nv, dtype=bool)
+    for dof in range(model.nv):
+        above = int(model.dof_parentid[dof])
+        while above >= 0:
+            related[dof, above] = related[above, dof] = True
+            above = int(model.dof_parentid[above])
+    return related
 
 
 def _damping(model: mujoco.MjModel, rates: np.ndarray) -> np.ndarray:

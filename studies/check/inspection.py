@@ -144,7 +144,8 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
     problems, notes = [], []
     if mechanism.home_gap_m > OPEN_M:
         problems.append(
-            f"loop {_open_loops(mechanism)} at the model's reference pose: the simulator closes it abruptly, on either branch"
+            f"loop {_open_loops(mechanism)} at the model's reference pose: the simulator closes it abruptly, on either"
+            " branch"
         )
         notes.append(f"a pose that closes it, to write into the model: {keyframe_of(mechanism.coordinates, mechanism.home)}")
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
@@ -214,7 +215,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
 
 
 def _moves_with_others(mechanism: Mechanism, pose: np.ndarray, joint: int, column: int) -> bool:
-    """Return whether a joint moves with other coordinates too, spins apart: where it stops one of them, they may give way."""
+    """Return whether a joint moves with other coordinates too, spins apart: where it stops one of them, those may yield."""
     rates = np.abs(np.array(mechanism.dynamics.velocity_map(pose))[joint])
     free = np.isin(mechanism.independent, list(mechanism.passive_dofs))
     return bool(np.any(np.delete(rates * ~free, column) > NO_ARM * rates.max()))

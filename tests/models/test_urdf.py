@@ -23,8 +23,8 @@ def urdf(inside: str = "", beside: str = "", velocity: str = "") -> str:
     return f'<robot name="leg"><mujoco>{inside}</mujoco>{links}{joints}{beside}</robot>'
 
 
-ATTACHED = """<mujoco><asset><model name="leg" file="leg.urdf"/></asset><worldbody><frame><attach model="leg" prefix="l_"/></frame>
-</worldbody><actuator><motor name="drive" joint="l_hip" ctrlrange="-9 9"/></actuator></mujoco>"""
+ATTACHED = """<mujoco><asset><model name="leg" file="leg.urdf"/></asset><worldbody><frame><attach model="leg" prefix="l_"/>
+</frame></worldbody><actuator><motor name="drive" joint="l_hip" ctrlrange="-9 9"/></actuator></mujoco>"""
 
 
 @pytest.mark.parametrize(

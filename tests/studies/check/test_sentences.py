@@ -1,4 +1,4 @@
-"""What `check` says of several coordinates: what is home's alone is no fault, rounding is no effort, each loop has its gap."""
+"""What `check` says of several coordinates: a stop of home's alone is no fault, rounding no effort, a loop has its gap."""
 
 import re
 
@@ -13,13 +13,16 @@ from linkplan.studies.check.kinematic_loop_report import reach_paths
 
 # Two motors turn a platform's pitch and roll by gears, as ankles have: either alone runs into the roll's range.
 ANKLE = """<mujoco><worldbody><body><joint name="pitch" axis="0 1 0"/><geom size="0.05" contype="0" conaffinity="0"/>
-<body><joint name="roll" axis="1 0 0" range="-20 20"/><geom size="0.1" pos="0 0.1 0" contype="0" conaffinity="0"/></body></body>
+<body>
+<joint name="roll" axis="1 0 0" range="-20 20"/><geom size="0.1" pos="0 0.1 0" contype="0" conaffinity="0"/></body></body>
 <body><joint name="left" axis="0 1 0" range="-60 60"/><geom size="0.05" contype="0" conaffinity="0"/></body>
 <body><joint name="right" axis="0 1 0" range="{right}"/><geom size="0.05" contype="0" conaffinity="0"/></body></worldbody>
-<tendon><fixed name="sum"><joint joint="left" coef="0.5"/><joint joint="right" coef="0.5"/><joint joint="pitch" coef="-1"/></fixed>
-<fixed name="difference"><joint joint="left" coef="0.5"/><joint joint="right" coef="{coef}"/><joint joint="roll" coef="-1"/></fixed>
-</tendon><equality><tendon tendon1="sum"/><tendon tendon1="difference"/></equality>
-<actuator><motor name="l" joint="left" ctrlrange="-9 9"/><motor name="r" joint="right" ctrlrange="-9 9"/></actuator></mujoco>"""
+<tendon><fixed name="sum">
+<joint joint="left" coef="0.5"/><joint joint="right" coef="0.5"/><joint joint="pitch" coef="-1"/></fixed>
+<fixed name="difference">
+<joint joint="left" coef="0.5"/><joint joint="right" coef="{coef}"/><joint joint="roll" coef="-1"/></fixed></tendon>
+<equality><tendon tendon1="sum"/><tendon tendon1="difference"/></equality><actuator>
+<motor name="l" joint="left" ctrlrange="-9 9"/><motor name="r" joint="right" ctrlrange="-9 9"/></actuator></mujoco>"""
 
 
 def test_a_stop_that_another_coordinate_may_give_way_to_is_a_note():
@@ -37,8 +40,7 @@ def test_a_stop_that_no_other_coordinate_moves_stays_a_problem():
 @pytest.fixture(scope="module")
 def tumbling():
     bodies = "".join(
-        f'<body pos="{k} 0 0"><joint name="j{k}" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0" contype="0" conaffinity="0"/></body>'
-        for k in range(3)
+        f'<body pos="{k} 0 0"><joint name="j{k}" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/></body>' for k in range(3)
     )
     motor = '<motor name="m" joint="j0" ctrlrange="-1 1"/>'
     return load_mechanism(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motor}</actuator></mujoco>")

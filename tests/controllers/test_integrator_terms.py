@@ -1,0 +1,70 @@
+"""One step of MuJoCo's integrators about rest, with what acts by tendons and servos: the map is the simulator's own."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from linkplan.controllers.integrator import simulator_step
+from linkplan.controllers.rollout import _step
+from linkplan.models.mechanism import load_mechanism
+
+STEP_S, SMALL = 4e-3, 1e-6
+# Central differences of a step, relative to its largest entry; terms left out are off by 3e-2 to 0.3.
+AGREES = 1e-4
+CHAIN = """<body><joint name="a" axis="0 1 0" armature="0.01"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/>
+<body pos="0.3 0 0"><joint name="b" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/></body></body>"""
+APART = CHAIN.replace('<body pos="0.3 0 0">', '</body><body pos="0 1 0">').replace("</body></body>", "</body>")
+MOTORS = '<motor name="ma" joint="a"/><motor name="mb" joint="b"/>'
+ACTING = {
+    "a tendon's damper": (CHAIN, 'damping="0.5"', MOTORS),
+    "a tendon's damper across branches": (APART, 'damping="0.5"', MOTORS),
+    "a tendon's spring": (CHAIN, 'stiffness="20"', MOTORS),
+    "a tendon's motor with damping": (CHAIN, "", '<motor tendon="t" damping="0.3" gear="2"/><motor joint="b"/>'),
+    "a servo": (CHAIN, "", '<position joint="a" kp="20" kv="1"/><motor joint="b"/>'),
+    "a servo on a tendon": (CHAIN, "", '<position tendon="t" kp="20" kv="1"/><motor joint="b"/>'),
+}
+
+
+def loaded(what: str, integrator: str, solver: str = "Newton"):
+    bodies, tendon, actuators = ACTING[what]
+    return load_mechanism(
+        f'<mujoco><option timestep="{STEP_S}" integrator="{integrator}" solver="{solver}"><flag contact="disable"/></option>'
+        f"<worldbody>{bodies}</worldbody><tendon><fixed name='t' {tendon}><joint joint='a' coef='1'/><joint joint='b'"
+        f" coef='0.6'/></fixed></tendon><actuator>{actuators}</actuator></mujoco>"
+    )
+
+
+def differences(mechanism, q: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Return the slopes (4, 6) of MuJoCo's step about rest under efforts u, by state and effort."""
+
+    def stepped(x: np.ndarray) -> np.ndarray:
+        data = mujoco.MjData(mechanism.model)
+        data.qpos[:], data.qvel[:] = x[:2], x[2:4]
+        _step(mechanism.model, data, mechanism.actuators, x[4:], 1)
+        return np.concatenate([data.qpos, data.qvel])
+
+    at = np.concatenate([q, np.zeros(2), u])
+    return np.array([(stepped(at + e) - stepped(at - e)) / (2 * SMALL) for e in SMALL * np.eye(6)]).T
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast", "RK4", "discrete"])
+@pytest.mark.parametrize("what", ACTING)
+def test_the_map_of_a_step_is_the_simulator_s(what, integrator):
+    assert_maps_agree(loaded(what, integrator))
+
+
+def test_under_the_dual_solver_the_discrete_step_leaves_tendons_and_servos_out():
+    for what in ("a tendon's damper", "a servo"):
+        assert_maps_agree(loaded(what, "discrete", solver="PGS"))
+
+
+def assert_maps_agree(mechanism) -> None:
+    q, still = np.array([0.3, -0.4]), np.zeros(2)
+    arms = np.array(mechanism.dynamics.effort_map(q))
+    u = np.linalg.solve(arms, np.array(mechanism.dynamics.inverse_dynamics(q, still, still)).ravel())
+    A, B = simulator_step(mechanism, q[None], still[None], u[None], STEP_S)
+    exact = differences(mechanism, q, u)
+    both = np.hstack([A[0], B[0]])
+    for rows in (slice(0, 2), slice(2, 4)):
+        of = np.abs(exact - np.eye(4, 6))[rows].max()
+        assert np.abs(both - exact)[rows].max() < AGREES * of
