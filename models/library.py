@@ -13,6 +13,7 @@ from linkplan.models.model_door import MOST_BYTES, refuse_files, refuse_text, re
 from linkplan.models.names import nearest
 from linkplan.models.payload import Payload, attach
 from linkplan.models.reading import read_file, shown
+from linkplan.models.urdf import mesh_hint
 
 __all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
@@ -36,7 +37,7 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
         said += [str(one.message) for one in told]
     except (ValueError, mujoco.FatalError, UnicodeDecodeError) as error:
         what = "MJCF text" if is_text(str(source)) else source
-        raise ModelError(f"model '{what}' does not compile: {one_line(error)}") from error
+        raise ModelError(f"model '{what}' does not compile: {one_line(error)}{mesh_hint(error)}") from error
     finally:
         mujoco.set_mju_user_warning(None)
     refuse_unusable(name, model)

@@ -49,6 +49,16 @@ def conversion_notes(source: str | Path) -> list[str]:
     return notes
 
 
+def mesh_hint(error: Exception) -> str:
+    """Return what finds a URDF's meshes where MuJoCo did not know their package; nothing for other errors."""
+    if "'package:" not in str(error):
+        return ""
+    return (
+        "; where a package's meshes are is said in the URDF's <robot>:"
+        ' <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco>'
+    )
+
+
 def _root(source: str) -> ET.Element | None:
     try:
         if is_text(source):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.urdf import conversion_notes
 
@@ -49,6 +50,13 @@ def test_what_a_urdf_does_not_say_is_not_told_of():
 def test_a_model_in_mjcf_is_no_urdf():
     assert conversion_notes("<mujoco><actuator/></mujoco>") == []
     assert conversion_notes("optimus-knee") == []
+
+
+def test_a_mesh_of_a_package_that_is_not_found_says_what_finds_it(tmp_path):
+    shape = '<collision><geometry><mesh filename="package:///link.stl"/></geometry></collision></link>'
+    (tmp_path / "leg.urdf").write_text(urdf().replace('<link name="base"/>', '<link name="base">' + shape))
+    with pytest.raises(ModelError, match='strippath="true" meshdir="FOLDER"'):
+        load_mechanism(tmp_path / "leg.urdf")
 
 
 def test_an_mjcf_that_attaches_a_urdf_gives_it_a_motor_and_keeps_its_coupling_and_effort_limit(tmp_path):
