@@ -44,10 +44,11 @@ def _joints(model: mujoco.MjModel):
         if model.jnt_springyield[joint] > 0:
             yield f"springyield of joint {name}"
         if kind in (BALL, FREE):
+            sort = "ball joint" if kind == BALL else "free joint"
             if model.jnt_stiffness[joint] or np.any(model.jnt_stiffnesspoly[joint]):
-                yield f"stiffness of ball joint {name}"
+                yield f"stiffness of {sort} {name}"
             if np.any(model.dof_dampingpoly[dof]):
-                yield f"quadratic or cubic damping of ball joint {name}"
+                yield f"quadratic or cubic damping of {sort} {name}"
             if model.jnt_limited[joint] and not limits_off(model):
                 yield f"range of ball joint {name}"
 
