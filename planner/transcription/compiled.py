@@ -57,6 +57,8 @@ _FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
 _LARGE_BYTES, _LARGE_FLAGS = 2_000_000, ("-O0", "-ffp-contract=off", "-fPIC", "-shared")
 # A compiler that hangs must not hang the planner; these functions take seconds.
 _TIMEOUT_S = 120.0
+# ... in which none ends functions of more instructions: to write three million takes 27 s.
+_ENDLESS = 2_000_000
 # The share of the time left until a deadline that compiling may take: what it does not finish in, the interpreter serves.
 _SHARE_OF_TIME = 0.5
 # The sources that write an interval's functions from those of a node: this room's.
@@ -151,7 +153,7 @@ def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: 
         return found
     functions = build()
     left = np.inf if deadline is None else _SHARE_OF_TIME * (deadline - time.monotonic())
-    if compiler() is None or left <= 0:
+    if compiler() is None or left <= 0 or _is_endless(functions):
         return functions
     try:
         folder = trusted_folder(make=True)
@@ -179,7 +181,7 @@ def compile_beside(key: str, functions: Code) -> subprocess.Popen | None:
     What is wanted once is worth no compilation: the first time leaves a mark in the cache, a later one, in this process or
     another, begins the work. A full disk, or no compiler, costs nothing but that.
     """
-    if compiler() is None:
+    if compiler() is None or _is_endless(functions):
         return None
     with contextlib.suppress(OSError, subprocess.SubprocessError):
         folder = trusted_folder(make=True)
@@ -201,6 +203,11 @@ def compile_beside(key: str, functions: Code) -> subprocess.Popen | None:
             if lock is not None:
                 os.close(lock)
     return None
+
+
+def _is_endless(functions: Code) -> bool:
+    """Return whether no compiler ends functions in the time that it has."""
+    return sum(getattr(functions, name).n_instructions() for name in _names(functions)) > _ENDLESS
 
 
 def _written(functions: Code, work: Path, key: str) -> tuple[dict, list[str]]:
