@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from linkplan.controllers.imperfections.servos import as_motors, refuse_unfit, servo_bias, servo_ranges
 from linkplan.controllers.rollout import admit
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import ModelError
@@ -49,27 +50,31 @@ class BatchControlLoop:
         effort_limit: np.ndarray,
         threads: int = 0,
     ) -> None:
-        servos = [actuator.name for actuator in mechanism.actuators if actuator.is_servo]
-        if servos or not mechanism.coordinates.trivial:
-            what = f"actuator {servos[0]} is a servo" if servos else "it has ball or free joints"
+        if not mechanism.coordinates.trivial:
             raise ModelError(
-                f"mechanism '{mechanism.name}': batches of simulations run on hinges and slides driven by motors only;"
-                f" {what}"
+                f"mechanism '{mechanism.name}': batches of simulations run on hinges and slides only; it has ball or free"
+                " joints"
             )
+        refuse_unfit(mechanism)
+        self._servo = servo_bias(mechanism)
+        self._ranges = servo_ranges(mechanism)
         model = copy.deepcopy(mechanism.model)
         model.opt.timestep = timing.timestep_s
         # A blow-up stays visible: MuJoCo would start such a simulation anew from its reference pose.
         model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         for actuator, (low, high) in zip(mechanism.actuators, effort_limit, strict=True):
             admit(model, actuator, low, high)
+        if self._servo is None:  # a motor's step is then a servo's
+            as_motors(model, mechanism)
         self.n, self.timing, self.k = len(pose), timing, 0
         self.gain = np.array(gain)
         self.limit = np.array(effort_limit)
         self._model = model
         self._independent = mechanism.independent
         self._channels = np.array([actuator.channel for actuator in mechanism.actuators], dtype=int)
-        self._bias = np.array([actuator.biases[0] for actuator in mechanism.actuators])
-        self._per_ctrl = np.array([actuator.gain for actuator in mechanism.actuators])
+        motors = [actuator.is_servo and self._servo is None for actuator in mechanism.actuators]
+        self._bias = np.where(motors, 0.0, [actuator.biases[0] for actuator in mechanism.actuators])
+        self._per_ctrl = np.where(motors, 1.0, [actuator.gain for actuator in mechanism.actuators])
         self._batch = Batch(model, nsim=self.n, nthread=threads or min(self.n, os.cpu_count() or 1))
         self._qpos, self._qvel, self._ctrl = (self._batch.bind(name) for name in ("qpos", "qvel", "ctrl"))
         self._qpos[:] = pose
@@ -118,12 +123,9 @@ class BatchControlLoop:
         if gain is not None:
             gains = np.broadcast_to(gain[:, None], gains.shape)
         drive = feedforward + np.matmul(gains, reference[:, :, :, None])[:, :, :, 0]
-        at_joints, at_ctrl = np.ix_(ids, self._independent), np.ix_(ids, self._channels)
-        qpos, qvel, ctrl, batch, queue = self._qpos, self._qvel, self._ctrl, self._batch, self.queue
-        low, high = self.limit.T
-        n_s, scale = len(self._independent), 1.0 / self._per_ctrl
+        at_joints = np.ix_(ids, self._independent)
+        qpos, qvel, queue, n_s = self._qpos, self._qvel, self.queue, len(self._independent)
         states, commands = np.empty((len(drive), len(ids), 2 * n_s)), np.empty((len(drive), len(ids), n_u))
-        everyone = None if len(ids) == self.n else ids
         p, d, late = timing.memory, timing.whole, timing.late
         for t in range(len(drive)):
             check()
@@ -139,9 +141,22 @@ class BatchControlLoop:
                     before = queue[ids, (self.k - d - 1) % p]
                 queue[ids, self.k % p] = command
             if before is not None:
-                ctrl[at_ctrl] = (np.clip(before, low, high) - self._bias) * scale
-                batch.step(ids=everyone, nstep=late)
-            ctrl[at_ctrl] = (np.clip(acting, low, high) - self._bias) * scale
-            batch.step(ids=everyone, nstep=timing.substeps - late)
+                self._step(ids, before, late)
+            self._step(ids, acting, timing.substeps - late)
             self.k += 1
         return states, commands
+
+    def _step(self, ids: np.ndarray, effort: np.ndarray, steps: int) -> None:
+        """Step simulations under held efforts (r, n_u), within their limits."""
+        at_ctrl, everyone = np.ix_(ids, self._channels), None if len(ids) == self.n else ids
+        effort = np.clip(effort, *self.limit.T)
+        if self._servo is None and self._ranges is None:
+            self._ctrl[at_ctrl] = (effort - self._bias) / self._per_ctrl
+            self._batch.step(ids=everyone, nstep=steps)
+            return
+        for _ in range(steps):
+            qpos, qvel = self._qpos[ids], self._qvel[ids]
+            within = effort if self._ranges is None else self._ranges.within(effort, qpos, qvel)
+            moved = 0.0 if self._servo is None else qpos @ self._servo[0].T + qvel @ self._servo[1].T
+            self._ctrl[at_ctrl] = (within - moved - self._bias) / self._per_ctrl
+            self._batch.step(ids=everyone, nstep=1)

@@ -17,6 +17,9 @@ from linkplan.models.actuation.actuators import FIXED, NO_BIAS, constant_arms
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import Mechanism
 
+# Integrators whose steps know nothing of how a servo's force changes.
+_EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
+
 
 def refuse_unfit(mechanism: Mechanism) -> None:
     """Refuse a mechanism that cannot be simulated in a batch.
@@ -43,6 +46,32 @@ def as_motors(model: mujoco.MjModel, mechanism: Mechanism) -> None:
             model.actuator_gainprm[i], model.actuator_biasprm[i] = 0.0, 0.0
             model.actuator_gainprm[i, 0] = 1.0
             model.actuator_ctrllimited[actuator.channel] = False
+
+
+def servo_bias(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return what makes servos' b1 l (n_u, nq) of qpos and b2 l' (n_u, nv) of qvel, where a step tells them from motors.
+
+    The implicit integrators have the slopes of servos' forces in a step's inertia, whatever their ctrl; under the others,
+    and without servos, None.
+
+    Raises:
+        ModelError: for a servo whose gain changes, or whose length is no sum of joints' positions.
+    """
+    model, servos = mechanism.model, [actuator for actuator in mechanism.actuators if actuator.is_servo]
+    if not servos or int(model.opt.integrator) in _EXPLICIT:
+        return None
+    by_position, by_rate = np.zeros((mechanism.n_u, model.nq)), np.zeros((mechanism.n_u, model.nv))
+    for j, actuator in enumerate(mechanism.actuators):
+        arms = constant_arms(model, actuator.index) if actuator.is_servo else {}
+        if actuator.is_servo and (any(actuator.gains[1:]) or not arms):
+            raise ModelError(
+                f"mechanism '{mechanism.name}': batches of simulations run servos of constant gain on hinges, slides and"
+                f" fixed tendons under an implicit integrator; actuator {actuator.name} is another on {actuator.target}"
+            )
+        for dof, arm in arms.items():
+            by_position[j, int(model.jnt_qposadr[int(model.dof_jntid[dof])])] = actuator.biases[1] * arm
+            by_rate[j, dof] = actuator.biases[2] * arm
+    return by_position, by_rate
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -69,3 +69,35 @@ def test_a_simulation_left_out_stays_where_it_is():
     after = batch.state(np.arange(2))
     assert np.array_equal(after[0], before[0])
     assert not np.array_equal(after[1], before[1])
+
+
+SERVO = """<mujoco><option timestep="1e-3" integrator="{integrator}"><flag contact="disable"/></option><worldbody>
+<body><joint name="O" axis="0 1 0" damping="0.02" armature="0.01"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/>
+</body></worldbody><actuator>
+<position name="servo" joint="O" gear="2" kp="30" kv="1.5" ctrlrange="-1 1" forcerange="-9 9"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast", "RK4", "discrete"])
+def test_a_servo_s_simulations_are_the_runs_of_its_loop_whatever_the_integrator(integrator):
+    mechanism = load_mechanism(SERVO.format(integrator=integrator))
+    point, period = operating_point(mechanism, np.array([0.2])), 2e-3
+    still = point.constant(period, N)
+    arrays = {name: np.array(getattr(still, name)) for name in ("time_s", "pose", "position", "velocity", "effort")}
+    arrays["velocity"][0] = 3.0
+    reference = SampledReference(period_s=period, cycle=None, **arrays)
+    tracker = Feedforward(reference=reference, feedback=pd(mechanism, reference, 20.0, 0.5))
+    loop = ControlLoop(effort_limit=np.array([[-9.0, 9.0]]))
+    rollout = run(mechanism, reference, tracker, loop)
+    batch = BatchControlLoop(
+        mechanism,
+        pose=reference.pose[:1],
+        velocity=reference.velocity[:1],
+        gain=pd_gain(tracker.feedback.map[0], 20.0, 0.5)[None],
+        first_effort=rollout.commanded[:1],
+        timing=sampling(mechanism, period, 0),
+        effort_limit=loop.effort_limit,
+    )
+    along = np.concatenate([reference.position, reference.velocity], axis=1)[:, None]
+    states, _ = batch.run(np.arange(1), along, reference.effort[:, None])
+    assert np.ptp(rollout.position) > 1e-3
+    assert np.abs(states[:, 0, 0] - rollout.position[:, 0]).max() < SAME
