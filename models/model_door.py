@@ -24,7 +24,7 @@ from linkplan.models.model_size import (
     numbers_in,
     size_of,
 )
-from linkplan.models.reading import read_file, shown
+from linkplan.models.reading import read_file, read_head, shown
 
 # MJCF files, and the meshes and textures that they name: the largest humanoid's mesh has some 20 MB.
 MOST_BYTES, _MOST_ASSET_BYTES = 32_000_000, 500_000_000
@@ -130,7 +130,7 @@ def read_file_head(place: Path, model: Path) -> None:
         raise ModelError(
             f"model '{model}' names '{place}' of {place.stat().st_size} bytes; at most {_MOST_ASSET_BYTES} are read"
         )
-    width, height = png_size(place) if place.suffix.lower() == ".png" else (0, 0)
+    width, height = png_size(place)  # whatever it is named: MJCF may say in words what a file is
     if image_bytes(width, height) > MOST_ROOM_BYTES:  # a few kilobytes of file may unfold to any size
         raise ModelError(
             f"model '{model}' names '{place}', a picture of {width} x {height} pixels; at most {MOST_ROOM_BYTES:.6g}"
@@ -140,7 +140,7 @@ def read_file_head(place: Path, model: Path) -> None:
 
 def png_size(place: Path) -> tuple[int, int]:
     """Return the width and height [pixels] that a PNG file declares; zeros where it is none."""
-    head = read_file(place, f"'{place}'", _MOST_ASSET_BYTES, ModelError)[:24]
+    head = read_head(place, f"'{place}'", 24, ModelError)
     if not head.startswith(b"\x89PNG\r\n\x1a\n") or len(head) < 24:
         return 0, 0
     return int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")

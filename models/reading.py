@@ -1,9 +1,13 @@
 """The door for what others wrote: regular files of bounded size, texts that can be shown, TOML that can be read."""
 
+import contextlib
 import os
+import re
 import stat
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from linkplan.models.errors import LinkplanError, ProblemError, one_line
 
@@ -11,6 +15,8 @@ from linkplan.models.errors import LinkplanError, ProblemError, one_line
 MOST_TOML_BYTES = 16_000_000
 # A table deeper than this is nobody's; the parser recurses for each level.
 _DEEPEST = 100
+# A key of so many parts: of each the parser keeps all that stand before it. Runs are begun at their first part only.
+_LONG_KEY = re.compile(rf"""(?<![\w."'-])(?:(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_DEEPEST}}}""")
 
 
 def shown(text: object, most: int = 200) -> str:
@@ -31,6 +37,26 @@ def read_file(path: Path, what: str, most_bytes: int, error: type[LinkplanError]
     Raises:
         error: when it is no regular file (a pipe would wait for ever, a device never end), too large, or unreadable.
     """
+    with _opened(path, what, error) as (file, size):
+        if size > most_bytes:
+            raise error(f"{what} has {size} bytes; at most {most_bytes} are read")
+        content = file.read(size + 1)  # Python sets aside what it is asked for: what there is, and no more
+        if len(content) > size:
+            content += file.read(most_bytes + 1 - len(content))
+    if len(content) > most_bytes:
+        raise error(f"{what} grows while it is read; at most {most_bytes} bytes are")
+    return content
+
+
+def read_head(path: Path, what: str, count: int, error: type[LinkplanError] = ProblemError) -> bytes:
+    """Return the first bytes of a regular file, `count` or as many as there are; refused as in `read_file`."""
+    with _opened(path, what, error) as (file, _):
+        return file.read(count)
+
+
+@contextlib.contextmanager
+def _opened(path: Path, what: str, error: type[LinkplanError]) -> Iterator[tuple[BinaryIO, int]]:
+    """Give a regular file to read and its size [bytes]; what the system refuses is raised as `error`."""
     try:
         # Without O_NONBLOCK opening a pipe waits for a writer.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
@@ -38,14 +64,9 @@ def read_file(path: Path, what: str, most_bytes: int, error: type[LinkplanError]
             found = os.fstat(descriptor)
             if not stat.S_ISREG(found.st_mode):
                 raise error(f"{what} is not a regular file (a folder, a pipe or a device)")
-            if found.st_size > most_bytes:
-                raise error(f"{what} has {found.st_size} bytes; at most {most_bytes} are read")
-            content = file.read(most_bytes + 1)
+            yield file, found.st_size
     except (OSError, ValueError) as refused:
         raise error(f"{what} cannot be read: {getattr(refused, 'strerror', None) or refused}") from refused
-    if len(content) > most_bytes:
-        raise error(f"{what} grows while it is read; at most {most_bytes} bytes are")
-    return content
 
 
 def read_toml(path: Path, what: str) -> dict:
@@ -67,6 +88,8 @@ def parse_toml(text: str, what: str) -> dict:
     Raises:
         ProblemError: when it is not TOML, or nested deeper, or with longer numbers, than can be read.
     """
+    if _LONG_KEY.search(text):
+        raise ProblemError(f"{what} is nested more than {_DEEPEST} levels deep")
     try:
         tables = tomllib.loads(text)
     except RecursionError as error:

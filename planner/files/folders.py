@@ -15,7 +15,7 @@ import numpy as np
 from linkplan.models.errors import PlanFileError
 from linkplan.models.interrupts import check, shielded
 from linkplan.planner.files.manifest import MANIFEST, RECORDS, replaceable, write_manifest
-from linkplan.planner.files.work_folders import link_over, sweep, sync, take_place, taken, work_folder
+from linkplan.planner.files.work_folders import link_over, stands, sweep, sync, take_place, taken, work_folder
 
 __all__ = ["MANIFEST", "RECORDS", "check_target", "place_of", "plain", "plain_record", "write_json", "write_whole"]
 
@@ -67,6 +67,8 @@ def _judged(target: Path, place: Path, record: str) -> frozenset[str]:
             raise PlanFileError(
                 f"'{target}' is where a file system is mounted, which cannot be replaced; name a folder in it"
             )
+        if place.is_dir() and not os.access(place, os.R_OK | os.W_OK | os.X_OK):
+            raise PlanFileError(f"'{target}' cannot be replaced: no permission to read and change what is in it")
         if place.is_dir():
             sweep(place)
         ours = replaceable(place, record) if place.is_dir() else frozenset()
@@ -90,7 +92,7 @@ def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan
     """
     place = place_of(target)
     _judged(target, place, record)
-    made = []
+    made, work = [], None
     try:
         made = _make_parents(place)
         with work_folder(place) as work:
@@ -113,7 +115,13 @@ def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan
                 take_place(work, place)
                 made = []
     except OSError as error:
-        raise PlanFileError(f"cannot write '{target}': {error.strerror or error}") from error
+        why = error.strerror or error
+        if work is not None and stands(work, place):
+            raise PlanFileError(
+                f"'{target}' stands, new and whole, but the disk refused afterwards: {why}; what stood there before is in"
+                f" '{work.path}' as far as it is not cleared away, which the next run tries again"
+            ) from error
+        raise PlanFileError(f"cannot write '{target}': {why}") from error
     finally:
         for parent in made:
             _remove_if_empty(parent)

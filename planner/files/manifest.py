@@ -100,7 +100,10 @@ def read_manifest(folder: Path) -> Manifest | None:
 
 
 def with_inner(folder: Path, files: frozenset[str]) -> frozenset[str]:
-    """Return a result's files and those of results that were since written into folders of it, a batch's case say."""
+    """Return a result's files and those of results that were since written into folders of it, a batch's case say.
+
+    What has become a folder since is no file of ours.
+    """
     found = set(files)
     for below in {str(parent) for name in files for parent in PurePosixPath(name).parents} - {"."}:
         try:
@@ -109,7 +112,7 @@ def with_inner(folder: Path, files: frozenset[str]) -> frozenset[str]:
             inner = None
         if inner is not None:
             found |= {f"{below}/{name}" for name in (*inner.files, MANIFEST)}
-    return frozenset(found)
+    return frozenset(name for name in found if (folder / name).is_symlink() or not (folder / name).is_dir())
 
 
 def _stays_inside(name: str) -> bool:

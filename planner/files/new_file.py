@@ -1,9 +1,12 @@
-"""Single files that are written: whole or not at all, and never over what is there."""
+"""Single files that are written: whole or not at all, and never over what is there and not linkplan's."""
 
 import os
+import shutil
 from pathlib import Path
 
 from linkplan.models.errors import PlanFileError
+from linkplan.models.interrupts import shielded
+from linkplan.planner.files.work_folders import sync_folder
 
 
 def check_new(path: Path) -> None:
@@ -51,3 +54,28 @@ def write_new(path: Path, content: bytes) -> None:
         raise PlanFileError(f"cannot write '{path}': {error.strerror or error}") from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_over(path: Path, content: bytes) -> None:
+    """Write a file in the place of an earlier one, which stands there until the new one is on the disk.
+
+    Raises:
+        PlanFileError: where the disk refuses; the earlier one then stands as it stood.
+    """
+    try:
+        place = path.resolve()  # a link to an earlier one stays one
+        part = place.with_name(f".{place.name[:100]}.{os.getpid()}.part")
+        try:
+            with shielded():
+                with part.open("xb") as file:
+                    file.write(content)
+                    file.flush()
+                    os.fsync(file.fileno())
+                if place.exists():
+                    shutil.copymode(place, part)
+                os.replace(part, place)
+                sync_folder(place.parent)
+        finally:
+            part.unlink(missing_ok=True)
+    except (OSError, RuntimeError) as error:
+        raise PlanFileError(f"cannot write '{path}': {getattr(error, 'strerror', None) or error}") from error

@@ -13,7 +13,7 @@ from linkplan.models.catalogue import is_file
 from linkplan.models.digest import part_hashes
 from linkplan.models.errors import AssemblyError, CertificateError, LinkplanError, PlanFileError
 from linkplan.models.poses.contacts import Meeting
-from linkplan.models.reading import read_file, too_deep
+from linkplan.models.reading import read_file, shown, too_deep
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.collisions import with_contacts
 from linkplan.planner.certificate.margins import Margin
@@ -249,14 +249,18 @@ def _problem_again(said: dict, folder: Path, overrides: Sequence[str] = ()) -> P
     if isinstance(beside, str) and is_file(folder / beside):
         models.insert(0, str((folder / beside).resolve()))
     guess = said["problem"].get("guess")
-    if isinstance(guess, dict) and isinstance(guess.get("plan"), str) and not Path(guess["plan"]).is_dir():
+    if (
+        isinstance(guess, dict)
+        and isinstance(guess.get("plan"), str)
+        and not is_file(Path(guess["plan"]) / "trajectory.npz")
+    ):
         del said["problem"]["guess"]  # where the solver once began; the motion is here without it
     refusal, changed = None, ""
     for model in dict.fromkeys(model for model in models if model is None or isinstance(model, str)):
         if isinstance(section, dict):
             section["model"] = model
         try:
-            problem = problem_from_tables(str(said["name"]), said["problem"])
+            problem = problem_from_tables(shown(said["name"]), said["problem"])
         except LinkplanError as error:
             refusal = refusal or error
             continue
@@ -310,6 +314,10 @@ def _read_json(path: Path) -> dict:
         said = json.loads(read_file(path, f"'{path}'", MOST_JSON_BYTES, PlanFileError).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise PlanFileError(f"'{path}' is truncated or not JSON: {error}") from error
+    try:
+        json.dumps(said, ensure_ascii=False).encode("utf-8")
+    except (ValueError, RecursionError) as error:  # halves of characters, which JSON can hold and no other file can
+        raise PlanFileError(f"'{path}' holds what is no text: {str(error)[:80]}") from error
     if not isinstance(said, dict) or not isinstance(said.get("problem", {}), dict) or too_deep(said):
         raise PlanFileError(f"'{path}' is not a plan")
     return said

@@ -58,12 +58,13 @@ class WorkFolder:
 def work_folder(place: Path) -> Iterator[WorkFolder]:
     """Give a work folder beside a result's place, settled at the end whatever happens."""
     host = re.sub(r"[^A-Za-z0-9.]", "_", socket.gethostname())[:32] or "host"
-    identity = os.urandom(8).hex()
-    path = place.parent / f"{_PREFIX}{host}-{os.getpid()}-{identity}"
     lock = None
+    identity, path = _named(place, host)
     try:
         path.mkdir(mode=0o700)
-        lock = _locked(path / _LOCK, make=True)
+        while (lock := _locked(path / _LOCK, make=True)) is None and not path.exists():
+            identity, path = _named(place, host)  # the last was empty yet, and another run has swept it
+            path.mkdir(mode=0o700)
         (path / _OWNER).write_text(json.dumps({"identity": identity, "place": place.name}) + "\n", encoding="utf-8")
         yield WorkFolder(path, identity)
     finally:
@@ -73,6 +74,11 @@ def work_folder(place: Path) -> Iterator[WorkFolder]:
             finally:
                 if lock is not None:
                     os.close(lock)
+
+
+def _named(place: Path, host: str) -> tuple[str, Path]:
+    identity = os.urandom(8).hex()
+    return identity, place.parent / f"{_PREFIX}{host}-{os.getpid()}-{identity}"
 
 
 def sweep(parent: Path) -> None:
@@ -89,6 +95,10 @@ def sweep(parent: Path) -> None:
             lock = _locked(path / _LOCK, make=False) if fcntl is not None else None
             unlocked_s = _NO_LOCKS_S if fcntl is None else _UNLOCKED_S
             in_use = fcntl is not None and (path / _LOCK).exists()
+            if lock is None and not in_use:
+                with contextlib.suppress(OSError):  # empty: its owner ended, or makes another when it finds it gone
+                    path.rmdir()
+                    continue
             if lock is None and (in_use or time.time() - found.st_mtime < unlocked_s):
                 continue
             try:
@@ -203,6 +213,11 @@ def settle(work: Path) -> None:
         (work / name).unlink(missing_ok=True)
     with contextlib.suppress(FileNotFoundError):
         work.rmdir()
+
+
+def stands(work: WorkFolder, place: Path) -> bool:
+    """Return whether a work folder's new result has taken its place."""
+    return _is_new(place, work.identity)
 
 
 def _is_new(folder: Path, identity: str) -> bool:

@@ -19,6 +19,8 @@ LARGEST = 1e15
 MOST_TURNS = 100
 # Meshes beyond this take minutes; a typing slip of a zero should not.
 MAX_INTERVALS = 20_000
+# States on the way: each at a free time is a segment of three intervals or more.
+MOST_WAYPOINTS = 1000
 # What a certificate allows the integrated state [deg]: a hundredth of a degree, a tenth of what a good encoder resolves.
 INTEGRATION_DEG = 0.01
 # The integration that judges is good to about a tenth of this.

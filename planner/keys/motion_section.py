@@ -48,10 +48,12 @@ class MotionSection(Section, frozen=True):
     waypoints: Annotated[
         list[WaypointSection],
         Meta(
+            max_length=kinds.MOST_WAYPOINTS,
             extra={
-                "said": f"a list of tables with keys {', '.join(WaypointSection.__struct_fields__)}",
+                "said": f"a list of at most {kinds.MOST_WAYPOINTS} tables with keys"
+                f" {', '.join(WaypointSection.__struct_fields__)}",
                 "numbered": True,
-            }
+            },
         ),
         key(
             "states on the way, passed in order: at_deg, at_m or at (of sites), speed_deg_s, speed_m_s, each at its time_s"

@@ -13,6 +13,9 @@ import msgspec
 from linkplan.planner.keys.kinds import LARGEST, Known, Place
 from linkplan.planner.keys.synonyms import meant
 
+# What bounds a number or the length of a list.
+_BOUNDS = ("ge", "gt", "le", "lt", "max_length")
+
 
 def fault(kind: Any, value: object, where: str, known: Known | None = None) -> str | None:
     """Return what is wrong with a value that is to be one of a kind, None where nothing is."""
@@ -27,6 +30,8 @@ def fault(kind: Any, value: object, where: str, known: Known | None = None) -> s
     if container is dict and isinstance(value, dict) and value:
         return _in_table(bare, about, value, where, known)
     if container is list and isinstance(value, list):
+        if len(value) > about.get("max_length", len(value)):
+            return f"{where} is {words(kind)}, got {len(value)} of them"
         inner = get_args(bare)[0]
         items = enumerate(value)
         found = (fault(inner, item, f"{where}[{k}]" if "numbered" in about else where, known) for k, item in items)
@@ -92,7 +97,7 @@ def without_metadata(kind: Any) -> tuple[Any, dict[str, Any]]:
         return kind, {}
     about: dict[str, Any] = {}
     for meta in kind.__metadata__:
-        about |= {name: end for name in ("ge", "gt", "le", "lt") if (end := getattr(meta, name)) is not None}
+        about |= {name: end for name in _BOUNDS if (end := getattr(meta, name)) is not None}
         about |= meta.extra or {}
     return kind.__origin__, about
 

@@ -195,7 +195,7 @@ def _read(path: Path, most: int) -> bytes:
         found = os.fstat(descriptor)
         if not stat.S_ISREG(found.st_mode) or found.st_size > most or _whose(found) is not None:
             raise PermissionError(f"'{path}' is not of this cache")
-        return file.read(most)
+        return file.read(found.st_size)  # Python sets aside as much as it is asked for
 
 
 @contextlib.contextmanager

@@ -29,6 +29,9 @@ from linkplan.planner.search.presolve import start_pose_of
 _SAMPLES = 121
 # Poses of a whole turn: one a degree.
 _TURN_SAMPLES = 361
+# Matrices of n coordinates at the poses of n paths: no more numbers than this of a quantity (in JSON, some fifty
+# megabytes), which thins the paths of more than seventeen coordinates; but so many poses of each in any case.
+_MOST_NUMBERS, _FEWEST = 2_000_000, 3
 # An actuator whose effort on a coordinate is below this share of the largest does not act on it: rounding.
 _NO_ARM = 1e-9
 
@@ -124,8 +127,15 @@ def reach_paths(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[Kinem
             continue  # a rod that spins about its line changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""
-        found.append(measure(mechanism, swept(mechanism, can), f"the reach of {name}{others}", coordinate=column))
+        poses = thinned(swept(mechanism, can), mechanism.dof)
+        found.append(measure(mechanism, poses, f"the reach of {name}{others}", coordinate=column))
     return tuple(found)
+
+
+def thinned(poses: np.ndarray, dof: int) -> np.ndarray:
+    """Return poses of one of `dof` paths, fewer where matrices of so many coordinates at all of them take too much room."""
+    most = max(_FEWEST, _MOST_NUMBERS // dof**3)
+    return poses if len(poses) <= most else poses[np.linspace(0, len(poses) - 1, most).round().astype(int)]
 
 
 def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:

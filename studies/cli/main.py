@@ -18,6 +18,7 @@ from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.command_line import build_parser
 from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
+from linkplan.studies.cli.faults import is_of_memory, refuse_little_memory, told_to_the_makers
 from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, quiet, refuse
 from linkplan.studies.cli.streams import put
 
@@ -76,6 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                     # MuJoCo would look for a window library, in a process that signals reach too. What is rendered goes
                     # by MuJoCo's contexts themselves.
                     os.environ["MUJOCO_GL"] = "disable"
+                    _with_own_figures()
                 code = _run(arguments)
             check()
     except KeyboardInterrupt:
@@ -115,8 +117,15 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
     return arguments
 
 
+def _with_own_figures() -> None:
+    """Let this process draw as linkplan does, whatever settings of matplotlib's the working folder or the shell has."""
+    os.environ.pop("MPLBACKEND", None)
+    os.environ["MATPLOTLIBRC"] = os.devnull
+
+
 def _run(arguments: argparse.Namespace) -> int:
     try:
+        refuse_little_memory(arguments.command)
         module = importlib.import_module(f"linkplan.studies.cli.{_MODULES[arguments.command]}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
         try:
@@ -132,7 +141,10 @@ def _run(arguments: argparse.Namespace) -> int:
         return NO if isinstance(error, CertificateError) else BAD_INPUT
     except OSError as error:
         check()
-        refuse(arguments.command, f"the result cannot be written: {error.strerror or error}")
+        if is_of_memory(error):
+            return unforeseen(arguments.command, error)
+        what = "the result cannot be written" if error.filename is None else f"'{error.filename}' cannot be read or written"
+        refuse(arguments.command, one_line(f"{what}: {error.strerror or error}"))
         return BAD_INPUT
     except Exception as error:
         check()  # libraries make other errors of an interrupt that comes while they are loaded
@@ -165,24 +177,11 @@ def _folder_at(target: str | None) -> tuple[int, int] | None:
 
 def unforeseen(command: str, error: BaseException) -> int:
     """Say in one line that linkplan itself failed, and where to find what its makers need to know; return the exit code."""
-    import tempfile
-    import traceback
-    from importlib.metadata import version
-
-    if isinstance(error, MemoryError):
-        what = "there is not enough memory for it"
-    else:
-        what = f"a fault of linkplan's own ({type(error).__name__}: {one_line(error)[:200]})"
-    said = "".join(traceback.format_exception(error)).encode("utf-8", "backslashreplace")
-    about = f"linkplan {version('linkplan')}, Python {sys.version}\narguments: {sys.argv[1:]!r}\n\n"
-    told = about.encode("utf-8", "backslashreplace")
     try:
-        with tempfile.NamedTemporaryFile(prefix="linkplan-fault-", suffix=".txt", delete=False) as file:
-            file.write(told + said)
-        send = f"; please send '{file.name}' to linkplan's makers"
-    except OSError:
-        send = ""
-    refuse(command, f"{what}{send}")
+        told = told_to_the_makers(error)
+    except Exception:  # without memory nothing can be loaded or written
+        told = "there is not enough memory for it"
+    refuse(command, told)
     return BAD_INPUT
 
 

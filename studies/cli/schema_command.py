@@ -2,11 +2,11 @@
 
 import argparse
 import json
-import os
 from pathlib import Path
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import choose
+from linkplan.planner.files.new_file import write_over
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
 
@@ -25,12 +25,7 @@ def run_schema(arguments: argparse.Namespace) -> int:
         raise ProblemError(f"-o takes a file, got '{arguments.output}'")
     if place.exists() and not _is_a_schema(place):
         raise ProblemError(f"-o: '{place}' is there and not linkplan's; move it or name another file")
-    part = place.with_name(f".{place.name}.{os.getpid()}")
-    try:
-        part.write_text(f"{text}\n", encoding="utf-8")
-        part.replace(place)
-    finally:
-        part.unlink(missing_ok=True)
+    write_over(place, f"{text}\n".encode())
     if arguments.json:
         show(arguments, said, text)
     return DONE

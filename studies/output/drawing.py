@@ -1,6 +1,7 @@
 """One look for every figure: sizes, grid, and colours that colour-blind readers can tell apart (Okabe & Ito, 2008)."""
 
 import textwrap
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -47,7 +48,9 @@ _STYLE = {
 @contextmanager
 def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **layout) -> Iterator:
     """Yield a figure's axes (rows, columns); when the block ends, save the figure at `path` where one is given."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()  # not the reader's own settings: TeX that is not there, pictures of any size
+        matplotlib.rcParams.update(_STYLE)
         # A figure of its own, without pyplot: no screen is needed and nothing is left open.
         figure = Figure(figsize=size, layout="constrained")
         yield figure.subplots(rows, columns, squeeze=False, **layout)
@@ -57,7 +60,9 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
             if "$" in text.get_text() and "\\math" not in text.get_text():
                 text.set_parse_math(False)  # a name with dollars is a name, not a formula
         if path is not None:
-            figure.savefig(path)
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "Glyph", UserWarning)  # the font's own box stands for what it has not
+                figure.savefig(path)
 
 
 def _few_ticks(axes) -> None:

@@ -22,6 +22,8 @@ ByName = Mapping[str, float]
 # Arguments of the builders that are whole tables of a problem file, and those that are keys of one.
 _SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracking")
 _MOTION = tuple(key for key in KEYS["motion"] if key != "kind")
+# Names stand in titles of figures and in tables.
+_LONGEST_NAME = 500
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 
 
@@ -281,6 +283,8 @@ def _mechanism(mechanism: object) -> Mechanism:
 
 
 def _name(name: object) -> str:
-    if not isinstance(name, str) or not name.strip():
-        raise ProblemError(f"a problem's name is a word, got {name!r}")
+    if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > _LONGEST_NAME:
+        raise ProblemError(
+            f"a problem's name is a word of at most {_LONGEST_NAME} characters that can be shown, got {name!r}"
+        )
     return name

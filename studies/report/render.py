@@ -12,13 +12,16 @@ from dataclasses import fields, is_dataclass
 from importlib import resources
 from pathlib import Path
 
+from linkplan.models.catalogue import is_folder, is_there
 from linkplan.models.errors import PlanFileError
+from linkplan.models.reading import read_head
+from linkplan.planner.files.new_file import write_over
 from linkplan.studies.report.document import Report
 
 # In the order in which they build on one another.
 _PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "animation", "player", "blocks", "main")
 # By these words an earlier report is known, which a new one may replace.
-_OURS = '<meta name="generator" content="linkplan">'
+_OURS = b'<meta name="generator" content="linkplan">'
 _HEAD = 1000
 
 
@@ -68,11 +71,10 @@ def write_report(report: Report | Mapping, path: Path) -> None:
     """Write a report's HTML file; an earlier report in its place is replaced, and nothing else.
 
     Raises:
-        PlanFileError: when something else stands there.
-        OSError: when the disk refuses.
+        PlanFileError: when something else stands there, or the disk refuses.
     """
     refuse_other_files(path)
-    path.write_text(report_html(report), encoding="utf-8", errors="replace")
+    write_over(path, report_html(report).encode("utf-8", "replace"))
 
 
 def refuse_other_files(path: Path) -> None:
@@ -81,13 +83,13 @@ def refuse_other_files(path: Path) -> None:
     Raises:
         PlanFileError: naming it.
     """
-    if path.is_dir():
+    if is_folder(path):
         raise PlanFileError(f"a report is one HTML file, and '{path}' is a folder; name a file in it")
-    if not path.exists():
+    if not is_there(path):
         return
     try:
-        begin = path.read_text(encoding="utf-8")[:_HEAD] if path.is_file() else ""
-    except (OSError, ValueError):
-        begin = ""
+        begin = read_head(path, f"'{path}'", _HEAD, PlanFileError)
+    except PlanFileError:
+        begin = b""
     if _OURS not in begin:
         raise PlanFileError(f"'{path}' is no report of linkplan's, and is not replaced; name another file")

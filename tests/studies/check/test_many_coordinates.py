@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
+from linkplan.studies.check.kinematic_loop_report import thinned
 from linkplan.studies.check.whole_check import check_whole
 
 
@@ -46,3 +47,12 @@ def test_what_it_says_is_what_the_whole_record_has(wholes):
     own = wholes[8].text().split("along the reach of j7")[1].splitlines()
     assert f"{path.holding_effort[0, 7]:.4g}" in next(line for line in own if line.startswith("-60 "))
     assert np.abs(path.holding_effort[0, 7]) > 0
+
+
+def test_paths_of_many_coordinates_are_thinned_so_that_their_matrices_have_room():
+    poses = np.arange(361.0)[:, None]
+    assert len(thinned(poses, 6)) == 361
+    few = thinned(poses, 40)
+    assert few[0] == 0
+    assert few[-1] == 360
+    assert len(few) * 40**3 <= 2_000_000

@@ -1,0 +1,55 @@
+"""The door for files and texts of others: no more room than they take, no more depth than is meant."""
+
+import os
+import struct
+import tracemalloc
+
+import pytest
+
+from linkplan.models.errors import ModelError, ProblemError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.reading import parse_toml, read_file, read_head
+from tests.support.refusals import refusal
+
+
+def test_reading_sets_aside_no_more_than_a_file_has(tmp_path):
+    (tmp_path / "small").write_bytes(b"ab")
+    tracemalloc.start()
+    try:
+        assert read_file(tmp_path / "small", "it", 500_000_000) == b"ab"
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_file_of_exactly_the_most_is_read_and_one_byte_more_refused(tmp_path):
+    (tmp_path / "file").write_bytes(b"abc")
+    assert read_file(tmp_path / "file", "it", 3) == b"abc"
+    with pytest.raises(ProblemError, match="3 bytes; at most 2"):
+        read_file(tmp_path / "file", "it", 2)
+
+
+def test_a_head_of_a_long_file_is_read_without_the_rest(tmp_path):
+    with (tmp_path / "long").open("wb") as file:
+        file.write(b"head")
+        os.truncate(file.fileno(), 10_000_000_000)
+    assert read_head(tmp_path / "long", "it", 4) == b"head"
+
+
+@pytest.mark.parametrize("key", ["a" + ".a" * 5000, "a" + ' . "b"' * 5000])
+def test_a_key_of_thousands_of_parts_is_refused_before_the_parser_sees_it(key):
+    assert "nested" in refusal(lambda: parse_toml(f"{key} = 1", "it"), ProblemError)
+
+
+@pytest.mark.parametrize("text", ['x = "' + "1.5, " * 500 + '"', "x = [" + "1.5," * 500 + "]", 'x = "' + "." * 500 + '"'])
+def test_points_in_values_are_no_depth(text):
+    assert parse_toml(text, "it")["x"]
+
+
+def test_a_picture_that_unfolds_to_gigabytes_is_refused_under_any_name(tmp_path):
+    head = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 30_000, 30_000, 8, 2, 0, 0, 0)
+    (tmp_path / "sky.bin").write_bytes(head)
+    texture = '<texture name="sky" type="2d" file="sky.bin" content_type="image/png"/>'
+    (tmp_path / "m.xml").write_text(f"<mujoco><asset>{texture}</asset><worldbody><body><joint/></body></worldbody></mujoco>")
+    with pytest.raises(ModelError, match="30000 x 30000 pixels"):
+        load_mechanism(tmp_path / "m.xml")

@@ -1,0 +1,131 @@
+"""What disks refuse, and what stands in a result's place: the earlier result stays, and what is said of it is true."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from linkplan.models.errors import PlanFileError
+from linkplan.planner.files import folders, work_folders
+from linkplan.planner.files.folders import check_target, write_json, write_whole
+from linkplan.planner.files.new_file import write_over
+from linkplan.planner.files.plan_folder import read_plan
+from linkplan.studies.report.render import refuse_other_files
+
+
+def result(text: str):
+    return lambda folder: write_json(folder / "plan.json", {"problem": text})
+
+
+def refuse(*_, **__) -> None:
+    raise OSError(28, "No space left on device")
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def test_an_empty_work_folder_without_a_lock_is_swept_at_once(tmp_path):
+    (tmp_path / ".linkplan-work-host-1-0123").mkdir()  # its owner was killed before it held a lock, or after
+    check_target(tmp_path / "run")
+    assert names(tmp_path) == []
+
+
+def test_a_work_folder_that_is_swept_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
+    locked, gone = work_folders._locked, []
+
+    def swept_first(path: Path, *, make: bool) -> int | None:
+        if make and not gone:
+            gone.append(path)
+            path.parent.rmdir()
+        return locked(path, make=make)
+
+    monkeypatch.setattr(work_folders, "_locked", swept_first)
+    write_whole(tmp_path / "run", result("new"))
+    assert gone
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_result_without_permission_to_change_it_is_refused_before_the_work(tmp_path, monkeypatch):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    may = os.access
+    monkeypatch.setattr(folders.os, "access", lambda path, mode: Path(path) != place and may(path, mode))
+    with pytest.raises(PlanFileError, match="no permission"):
+        check_target(place)
+
+
+def test_a_folder_of_the_users_under_a_name_of_ours_is_not_taken_away(tmp_path):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    (place / "plan.json").unlink()
+    (place / "plan.json").mkdir()
+    (place / "plan.json" / "thesis.tex").write_text("mine")
+    with pytest.raises(PlanFileError, match=r"holds 'plan\.json'"):
+        write_whole(place, result("new"))
+    assert (place / "plan.json" / "thesis.tex").read_text() == "mine"
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_disk_that_refuses_to_clear_the_earlier_result_away_is_no_result_lost(tmp_path, monkeypatch):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    monkeypatch.setattr(work_folders, "hand_over", refuse)
+    with pytest.raises(PlanFileError, match="stands, new and whole"):
+        write_whole(place, result("new"))
+    assert json.loads((place / "plan.json").read_text())["problem"] == "new"
+    monkeypatch.undo()
+    check_target(place)
+    assert names(tmp_path) == ["run"]
+
+
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
+    (tmp_path / "report.html").write_bytes(b"old")
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(PlanFileError, match="No space left"):
+        write_over(tmp_path / "report.html", b"new")
+    assert (tmp_path / "report.html").read_bytes() == b"old"
+    assert names(tmp_path) == ["report.html"]
+
+
+def test_a_link_to_an_earlier_file_is_written_through(tmp_path):
+    (tmp_path / "report.html").write_bytes(b"old")
+    (tmp_path / "link").symlink_to("report.html")
+    write_over(tmp_path / "link", b"new")
+    assert os.readlink(tmp_path / "link") == "report.html"
+    assert (tmp_path / "report.html").read_bytes() == b"new"
+
+
+def test_a_file_of_gigabytes_is_no_report_and_is_not_read_to_its_end(tmp_path):
+    with (tmp_path / "report.html").open("wb") as file:
+        os.truncate(file.fileno(), 10_000_000_000)
+    with pytest.raises(PlanFileError, match="no report"):
+        refuse_other_files(tmp_path / "report.html")
+
+
+def changed(folder: Path, **values: object) -> None:
+    said = json.loads((folder / "plan.json").read_text()) | values
+    (folder / "plan.json").write_text(json.dumps(said))
+
+
+def test_half_a_character_in_a_record_is_refused(saved):
+    changed(saved, name="\ud800")
+    with pytest.raises(PlanFileError, match="no text"):
+        read_plan(saved)
+
+
+def test_a_name_that_cannot_be_shown_is_escaped_and_cut(saved):
+    changed(saved, name="a\nb\0" + "x" * 1000)
+    name = read_plan(saved).problem.name
+    assert name.startswith("a\\nb\\x00x")
+    assert len(name) <= 200
+
+
+def test_a_plan_outlives_the_motion_that_it_was_begun_from(saved, tmp_path):
+    (tmp_path / "emptied").mkdir()
+    changed(
+        saved,
+        problem=json.loads((saved / "plan.json").read_text())["problem"] | {"guess": {"plan": str(tmp_path / "emptied")}},
+    )
+    assert read_plan(saved).passed

@@ -1,0 +1,79 @@
+"""What a process finds around it: limits, matplotlib's settings of somebody else's, memory that there is not."""
+
+import os
+import resource
+import subprocess
+import sys
+
+import matplotlib
+import pytest
+
+from linkplan.models.errors import LinkplanError
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.studies.cli import faults
+from linkplan.studies.cli import main as program
+from linkplan.studies.output.drawing import page
+from tests.support.refusals import refusal
+
+
+def test_figures_do_not_take_over_settings_of_the_readers(tmp_path):
+    with matplotlib.rc_context({"savefig.dpi": 3000, "text.usetex": True, "figure.dpi": 3000}):
+        with page(tmp_path / "figure.png") as axes:
+            axes[0, 0].set_title("speed")
+        assert matplotlib.rcParams["savefig.dpi"] == 3000  # and leave them as they were
+    assert (tmp_path / "figure.png").stat().st_size < 200_000
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_letter_that_the_font_has_not_is_no_warning(tmp_path):
+    with page(tmp_path / "figure.png") as axes:
+        axes[0, 0].set_title("\U0001f9bf")
+    assert (tmp_path / "figure.png").is_file()
+
+
+@pytest.mark.slow
+def test_a_check_is_drawn_whatever_matplotlib_is_set_to(tmp_path):
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\nsavefig.dpi: 30000\n")
+    words = [sys.executable, "-m", "linkplan", "check", "optimus-knee", "-o", "out"]
+    done = subprocess.run(words, cwd=tmp_path, env=os.environ | {"MPLBACKEND": "nonsense"}, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "mechanism.png").is_file()
+
+
+def test_a_process_of_too_little_memory_is_refused_before_libraries_are_loaded(monkeypatch):
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (100_000_000, resource.RLIM_INFINITY))
+    assert "100 MB" in refusal(lambda: faults.refuse_little_memory("plan"), LinkplanError)
+    faults.refuse_little_memory("list")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [MemoryError(), OSError(12, "Cannot allocate memory"), ImportError("x.so: failed to map segment from shared object")],
+)
+def test_memory_that_there_is_not_is_named_whatever_kind_of_error_says_so(error):
+    assert "not enough memory" in faults.told_to_the_makers(error)
+
+
+def test_an_error_that_cannot_even_be_told_is_a_line(monkeypatch, capsys):
+    def fails(_: BaseException) -> str:
+        raise MemoryError
+
+    monkeypatch.setattr(program, "told_to_the_makers", fails)
+    assert program.unforeseen("plan", RuntimeError("x")) == 2
+    assert capsys.readouterr().err == "linkplan plan: there is not enough memory for it\n"
+
+
+def test_what_cannot_be_read_is_not_said_to_be_unwritable(monkeypatch, capsys):
+    def fails(_: object) -> int:
+        raise PermissionError(13, "Permission denied", "planned/plan.json")
+
+    monkeypatch.setattr("linkplan.studies.cli.list_command.run_list", fails)
+    assert program.main(["list"]) == 2
+    assert capsys.readouterr().err == "linkplan list: 'planned/plan.json' cannot be read or written: Permission denied\n"
+
+
+def test_more_waypoints_than_a_mesh_has_room_for_are_counted_and_refused():
+    point = "{ at_deg = { O = 1.0 } }"
+    message = refusal(lambda: load_problem("knee-reach", [f"motion.waypoints=[{', '.join([point] * 1001)}]"]), LinkplanError)
+    assert "at most 1000" in message
+    assert "1001" in message
