@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.catalogue import MODELS, is_file
+from linkplan.models.catalogue import MODELS, is_file, is_folder
 from linkplan.models.errors import AssemblyError, ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
@@ -244,7 +244,7 @@ def _guess(section: GuessSection, tables: Tables, mechanism: Mechanism, folder: 
         raise ProblemError("guess.plan and guess.path_deg are two guesses; keep one")
     if section.plan is not None:
         place = beside(section.plan, folder)
-        if not place.is_dir():
+        if not is_folder(place):
             where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
             raise ProblemError(f"guess.plan '{section.plan}' is not a folder in {where}; it is where a plan was saved")
         tables["guess"]["plan"] = str(place.resolve())

@@ -39,7 +39,9 @@ def read(
     """
     try:
         return msgspec.convert(value, kind)
-    except msgspec.ValidationError as refused:
+    except UnicodeEncodeError as refused:
+        raise error(f"{where} holds what is no text") from refused
+    except (msgspec.ValidationError, AttributeError) as refused:  # the latter of what only looks like a table
         from linkplan.planner.keys.refusals import fault  # only those who are refused wait for its words
 
         raise error(fault(kind, value, where, known) or f"{where}: {refused}") from refused

@@ -113,7 +113,7 @@ def got(value: object) -> str:
 def _taken(kind: Any, value: object) -> bool:
     try:
         msgspec.convert(value, kind)
-    except msgspec.ValidationError:
+    except (msgspec.ValidationError, AttributeError):
         return False
     return True
 

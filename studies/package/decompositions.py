@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.paths import drawn
 from linkplan.plain import plain
 from linkplan.planner.files.imperfections_file import imperfections_of
 from linkplan.planner.problem.values import whole
@@ -81,7 +82,7 @@ class DecompositionResult:
         """Return the figure of every tracker's parts as bars; it is saved at `path` where one is given."""
         from linkplan.studies.decompose.draw_decomposition import decomposition_figure
 
-        return decomposition_figure(self.decomposition, None if path is None else Path(path))
+        return drawn(path, lambda place: decomposition_figure(self.decomposition, place))
 
     def __str__(self) -> str:
         return decomposition_text(self.decomposition)

@@ -14,6 +14,7 @@ from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.names import choose
+from linkplan.paths import drawn, path_of
 from linkplan.plain import plain
 from linkplan.planner.files.imperfections_file import imperfections_of
 from linkplan.planner.problem.values import whole
@@ -98,7 +99,7 @@ def experiment(
         tube_m=tube_m,
     )
     source = {"name": problem.name, **answer.problem.source}
-    target = None if folder is None else Path(folder)
+    target = None if folder is None else path_of(folder, "folder")
     say = listener(progress)
     engine = processes(workers) if cluster is None else at_address(cluster)
     outcome = run_experiment(
@@ -138,8 +139,8 @@ class ExperimentResult:
 
         one, summary = self.outcome.experiment, self.outcome.summary
         title = f"{one.plan.problem.name}: {summary.samples} machines"
-        place = None if path is None else Path(path)
-        return experiment_figure(self.outcome.population, one.settings.trackers, summary.metrics, title, place)
+        names, found = one.settings.trackers, self.outcome.population
+        return drawn(path, lambda place: experiment_figure(found, names, summary.metrics, title, place))
 
     def __str__(self) -> str:
         return outcome_text(self.outcome)
@@ -178,7 +179,7 @@ class SensitivityResult:
 
         _, name = self._asked(next(iter(self.found.influences)), metric)
         title = tornado_title(self.found, self.outcome.experiment.plan.problem.name, name)
-        return tornado_figure(self.found, name, title, None if path is None else Path(path))
+        return drawn(path, lambda place: tornado_figure(self.found, name, title, place))
 
     def _asked(self, tracker: str, metric: str | None) -> tuple[str, str]:
         choose("tracker", tracker, tuple(self.found.influences), ProblemError)

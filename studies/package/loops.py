@@ -14,6 +14,7 @@ from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
+from linkplan.paths import drawn
 from linkplan.plain import plain
 from linkplan.planner.files.problem_file import tracking_from_tables
 from linkplan.planner.problem.settings import Tracking
@@ -203,7 +204,7 @@ class BodeResult:
         names = [one.name for one in self.study.mechanism.independent_joints]
         name = choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError)
         entries = [entry for entry in self.study.points if entry.channel == names.index(name)]
-        return bode_figure(self.study, entries, path)
+        return drawn(path, lambda place: bode_figure(self.study, entries, place))
 
     def __str__(self) -> str:
         from linkplan.studies.bode.bode_report import bode_text
@@ -246,7 +247,7 @@ class TuneResult:
         """Return the figure of bandwidth and margins over the poses; it is saved at `path` where one is given."""
         from linkplan.studies.tune.draw_tune import tune_figure
 
-        return tune_figure(self.tuning, path)
+        return drawn(path, lambda place: tune_figure(self.tuning, place))
 
     def __str__(self) -> str:
         return tune_report.tune_text(self.tuning) + _noted(self.note)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from linkplan.models.errors import LinkplanError, LockedError, UnassembledError
 from linkplan.models.mechanism import Mechanism
+from linkplan.paths import drawn
 from linkplan.plain import plain
 from linkplan.planner.files.problem_file import mechanism_from_tables
 from linkplan.planner.files.tables import read_tables
@@ -124,7 +125,8 @@ class CheckResult:
 
         if isinstance(self.found, RefusedModel):
             raise LinkplanError(f"nothing to draw: {self.found.error}")
-        return inspection_figure(self.found.found, path)
+        found = self.found.found
+        return drawn(path, lambda place: inspection_figure(found, place))
 
     def __str__(self) -> str:
         return self.found.text()

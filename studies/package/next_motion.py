@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.paths import times_of
 from linkplan.planner import plan as planned
 from linkplan.planner.files.motion_table import MotionTable, motion_table
 from linkplan.planner.motion_step import MotionStep
@@ -50,13 +51,14 @@ class NextMotion:
         """Return the motion at times (n,) or a time [s], as `Plan.sample` does; by default ten instants of every interval.
 
         Raises:
-            LinkplanError: when the loops do not close along the motion.
+            LinkplanError: when the loops do not close along the motion, or a time is no finite number.
         """
+        time = times_of(time_s)
         motion = planned.Plan(
             problem=self.problem.planning, status="failed", message="not certified", trajectory=self.step.trajectory
         )
-        table = motion_table(motion, None if time_s is None else np.atleast_1d(np.asarray(time_s, dtype=float)))
-        return table.single() if time_s is not None and np.ndim(time_s) == 0 else table
+        table = motion_table(motion, None if time is None else np.atleast_1d(time))
+        return table.single() if time is not None and time.ndim == 0 else table
 
     def __repr__(self) -> str:
         joint, error = next(iter(self.position_error.items()))

@@ -11,6 +11,7 @@ import numpy as np
 
 from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
 from linkplan.next_motion import NextMotion
+from linkplan.paths import drawn, path_of, times_of
 from linkplan.planner import plan as planned
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.files import plan_folder
@@ -54,6 +55,7 @@ def read_plan(folder: str | Path, *, anyway: bool = False) -> Plan:
         CertificateError: when the motion does not pass.
         LinkplanError: when the folder or a file in it is missing, truncated, no plan's, or its model has changed since.
     """
+    folder = path_of(folder, "folder")
     answer, note = plan_folder.read_plan(folder, anyway=anyway), plan_folder.unchecked(folder)
     if note is not None:
         LOG.warning("%s: %s", folder, note)
@@ -186,12 +188,7 @@ class Plan:
             LinkplanError: when the plan has no motion, or a time is no finite number.
         """
         self._moves("sample")
-        try:
-            time = None if time_s is None else np.asarray(time_s, dtype=float)
-        except (TypeError, ValueError):
-            time = np.full((), np.nan)
-        if time is not None and (time.ndim > 1 or not np.all(np.isfinite(time))):
-            raise ProblemError(f"times are finite numbers of seconds, one or a row of them, got {time_s!r}")
+        time = times_of(time_s)
         table = motion_table(self.answer, None if time is None else np.atleast_1d(time), jumps=jumps)
         return table.single() if time is not None and time.ndim == 0 else table
 
@@ -221,7 +218,7 @@ class Plan:
         self._moves("draw")
         from linkplan.studies.output.draw_plan import plan_figure
 
-        return plan_figure(self.answer, path)
+        return drawn(path, lambda place: plan_figure(self.answer, place))
 
     def save(self, folder: str | Path, *, jumps: bool = False) -> Path:
         """Write the plan as a folder, whole or not at all, and return its path: plan.json, trajectory.npz, .csv, plan.png.
@@ -234,7 +231,7 @@ class Plan:
         self._moves("save")
         from linkplan.studies.output.save_plan import save_plan
 
-        target = Path(folder)
+        target = path_of(folder, "folder")
         write_whole(target, lambda place: save_plan(self.answer, place, target, jumps=jumps))
         return target
 
@@ -247,8 +244,9 @@ class Plan:
         from linkplan.studies.report.render import write_report
         from linkplan.studies.report.reports import plan_report
 
-        write_report(plan_report(self.answer), Path(path))
-        return Path(path)
+        place = path_of(path, "path")
+        write_report(plan_report(self.answer), place)
+        return place
 
     def to_dict(self) -> dict:
         """Return what plan.json has of a plan: status, message, certificate, history, problem, versions; units in names."""

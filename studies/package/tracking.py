@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.paths import drawn, path_of
 from linkplan.plain import plain
 from linkplan.planner import plan as planned
 from linkplan.planner.files.problem_file import tracking_from_tables
@@ -143,14 +144,16 @@ class TrackingResult:
         from linkplan.studies.report.reports import comparison_report
         from linkplan.studies.report.saving import save_report
 
+        target = path_of(folder, "folder")
+
         def write(place: Path) -> None:
             write_json(place / "compare.json", self.to_dict())
             save_report(comparison_report(self.comparison), place, page=False)
             save_time_series(self.comparison, place)
             comparison_figure(self.comparison, place / "compare.png")
 
-        write_whole(Path(folder), write, "compare.json")
-        return Path(folder)
+        write_whole(target, write, "compare.json")
+        return target
 
     def report(self, path: str | Path) -> Path:
         """Write the runs' report, one HTML file that opens offline, and return its path.
@@ -161,14 +164,15 @@ class TrackingResult:
         from linkplan.studies.report.render import write_report
         from linkplan.studies.report.reports import comparison_report
 
-        write_report(comparison_report(self.comparison), Path(path))
-        return Path(path)
+        place = path_of(path, "path")
+        write_report(comparison_report(self.comparison), place)
+        return place
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of motion, error and effort of every tracker; it is saved at `path` where one is given."""
         from linkplan.studies.compare.draw_tracking import comparison_figure
 
-        return comparison_figure(self.comparison, path)
+        return drawn(path, lambda place: comparison_figure(self.comparison, place))
 
     def __str__(self) -> str:
         return comparison_text(self.comparison)

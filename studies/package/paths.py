@@ -1,0 +1,64 @@
+"""Paths and times that callers give, refused in one line where they are none."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from linkplan.models.errors import PlanFileError, ProblemError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# Bytes of a name on the usual disks.
+_LONGEST = 255
+
+
+def path_of(value: object, key: str) -> Path:
+    """Return the path that a caller means.
+
+    Raises:
+        ProblemError: naming the argument, when it is no text and no path, or one that nothing can have.
+    """
+    if not isinstance(value, str | os.PathLike) or not isinstance(os.fspath(value), str):
+        raise ProblemError(f"{key} is a path, a text or a pathlib.Path, got {value!r}")
+    text = os.fspath(value)
+    try:
+        parts = [os.fsencode(part) for part in Path(text).parts]
+    except UnicodeEncodeError as error:
+        raise ProblemError(f"{key} is a path, got what is no text: {text!r}") from error
+    if not text or "\0" in text or any(len(part) > _LONGEST for part in parts):
+        raise ProblemError(f"{key} is a path whose names have 1 to {_LONGEST} bytes, none of them zero, got {text!r}")
+    return Path(text)
+
+
+def drawn(path: object, draw: Callable[[Path | None], "Figure"]) -> "Figure":
+    """Return a figure, saved at a path where one is given.
+
+    Raises:
+        LinkplanError: when the path is none, the disk refuses it, or its suffix is no kind of picture.
+    """
+    if path is None:
+        return draw(None)
+    place = path_of(path, "path")
+    try:
+        return draw(place)
+    except (OSError, ValueError) as error:
+        raise PlanFileError(f"'{place}' cannot be written: {getattr(error, 'strerror', None) or error}") from error
+
+
+def times_of(time_s: object) -> np.ndarray | None:
+    """Return times [s] as an array, of one number () or of a row (n,); None of None.
+
+    Raises:
+        ProblemError: for what is no finite number, and no row of such.
+    """
+    try:
+        time = None if time_s is None else np.asarray(time_s, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        time = np.full((), np.nan)
+    if time is not None and (time.ndim > 1 or not np.all(np.isfinite(time))):
+        raise ProblemError(f"times are finite numbers of seconds, one or a row of them, got {time_s!r}")
+    return time
