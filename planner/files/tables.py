@@ -126,7 +126,10 @@ def parse_value(text: str, where: str) -> object:
         ProblemError: when the text is neither.
     """
     try:
-        return parse_toml(f"value = {text}", "the value")["value"]
+        said = parse_toml(f"value = {text}", "the value")
+        if len(said) > 1:  # further lines, which TOML would read as further keys
+            raise ProblemError(f"setting '{where}' is one value, got {len(said)} lines of keys")
+        return said["value"]
     except ProblemError as error:
         if re.fullmatch(r"[^\s\"'\[\]{}=,]+", text):
             return text

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from linkplan.models.errors import PlanFileError
-from linkplan.models.reading import read_file
-from linkplan.planner.files.folders import RECORDS
+from linkplan.models.reading import read_file, too_deep
+from linkplan.planner.files.folders import RECORDS, plain_record
 from linkplan.planner.files.plan_folder import MOST_JSON_BYTES, read_plan, unchecked
 from linkplan.planner.plan import Plan
 from linkplan.studies.experiment.study import RECORD as EXPERIMENT
@@ -60,9 +60,9 @@ def _read(path: Path) -> dict:
         said = json.loads(read_file(path, f"'{path}'", MOST_JSON_BYTES, PlanFileError).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise PlanFileError(f"'{path}' cannot be read: {str(error)[:80]}") from error
-    if not isinstance(said, dict):
+    if not isinstance(said, dict) or too_deep(said):
         raise PlanFileError(f"'{path}' is no record")
-    return said
+    return plain_record(said)  # JSON may hold NaN and 1e999, and a page may not
 
 
 def _record_report(path: Path) -> Report:

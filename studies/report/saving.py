@@ -5,7 +5,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from linkplan.models.errors import PlanFileError
-from linkplan.models.reading import read_file
+from linkplan.models.reading import read_file, too_deep
+from linkplan.planner.files.folders import plain_record
 from linkplan.studies.report.document import Report
 from linkplan.studies.report.render import as_record, write_report
 
@@ -32,9 +33,9 @@ def read_document(path: Path) -> dict:
         said = json.loads(read_file(path, f"'{path}'", _MOST_BYTES, PlanFileError).decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise PlanFileError(f"'{path}' is no report: {str(error)[:80]}") from error
-    if not _is_document(said):
+    if not _is_document(said) or too_deep(said):
         raise PlanFileError(f"'{path}' is no report: it lacks a title, a verdict, versions, or sections of blocks")
-    return said
+    return plain_record(said)  # JSON may hold NaN and 1e999, and a page may not
 
 
 def _is_document(said: object) -> bool:

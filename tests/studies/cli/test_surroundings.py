@@ -72,6 +72,11 @@ def test_what_cannot_be_read_is_not_said_to_be_unwritable(monkeypatch, capsys):
     assert capsys.readouterr().err == "linkplan list: 'planned/plan.json' cannot be read or written: Permission denied\n"
 
 
+def test_a_setting_of_further_lines_is_refused():
+    for text in ("motion.duration_s=0.2\nmotion.kind=1", "motion.duration_s=0.2 # x\n[solver]"):
+        refusal(lambda text=text: load_problem("knee-reach", [text]), LinkplanError)
+
+
 def test_more_waypoints_than_a_mesh_has_room_for_are_counted_and_refused():
     point = "{ at_deg = { O = 1.0 } }"
     message = refusal(lambda: load_problem("knee-reach", [f"motion.waypoints=[{', '.join([point] * 1001)}]"]), LinkplanError)

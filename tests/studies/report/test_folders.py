@@ -86,3 +86,22 @@ def test_check_writes_the_page_that_is_asked_for(tmp_path, capsys):
     assert main(["check", "slider-crank", "-o", str(tmp_path / "checked"), "--report"]) == 0
     assert capsys.readouterr().out
     assert {path.name for path in (tmp_path / "checked").iterdir()} >= {"check.json", "report.html", "report.json"}
+
+
+WITH_MORE = '{"title": "a", "verdict": "b", "versions": {}, "passed": null, "sections": [], "more": %s}'
+
+
+@pytest.mark.parametrize("value", ["NaN", "1e999", "-Infinity"])
+def test_numbers_that_are_none_in_a_record_or_a_document_are_no_fault(value, tmp_path):
+    for name, text in (("bode.json", f'{{"points": [{{"gain": {value}}}]}}'), ("report.json", WITH_MORE % value)):
+        folder = tmp_path / name.partition(".")[0]
+        folder.mkdir()
+        (folder / name).write_text(text)
+        write_report(folder_report(folder), tmp_path / "report.html")
+        assert (tmp_path / "report.html").is_file()
+
+
+def test_a_document_nested_deeper_than_anything_meant_is_refused(tmp_path):
+    (tmp_path / "report.json").write_text(WITH_MORE % ("[" * 900 + "]" * 900))
+    with pytest.raises(PlanFileError, match="no report"):
+        folder_report(tmp_path)
