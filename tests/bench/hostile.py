@@ -2,8 +2,8 @@
 one of the words in it (by default all), as a process of its own in a folder of its own; `-v` prints what was right too.
 
 It wants Linux and root, for mounts and permissions. What must hold: an exit code that the case allows, no traceback, no
-fault of linkplan's own, one line of refusal where the code is 2, an answer within 30 s, at most 2 GB resident, no file of the
-folder changed that was there before, and no litter.
+fault of linkplan's own, one line of refusal where the code is 2, an answer within 30 s, at most 2 GB resident, no file of
+the folder changed that was there before, and no litter.
 """
 
 import contextlib
