@@ -13,7 +13,7 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.tracker import AnyTracker, Tracker, TrackerWithMemory
-from linkplan.models.errors import ProblemError, one_line
+from linkplan.models.errors import LinkplanError, ProblemError, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.studies.compare.tracker_source import ENTRY_POINTS, look_here, module_of, source_files
@@ -169,7 +169,13 @@ def users_tracker(asked: object, mechanism: Mechanism, reference: SampledReferen
                 f"a tracker is one of {', '.join(TRACKERS)}, an object with a name and effort(k, position, velocity), or a"
                 f" function of the sampled reference that returns one; got {asked!r}"
             )
-        law = asked(reference)
+        try:
+            law = asked(reference)
+        except LinkplanError:
+            raise
+        except Exception as error:  # the user's own code, whatever it raises
+            made_by = getattr(asked, "__name__", asked)
+            raise ProblemError(f"tracker '{made_by}' cannot be made: {type(error).__name__}: {one_line(error)}") from error
         if not _is_law(law):
             raise ProblemError(
                 "a function that is given as a tracker returns an object with a name and effort(k, position, velocity),"

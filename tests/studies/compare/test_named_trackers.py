@@ -5,7 +5,7 @@ import pytest
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.compare.user_tracker import tracker_named, trackers_named
+from linkplan.studies.compare.user_tracker import tracker_named, trackers_named, users_tracker
 from tests.support.plans import optimal
 
 LAW = """
@@ -66,3 +66,9 @@ def test_a_tracker_of_an_installed_package_is_found_by_its_name(monkeypatch, tmp
     (info / "entry_points.txt").write_text("[linkplan.trackers]\nstill = laws_installed:Still\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     assert tracker_named("still").__name__ == "Still"
+
+
+@pytest.mark.parametrize("asked", [lambda: None, int])
+def test_a_function_that_cannot_take_a_reference_is_refused_with_what_it_raised(asked):
+    with pytest.raises(ProblemError, match="cannot be made: TypeError"):
+        users_tracker(asked, None, object())
