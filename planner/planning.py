@@ -56,7 +56,7 @@ def _nothing_found(search: Search) -> bool:
 
 RUNGS: tuple[Rung, ...] = (
     Rung(
-        name="the phase plane along limits on power, its arcs held",
+        name="the phase plane along limits on power and pin force, its arcs held",
         tried=starts.is_along_power,
         climb=starts.along_power,
         budget=HURRIED,

@@ -112,11 +112,13 @@ def may_keep_powers(problem: PlanningProblem) -> bool:
 
 
 def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
-    """Return what a guess along limits on power holds along its arcs."""
+    """Return what a guess along limits on power and pin force holds along its arcs."""
     system = formulate(problem, choose_scales(problem, guess)).build_system()
     kinds = np.array(system.kinds[system.n_equations :])
     paths = np.zeros((len(guess.power_arcs), len(kinds)), dtype=int)
     paths[:, kinds == "power"] = guess.power_arcs[:, np.isfinite(problem.limits.power).any(axis=1)]
+    if guess.force_arcs is not None:
+        paths[:, kinds == "closure_force"] = guess.force_arcs
     return FixedArcs(efforts=guess.bang_efforts, paths=paths)
 
 

@@ -47,6 +47,8 @@ class Guess:
     bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts between those and the phase boundaries
     # (n_segments, n_u) 1 or -1 where an actuator is at its upper or lower limit on power there, its bang effort then NaN
     power_arcs: np.ndarray | None = None
+    # (n_segments, n_limited_closures) 1 where a closure's force is at its limit there, the bang effort then NaN
+    force_arcs: np.ndarray | None = None
 
 
 def motion_of(trajectory: Trajectory) -> Guess:

@@ -11,7 +11,9 @@ from linkplan.planner.search.starts import along_power, from_a_smooth_path, from
 
 # Rungs that look for it.
 _RUNGS = (
-    Rung(name="the phase plane along limits on power", tried=is_along_power, climb=along_power, budget=HURRIED),
+    Rung(
+        name="the phase plane along limits on power and pin force", tried=is_along_power, climb=along_power, budget=HURRIED
+    ),
     Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_a_smooth_path, budget=PATIENT),
     Rung(
         name="the phase plane",

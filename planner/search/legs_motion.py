@@ -12,6 +12,7 @@ import numpy as np
 
 from linkplan.models.interrupts import check
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.search.leg_field import FORCE
 from linkplan.planner.search.power_legs import Leg, power_legs
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
@@ -36,11 +37,12 @@ def legs_motion(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory 
     It is quickest by comparison: no motion that goes on to where it must turn is anywhere faster than both legs allow.
 
     Args:
-        problem: whose efforts are limited; of its other limits, all but those on power are left out.
+        problem: whose efforts are limited; of its other limits, all but those on power and pin force are left out.
         start_pose: closed (n_q,), at the start.
     """
     limits = problem.limits
-    inside = replace(limits, effort=_inside(limits.effort), power=_inside(limits.power))
+    rated = (1.0 - _ROOM) * limits.closure_force
+    inside = replace(limits, effort=_inside(limits.effort), power=_inside(limits.power), closure_force=rated)
     found = power_legs(replace(problem, limits=inside), start_pose, exactly=True)
     if found is None:
         return None
@@ -148,7 +150,10 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
         bernstein_matrix(len(c) - 1, _JUDGED) @ c for c in (position, velocity, efforts, np.linalg.solve(known.effort_at, a))
     )
     asked, pushed = law(s, v)
-    strength = np.abs(leg.field.curves(s)[:, 4:] * asked).sum(axis=1) / leg.field.curves(s)[:, 0]
-    if np.any(np.abs(u - asked) > _CLOSE * np.abs(asked)) or np.any(np.abs(slope - pushed) > _CLOSE * strength):
+    # Along a pin force the effort may pass through nothing: there the whole limit is its measure.
+    size = np.abs(asked) if np.all(np.abs(held) < FORCE) else np.abs(leg.field.effort).max(axis=1)
+    values = leg.field.curves(s)
+    strength = np.abs(values[:, 4:] * size).sum(axis=1) / values[:, 0]
+    if np.any(np.abs(u - asked) > _CLOSE * size) or np.any(np.abs(slope - pushed) > _CLOSE * strength):
         return None
     return position, velocity, efforts, np.array([position[-1], velocity[-1]])

@@ -1,9 +1,9 @@
-"""Least-time motions of one degree of freedom along limits on power: the phase plane's legs, integrated over time.
+"""Least-time motions of one degree of freedom along limits on power and pin force: the phase plane's legs, over time.
 
-A leg with all that effort and power allow from where a motion begins, another back from where it ends, and where they
-cross the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Along a power limit P the effort is P / w:
-it falls off from a bang at rest that may last a hundred-thousandth of the motion, which neither a grid over the way nor a
-mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is held along it; the instants
+A leg with all that effort, power and pin forces allow from where a motion begins, another back from where it ends, and where
+they cross the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Along a power limit P the effort is
+P / w: it falls off from a bang at rest that may last a hundred-thousandth of the motion, which neither a grid over the way
+nor a mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is held along it; the instants
 themselves are left to the solver.
 """
 
@@ -17,6 +17,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.search.leg_field import FORCE, POWER, LegField, PinForces
 from linkplan.planner.search.phase_plane import Guess, Part, parts_of
 
 # Poses along a part of the way.
@@ -31,51 +32,13 @@ _LONGEST, _AT = 1e6, 1e-7
 _BESIDE = 1e-7
 # Instants within each of the integration's steps at which arcs are looked at, and halvings that find where they end.
 _LOOKS, _HALVINGS = 4, 60
-# What an actuator is held at: its effort's limit (1 upper, -1 lower), or its power's.
-POWER = 2
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class PowerField:
-    """All that effort and power allow along a part of the way.
-
-    M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
-    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `way` +1 or -1.
-    """
-
-    curves: Callable[[Any], np.ndarray]
-    effort: np.ndarray
-    power: np.ndarray
-    way: float
-
-    def at(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what actuators are held at (..., n_u), the efforts (..., n_u) and the acceleration at places and speeds.
-
-        The efforts are those that push towards the end, or brake.
-        """
-        maps = self.curves(s)[..., 4:]
-        upper = (maps * self.way > 0) == towards
-        held, effort = np.where(upper, 1, -1), np.where(upper, self.effort[:, 1], self.effort[:, 0])
-        spent = effort * maps * np.asarray(v)[..., None]
-        held = np.where(spent > self.power[:, 1], POWER, np.where(spent < self.power[:, 0], -POWER, held))
-        return held, *self.along(s, v, held)
-
-    def along(self, s: Any, v: Any, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the efforts (..., n_u) of actuators that are held at limits, and the acceleration, at places and speeds."""
-        values, v = self.curves(s), np.asarray(v, dtype=float)
-        rate, on_power = values[..., 4:] * v[..., None], np.abs(held) == POWER
-        upper = np.asarray(held) > 0
-        power, limit = (np.where(upper, of[:, 1], of[:, 0]) for of in (self.power, self.effort))
-        effort = np.where(on_power, power / np.where(on_power, rate, 1.0), limit)
-        force = values[..., 1] + values[..., 2] * v**2 + values[..., 3] * v + (values[..., 4:] * effort).sum(axis=-1)
-        return effort, force / values[..., 0]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Leg:
     """A leg over its own time (begin, end) [s]; `later` [s] is when its time is 0 in the motion."""
 
-    field: PowerField
+    field: LegField
     state: Callable[[Any], np.ndarray]  # (2,) or (2, n): place and speed
     steps: np.ndarray
     towards: bool
@@ -97,11 +60,19 @@ class Leg:
         """Return what is held at an instant of its own."""
         return tuple(int(one) for one in self.field.at(*self.state(t), towards=self.towards)[0])
 
-    def arcs(self) -> list[tuple[float, tuple[int, ...]]]:
-        """Return its arcs in turn: when each ends [s], in the motion's time, and what is held along it."""
+    def is_possible(self) -> bool:
+        """Return whether one effort keeps all limits at every instant of it that is looked at."""
+        return self.field.keeps(*self.state(self._looks()), towards=self.towards)
+
+    def _looks(self) -> np.ndarray:
+        """Return the instants (n,) of its own at which it is looked at: some within each of the integration's steps."""
         knots = np.unique(np.clip(self.steps, self.begin, self.end))
         looks = np.interp(np.arange(_LOOKS * (len(knots) - 1) + 1) / _LOOKS, np.arange(len(knots)), knots)
-        looks = 0.5 * (looks[1:] + looks[:-1])
+        return 0.5 * (looks[1:] + looks[:-1])
+
+    def arcs(self) -> list[tuple[float, tuple[int, ...]]]:
+        """Return its arcs in turn: when each ends [s], in the motion's time, and what is held along it."""
+        looks = self._looks()
         held, found = [self.held_at(t) for t in looks], []
         for k in range(1, len(looks)):
             if held[k] != held[k - 1]:
@@ -113,10 +84,17 @@ class Leg:
         return [*found, (self.later + self.end, held[-1])]
 
 
-def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
-    """Return the quickest reach that never turns back but where it must, along limits on power, and its arcs.
+def knows_pins(problem: PlanningProblem) -> bool:
+    """Return whether legs know a problem's limits on pin forces: of one actuator, and no joint that rubs."""
+    mechanism = problem.mechanism
+    rubs = sliding_friction(mechanism, mechanism.home[None]).any()
+    return bool(problem.limits.limited_closures) and mechanism.n_u == 1 and not rubs
 
-    None where there is none, where no power is at its limit, or where the problem asks for more than the phase plane knows.
+
+def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+    """Return the quickest reach that never turns back but where it must, along limits on power and pin force, and its arcs.
+
+    None where there is none, where no power or force is at its limit, or where more is asked than the phase plane knows.
     Arguments as of `power_legs`.
     """
     found = power_legs(problem, start_pose)
@@ -125,7 +103,7 @@ def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
     legs, boundaries = found
     arcs = [arc for leg in legs for arc in leg.arcs()]
     held = np.array([one for _, one in arcs])
-    if not np.any(np.abs(held) == POWER):
+    if not np.any(np.abs(held) >= POWER):
         return None
     return _guess(problem, start_pose, legs, arcs, boundaries)
 
@@ -136,7 +114,7 @@ def power_legs(
     """Return the legs of such a motion, and when it passes start, waypoints and goal [s]; None where there is none.
 
     Args:
-        problem: whose efforts are limited; of its other limits, all but those on power are left out.
+        problem: whose efforts are limited; of its other limits, all but those on power and pin force are left out.
         start_pose: closed (n_q,), at the start.
         exactly: whether they are to be a motion and not a start.
     """
@@ -157,8 +135,12 @@ def power_legs(
     return legs, np.array(boundaries)
 
 
-def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> PowerField:
-    """Return what effort and power allow between the first place of a part and its last."""
+def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> LegField:
+    """Return what effort, power and pin forces allow between the first place of a part and its last.
+
+    Raises:
+        AssemblyError: where the way is not open.
+    """
     import scipy
 
     dynamics, start, goal = problem.mechanism.dynamics, part.places[0], part.places[-1]
@@ -167,17 +149,41 @@ def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> Powe
     q = follow(problem.mechanism, place[:, None], there)
     inertia, maps = sampled(dynamics.reduced_inertia, q)[:, 0, 0], sampled(dynamics.effort_map, q)[:, 0]
     none = np.zeros((_POSES, len(problem.limits.effort)))
-    still, fast, back = (
-        inertia * sampled(dynamics.acceleration, q, np.full((_POSES, 1), v), none)[:, 0, 0] for v in (0.0, 1.0, -1.0)
-    )
+    speeds = {v: np.full((_POSES, 1), v) for v in (0.0, 1.0, -1.0)}
+    accelerations = [sampled(dynamics.acceleration, q, v, none)[:, :, 0] for v in speeds.values()]
+    still, fast, back = (inertia * a[:, 0] for a in accelerations)
     way, rub = float(np.sign(goal - start)), sliding_friction(problem.mechanism, q)
     square, linear = 0.5 * (fast + back) - still, 0.5 * (fast - back) + rub
     values = np.column_stack([inertia, still - way * rub, square, linear, maps])
-    curves = scipy.interpolate.CubicSpline(place[:: int(way)], values[:: int(way)])
-    return PowerField(curves=curves, effort=problem.limits.effort, power=problem.limits.power, way=way)
+    along = slice(None, None, int(way))
+    pins = None
+    if knows_pins(problem):
+        still, fast, back = (
+            sampled(dynamics.closure_force, q, v, a, none)[:, :, 0]
+            for v, a in zip(speeds.values(), accelerations, strict=True)
+        )
+        pushed = sampled(dynamics.acceleration, q, speeds[0.0], none + 1.0)[:, :, 0]
+        by_effort = sampled(dynamics.closure_force, q, speeds[0.0], pushed, none + 1.0)[:, :, 0] - still
+        forces = np.stack([still, 0.5 * (fast + back) - still, 0.5 * (fast - back), by_effort], axis=1)
+        pins = _pins(problem, place[along], forces[along])
+    curves = scipy.interpolate.CubicSpline(place[along], values[along])
+    return LegField(curves=curves, effort=problem.limits.effort, power=problem.limits.power, way=way, pins=pins)
 
 
-def _legs(field: PowerField, part: Part, later: float, method: Any, share: float, small: float) -> list[Leg] | None:
+def _pins(problem: PlanningProblem, place: np.ndarray, forces: np.ndarray) -> PinForces:
+    """Return forces (n, 4, n_rows) [N, ...] of all closures at places (n,) as those of limited ones, by their ratings."""
+    import scipy
+
+    limited, columns, rows = problem.limits.limited_closures, [], []
+    for c in limited:
+        own = forces[:, :, problem.mechanism.closure_slice(c)] / problem.limits.closure_force[c]
+        begin = sum(one.shape[2] for one in columns)
+        rows.append(slice(begin, begin + own.shape[2]))
+        columns.append(own)
+    return PinForces(curves=scipy.interpolate.CubicSpline(place, np.concatenate(columns, axis=2)), rows=tuple(rows))
+
+
+def _legs(field: LegField, part: Part, later: float, method: Any, share: float, small: float) -> list[Leg] | None:
     """Return the leg up to the switch and the one from there, the first begun `later` [s]; None where they do not meet."""
     import scipy
 
@@ -217,7 +223,8 @@ def _legs(field: PowerField, part: Part, later: float, method: Any, share: float
         return None
     switch = way * scipy.optimize.brentq(apart, low, high)
     one = _cut(ahead, 0.0, ahead.time_at(switch), later)
-    return [one, _cut(back, back.time_at(switch), 0.0, later + one.end - back.time_at(switch))]
+    two = _cut(back, back.time_at(switch), 0.0, later + one.end - back.time_at(switch))
+    return [one, two] if one.is_possible() and two.is_possible() else None
 
 
 def _cut(leg: Leg, begin: float, end: float, later: float) -> Leg:
@@ -265,4 +272,5 @@ def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[Leg], ar
         switch_times_s=switch_times,
         bang_efforts=bang,
         power_arcs=np.where(np.abs(held) == POWER, np.sign(held), 0),
+        force_arcs=(np.abs(held[:, :1]) == FORCE + np.arange(len(problem.limits.limited_closures))).astype(int),
     )

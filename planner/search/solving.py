@@ -27,7 +27,7 @@ def solve_from(
 ) -> Found | None:
     """Return what one solve of a problem leads to; None where it finds no motion. Arguments as of `attempt`.
 
-    The arcs of a guess along limits on power are held.
+    The arcs of a guess along limits on power and pin force are held.
     """
     fixed = None if guess.power_arcs is None else held_arcs_of(problem, guess)
     return attempt(

@@ -16,7 +16,7 @@ from linkplan.planner.search.first_mesh import first_mesh, mesh_along_power
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.legs_motion import legs_motion
 from linkplan.planner.search.phase_plane import phase_plane_applies, phase_plane_guess, stretched
-from linkplan.planner.search.power_legs import power_guess
+from linkplan.planner.search.power_legs import knows_pins, power_guess
 from linkplan.planner.search.solving import solve_from
 
 # Perturbed guesses tried after the first failure, where the user asks for no further starts.
@@ -82,20 +82,20 @@ def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, G
 
 
 def is_along_power(search: Search) -> bool:
-    """Return whether a least time of one degree of freedom may lie along limits on power that the phase plane can hold."""
+    """Return whether a least time of one degree of freedom may lie along limits on power or pin force that legs know."""
     problem, motion = search.problem, search.problem.motion
     return (
         search.only_time_counts
         and motion.duration_s is None
         and problem.guess is None
         and problem.mesh.effort == "polynomial"
-        and bool(np.any(np.isfinite(problem.limits.power)))
+        and (bool(np.any(np.isfinite(problem.limits.power))) or knows_pins(problem))
         and phase_plane_applies(problem)
     )
 
 
 def along_power(search: Search, budget: Budget) -> Plan | None:
-    """Return the least-time plan whose arcs the phase plane knows, along limits on power; None where it does not pass."""
+    """Return the least-time plan whose arcs the phase plane knows; None if it does not pass."""
     guess, problem = power_guess(search.problem, search.start_pose), search.within(budget)
     if guess is None or not (problem.motion.min_duration_s or 0.0) <= guess.duration_s <= longest(problem):
         return None

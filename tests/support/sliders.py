@@ -10,7 +10,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from tests.support.least_effort import least_effort_of
-from tests.support.least_time import Curves, least_time_of
+from tests.support.least_time import Curves, least_time_of, least_time_within
 
 _POSES = 6001
 _NO_POWER = (-np.inf, np.inf)
@@ -68,6 +68,33 @@ class Slider:
     def drag(self, angle: np.ndarray) -> np.ndarray:
         """Return the reduced damping [N.m.s]."""
         return self.damping[0] + self.damping[1] * self.slopes(angle)[1] ** 2
+
+    def pin_force(self, angle: np.ndarray, v: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the pin's force (n, 2) [N] at crank angles that turn at v [rad/s] without acceleration, and its slope by a.
+
+        Along the guide it moves the slider, about the crank's pin it turns the rod: two equations, Newton's and Euler's.
+        """
+        (rod, place), (rod_by, place_by) = self.pose(angle), self.slopes(angle)
+        rod_bend, place_bend = (CubicSpline(angle, x).derivative()(angle) for x in (rod_by, place_by))
+        along, reach = np.array([np.cos(self.tilt), np.sin(self.tilt)]), self.centre * self.l
+        drag, stretched = self.damping[1] * place_by, place - self.relaxed
+
+        def forces(a: float, gravity: float, springs: float) -> np.ndarray:
+            slide = place_by * a + place_bend * v**2
+            pulled = self.mass[2] * (slide + gravity * along[1]) + springs * (self.spring * stretched + drag * v)
+            turn = rod_by * a + rod_bend * v**2
+            x, z = (
+                -self.r * (a * np.sin(angle) + v**2 * np.cos(angle)),
+                self.r * (a * np.cos(angle) - v**2 * np.sin(angle)),
+            )
+            x = x - reach * (turn * np.sin(rod) + (rod_by * v) ** 2 * np.cos(rod))
+            z = z + reach * (turn * np.cos(rod) - (rod_by * v) ** 2 * np.sin(rod)) + gravity
+            moment = self.inertia[1] * turn + self.mass[1] * reach * (np.cos(rod) * z - np.sin(rod) * x)
+            rows = np.stack([np.tile(along, (len(angle), 1)), self.l * np.column_stack([np.sin(rod), -np.cos(rod)])], axis=1)
+            return np.linalg.solve(rows, np.stack([pulled, moment], axis=1)[:, :, None])[:, :, 0]
+
+        at_rest = forces(0.0, 9.81, 1.0)
+        return at_rest, forces(1.0, 9.81, 1.0) - at_rest
 
     def mjcf(self, home: float, limit: float) -> str:
         """Return the model drawn at a crank angle, with a motor on the crank."""
@@ -128,6 +155,56 @@ def drawn(seed: int, number: int) -> Drawn:
         best = least_effort_of(curves, start, goal, duration)
         if best is not None:
             return Drawn(tables=tables, minimize="effort", best=best)
+
+
+def drawn_with_a_pin(seed: int, number: int) -> Drawn:
+    """Return a random least time within a pin's rating that is between what it bears at rest and what it would without."""
+    rng = np.random.default_rng([seed, number, 12])
+    while True:
+        slider = _slider(rng)
+        start = float(rng.uniform(-np.pi, np.pi))
+        goal = start + float(rng.choice([-1, 1]) * rng.uniform(0.5, 2.0))
+        curves = _curves(slider, start, goal)
+        angle = np.linspace(min(start, goal), max(start, goal), _POSES)
+        weight = float(np.abs(curves.still(angle)).max())
+        limit = weight * float(rng.uniform(1.3, 4.0)) + 0.05
+        still, fast, back = (slider.pin_force(angle, v)[0] for v in (0.0, 1.0, -1.0))
+        by_a = slider.pin_force(angle, 0.0)[1]
+        parts = [still, 0.5 * (fast + back) - still, 0.5 * (fast - back), by_a]
+        force = CubicSpline(angle, np.stack(parts, axis=1))
+        highest = limit / curves.inertia(angle)
+        rest, pushed = (np.linalg.norm(x, axis=1).max() for x in (still, still + by_a * highest[:, None]))
+        rating = rest + float(rng.uniform(0.3, 0.7)) * (pushed - rest)
+        within = _within_a_pin(curves, force, limit, rating)
+        try:
+            best = least_time_within(curves, start, goal, within)
+        except ValueError:  # legs that end before they meet
+            continue
+        tables = {
+            "mechanism": {"model": slider.mjcf(start, float(1000.0 * limit))},
+            "motion": {"kind": "reach", "start_deg": {"O": np.degrees(start)}, "goal_deg": {"O": np.degrees(goal)}},
+            "objective": {"minimize": "time"},
+            "limits": {"effort": {"act": [-limit, limit]}, "closure_force": {"P": rating}},
+        }
+        tables["motion"]["duration_s"] = "free"
+        return Drawn(tables=tables, minimize="time", best=best)
+
+
+def _within_a_pin(curves: Curves, force: CubicSpline, limit: float, rating: float):
+    """Return the function (place, speed) -> efforts at which a pin carries no more than its rating."""
+
+    def within(s: float, v: float) -> tuple[float, float]:
+        f = force(s)
+        free = float(curves.still(s) + curves.square(s) * v**2 + curves.linear(s) * v)
+        by_effort = f[3] / float(curves.inertia(s))
+        given = f[0] + f[1] * v**2 + f[2] * v + by_effort * free
+        a, b, c = by_effort @ by_effort, by_effort @ given, given @ given - rating**2
+        if b * b < a * c:
+            return 0.0, 0.0
+        root = np.sqrt(b * b - a * c)
+        return max(-limit, (-b - root) / a), min(limit, (-b + root) / a)
+
+    return within
 
 
 def _slider(rng: np.random.Generator) -> Slider:

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import RUNGS, plan_motion
@@ -66,11 +68,17 @@ def test_a_least_time_that_is_lost_by_the_solver_is_that_of_the_legs(monkeypatch
 def test_a_limit_that_the_legs_do_not_know_forbids_them(monkeypatch):
     monkeypatch.setattr(starts, "solve_from", lambda *_, **__: None)
     for share, passes in ((1.01, True), (0.99, False)):
-        problem = load_problem("knee-sprint", ["limits.power_w.act_O=100", f"limits.closure_force.B={share * peak_force()}"])
+        problem = load_problem("knee-sprint", ["limits.power_w.act_O=100", f"limits.speed_deg_s.A={share * peak_speed()}"])
         search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent, deadline=np.inf)
         assert (starts.along_power(search, RUNGS[0].budget) is not None) == passes
 
 
-def peak_force() -> float:
+def peak_speed() -> float:
+    """Return the largest speed of a joint that follows [deg/s]."""
     problem = within(100.0)
-    return certify(problem, legs_motion(problem, start_pose_of(problem))).peak_closure_force.max()
+    motion = legs_motion(problem, start_pose_of(problem))
+    time = motion.dense_times(8)
+    s, v = motion.position_at(time), motion.velocity_at(time)
+    joint = [one.name for one in problem.mechanism.joints].index("A")
+    ratio = sampled(problem.mechanism.dynamics.velocity_map, follow(problem.mechanism, s, start_pose_of(problem)))
+    return float(np.degrees(np.abs(ratio[:, joint, 0] * v[:, 0]).max()))
