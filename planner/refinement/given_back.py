@@ -14,6 +14,7 @@ from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.judged import Judged, judged
 from linkplan.planner.refinement.refine import Refined
+from linkplan.planner.refinement.released_arcs import arcs_let_go
 from linkplan.planner.transcription.mesh import halved
 
 # What tightening may cost, of the objective; so often intervals are halved, on meshes of so many of them at the most.
@@ -24,6 +25,13 @@ _IDLE = 2
 _TWICE = 2
 # Intervals on which a limit is overrun by this share of the most are halved.
 _SHARE = 0.1
+
+
+def let_go(
+    case: Case[MotionT, CertificateT], refined: Refined[MotionT, CertificateT], history: list[Step], say: Say
+) -> Refined[MotionT, CertificateT]:
+    """Return a motion that passes with its wrongly held arcs let go and what tightening cost it given back."""
+    return given_back(case, arcs_let_go(case, refined, history, say), history, say)
 
 
 def given_back(

@@ -12,10 +12,9 @@ from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.given_back import given_back
+from linkplan.planner.refinement.given_back import let_go
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refine import refine
-from linkplan.planner.refinement.released_arcs import arcs_let_go
 from linkplan.planner.search.durations import with_longer_durations
 from linkplan.planner.search.first_mesh import PER_SWING, first_mesh, graded_mesh
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
@@ -106,7 +105,7 @@ def certified(
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
         return Plan(problem=problem, status="failed", message=message, history=tuple(history))
-    better = given_back(case, arcs_let_go(case, better, history, say), history, say)
+    better = let_go(case, better, history, say)
     solved_for = better.solution
     better, change = unsmoothed(case, better, history, say)
     solution = better.solution
