@@ -25,7 +25,7 @@ def conversion_notes(source: str | Path) -> list[str]:
         f"{joint.get('name')} {limit.get('velocity')}"
         for joint in root.iter("joint")
         for limit in joint.findall("limit")
-        if float(limit.get("velocity", "0")) > 0
+        if limit.get("velocity", "0").strip(" 0.")
     ]
     if speeds:
         notes.append(
