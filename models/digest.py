@@ -3,6 +3,7 @@
 Colours, cameras, contacts and the simulator's own settings are left out: no plan follows from them.
 """
 
+import copy
 import hashlib
 
 import mujoco
@@ -55,3 +56,17 @@ def part_hashes(model: mujoco.MjModel) -> dict[str, str]:
                 digest.update(" ".join(f"{number + 0.0:.{_DIGITS}g}" for number in array.ravel()).encode())
         found[part] = digest.hexdigest()[:16]
     return found
+
+
+def compiled_bytes(model: mujoco.MjModel, body_apart: str | None = None) -> bytes:
+    """Return a compiled model as bytes; the mass of a body that is named is left out of it."""
+    if body_apart is not None:
+        model = copy.copy(model)
+        body = model.body(body_apart).id
+        model.body_mass[body], model.body_inertia[body] = 1.0, 1.0
+        model.body_ipos[body], model.body_iquat[body] = 0.0, [1.0, 0.0, 0.0, 0.0]
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # what the compiler derived from them
+        model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which the simulator alone uses
+    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return content.tobytes()

@@ -1,6 +1,5 @@
 """A closed-chain mechanism: a MuJoCo model, its joints, closures and actuators, and its reduced dynamics."""
 
-import copy
 import functools
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -23,9 +22,11 @@ from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.passive_freedom import find_passive_dofs, round_spins
 from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank
 from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
+from linkplan.models.digest import compiled_bytes
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.library import compile_model
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
+from linkplan.models.pickling import packed, unpacked
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.source_table import source_table
 from linkplan.models.stiffness import set_softness
@@ -82,6 +83,9 @@ class Mechanism:
     passive_dofs: tuple[int, ...]
     notes: tuple[str, ...]
     source: Mapping[str, object]
+
+    def __reduce__(self) -> tuple:
+        return unpacked, (Mechanism, packed(self))
 
     @property
     def n_q(self) -> int:
@@ -184,17 +188,8 @@ class Mechanism:
 
 @functools.lru_cache(maxsize=64)
 def _fingerprint(mechanism: Mechanism, payload_apart: bool) -> str:
-    model = mechanism.model
-    if payload_apart and mechanism.payload is not None:
-        model = copy.copy(model)
-        body = model.body(BODY_NAME).id
-        model.body_mass[body], model.body_inertia[body] = 1.0, 1.0
-        model.body_ipos[body], model.body_iquat[body] = 0.0, [1.0, 0.0, 0.0, 0.0]
-        mujoco.mj_setConst(model, mujoco.MjData(model))  # what the compiler derived from them
-        model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which the simulator alone uses
-    content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
-    mujoco.mj_saveModel(model, None, content)
-    digest = hashlib.sha256(content.tobytes())
+    apart = BODY_NAME if payload_apart and mechanism.payload is not None else None
+    digest = hashlib.sha256(compiled_bytes(mechanism.model, apart))
     for choice in (mechanism.independent, mechanism.dependent, mechanism.closure_rows):
         digest.update(choice.tobytes() + b"|")
     digest.update(np.float64(mechanism.friction_transition).tobytes())

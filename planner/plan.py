@@ -1,6 +1,6 @@
 """A plan: the answer to a planning problem, with its certificate, or the sentence that says why there is none."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -38,6 +38,11 @@ class Plan:
     solved: Transcribed | None = None
     solved_again: bool = False  # with a built program, from the last solution
 
+    def __reduce__(self) -> tuple:
+        """Make it fit for another process: without the program, as a saved one is read."""
+        kept = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "solved"}
+        return _unpickled, (kept,)
+
     @property
     def passed(self) -> bool:
         """Whether it has a motion that passes its certificate, be it the best one or not."""
@@ -64,6 +69,10 @@ class Plan:
         if self.trajectory is None:
             return self.problem.mesh.intervals
         return len(self.trajectory.breaks_s) - 1
+
+
+def _unpickled(kept: dict) -> Plan:
+    return Plan(**kept)
 
 
 def not_honoured(plan: Plan) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 ROOMS = {
     "models": (
         "errors", "interrupts", "names", "reading", "catalogue", "payload", "model_size", "model_door", "urdf",
-        "library", "digest", "tree", "closure", "reduction", "actuation", "audit", "stiffness", "source_table",
+        "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness", "source_table",
         "mechanism", "poses",
     ),
     "planner": (
