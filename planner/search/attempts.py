@@ -169,8 +169,13 @@ def from_next_to_it(search: Search, problem: PlanningProblem, found: Found) -> P
 
 
 def constant_efforts_would_do(search: Search, problem: PlanningProblem, plan: Plan) -> bool:
-    """Return whether a polynomial effort overruns limits between its nodes: along an arc it swings about what keeps it."""
+    """Return whether a polynomial effort overruns limits between its nodes: along an arc it swings about what keeps it.
+
+    Efforts whose rate is limited or costs have no jumps, and cannot be constant over intervals.
+    """
     del search
+    if np.any(np.isfinite(problem.limits.effort_rate)) or problem.objective.has("effort_rate"):
+        return False
     overrun = plan.certificate is not None and not all(margin.kept for margin in plan.certificate.margins)
     return problem.mesh.effort == "polynomial" and overrun
 
