@@ -232,7 +232,7 @@ REFUSED = {
     "a key that is not there": ("motion.waypoints=[{by={O=0}}]", "unknown key 'motion.waypoints"),
     "a joint for a site": ("motion.waypoints=[{at={O=0}}]", r"joint O's position is motion.waypoints\[0\].at_deg"),
     "a joint that is not there": ("motion.waypoints=[{at_deg={K=0}}]", "K"),
-    "no list": ("motion.waypoints={at_deg={O=0}}", "list of tables"),
+    "no list": ("motion.waypoints={at_deg={O=0}}", "list of at most 1000 tables"),
     "one beyond reach": ("motion.waypoints=[{at_deg={O=100}}]", "beyond reach"),
     "a slide's unit for a hinge": ("motion.waypoints=[{at_m={O=0}}]", "O"),
     "bounds on a fixed duration": ("motion.max_duration_s=1", "bound a free duration"),

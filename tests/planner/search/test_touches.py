@@ -21,7 +21,7 @@ SEED, NUMBER, MARGIN = 1, 360, 0.5
 # The ladder without the rung.
 ALONE = tuple(rung for rung in RUNGS if rung.climb is not through_touches)
 # Of the objective: what plans agree to, what the default mesh lost beside the margin and beside a range.
-AGREE, LOST = 1e-9, 1e-4
+AGREE, LOST = 1e-9, 1e-5
 
 
 def free() -> PlanningProblem:
