@@ -54,9 +54,10 @@ def power_rows_of(problem: PlanningProblem, *, everywhere: bool) -> PowerRows:
         return PowerRows(at_nodes=limited)
     own = {j: own_column(problem.mechanism, j) for j in limited}
     columns = tuple((j, column) for j, column in own.items() if column is not None)
-    geared = tuple(j for j, column in own.items() if column is None)
     acts = problem.mechanism.dynamics.effort_map.sparsity_out(0)
-    levers = tuple((j, s) for j in geared for s in range(problem.mechanism.dof) if acts.has_nz(s, j))
+    others = [j for j, column in own.items() if column is None]
+    levers = tuple((j, s) for j in others for s in range(problem.mechanism.dof) if acts.has_nz(s, j))
+    geared = tuple(dict.fromkeys(j for j, _ in levers))  # what has no lever on anything has no power
     return PowerRows(columns=columns, geared=geared, levers=levers)
 
 

@@ -34,7 +34,7 @@ def refine_rough(
 
     The certificate may not pass: then the motion is the last one tried.
     """
-    kept, aims, position_rows = case, case.aims, False
+    kept, aims, position_rows, lost = case, case.aims, False, False  # whether position rows led nowhere
     at, best, before, moved, settled = judged(case, found, history), None, np.inf, 0.0, False
     for _ in range(_ROUNDS):
         check()
@@ -50,7 +50,8 @@ def refine_rough(
         marked, what = _marked(kept, at, change), "finer mesh"
         comfortable = _LARGE if change > _MOVES * abs(objective) else _COMFORTABLE
         higher = higher_for(kept, at.certificate, marked_for(at, aims.strictness))
-        if at.findings.leaves_positions and not position_rows:
+        begun = position_rows
+        if at.findings.leaves_positions and not (position_rows or lost):
             position_rows, what, marked = True, "state limits imposed at every instant", np.zeros_like(marked)
         elif higher is not None and degree_of(higher) <= _HIGHEST:
             kept, what, marked = kept.with_scheme(higher), f"higher degree, {higher}", np.zeros_like(marked)
@@ -62,6 +63,10 @@ def refine_rough(
         if marked.any() or higher is not None:
             before = objective
         finer = _finer(kept, at.found, marked, what, history, say, position_rows=position_rows)
+        if finer is None and position_rows and not begun:
+            # What leaves its limit by the mesh's own error keeps it on a finer one.
+            lost, position_rows, marked = True, False, np.ones(at.n_intervals, dtype=bool)
+            finer = _finer(kept, at.found, marked, "finer mesh", history, say, position_rows=False)
         if finer is None:
             break
         at = judged(case, finer, history)

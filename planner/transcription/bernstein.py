@@ -9,7 +9,6 @@ from functools import cache
 from math import comb
 from typing import Any, Self
 
-import casadi as ca
 import numpy as np
 
 
@@ -82,15 +81,17 @@ def bernstein_gram(degree: int) -> np.ndarray:
     return np.outer(of, of) / ((2 * degree + 1) * _binomials(2 * degree)[i + j])
 
 
-def bernstein_product(first: Any, second: Any) -> Any:
-    """Return the coefficients of two polynomials' product: columns of coefficients, CasADi's symbols."""
-    m, n = first.numel() - 1, second.numel() - 1
+def bernstein_product(first: Any, second: Any) -> list:
+    """Return the m + n + 1 coefficients of two polynomials' product, from m + 1 and n + 1: numbers or CasADi's symbols."""
+    m, n = first.shape[0] - 1, second.shape[0] - 1
     of_first, of_second, of_both = _binomials(m), _binomials(n), _binomials(m + n)
-    terms = [
-        sum(of_first[i] * of_second[k - i] * first[i] * second[k - i] for i in range(max(0, k - n), min(m, k) + 1))
+    return [
+        sum(
+            of_first[i] * of_second[k - i] / of_both[k] * first[i] * second[k - i]
+            for i in range(max(0, k - n), min(m, k) + 1)
+        )
         for k in range(m + n + 1)
     ]
-    return ca.vertcat(*(term / of_both[k] for k, term in enumerate(terms)))
 
 
 def bernstein_integral(degree: int) -> np.ndarray:

@@ -320,11 +320,12 @@ def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows,
         add("effort_rate", item, degree * (parts.u[1:, column] - parts.u[:-1, column]) / h)
     lift = ca.DM(bernstein_elevation(degree, scheme.velocity_coefficients.shape[0] - 1))
     for item, (effort, column) in enumerate(rows.power_columns):
-        add("power", item, bernstein_product(parts.u[:, effort], speed(column)))
+        add("power", item, ca.vertcat(*bernstein_product(parts.u[:, effort], speed(column))))
     through_nodes = ca.DM(np.linalg.inv(bernstein_matrix(scheme.n_nodes - 1, np.array(scheme.nodes))))
     for item, (effort, levers) in enumerate(rows.power_levers, start=len(rows.power_columns)):
-        speeds = [bernstein_product(through_nodes @ parts.z[:, lever], speed(column)) for lever, column in levers]
-        add("power", item, bernstein_product(parts.u[:, effort], ca.sum2(ca.horzcat(*speeds))))
+        parts_of_speed = [bernstein_product(through_nodes @ parts.z[:, lever], speed(column)) for lever, column in levers]
+        whole = ca.vertcat(*(sum(terms) for terms in zip(*parts_of_speed, strict=True)))
+        add("power", item, ca.vertcat(*bernstein_product(parts.u[:, effort], whole)))
     first = eta.numel() - 2 * len(rows.motor_columns)
     for item, (effort, column) in enumerate(rows.motor_columns):
         alpha, beta = eta[first + 2 * item], eta[first + 2 * item + 1]

@@ -31,6 +31,9 @@ CASES += [
     # Limits that jump with the effort are looked at where no node stands: Radau's left end, both of Gauss's.
     ("effort", 2, "radau-3", "jumping", False, False),
     ("time", 1, "gauss-2", "jumping", True, False),
+    # Limits on power at every instant: products of coefficients.
+    ("time", 2, "radau-3", "powers", True, False),
+    ("effort", 1, "gauss-2", "powers", False, True),
 ]
 JUMPING = ("limits.power_w.act_O=500", "limits.closure_force.B=20", "limits.speed_deg_s.C=[-1500,1600]")
 
@@ -50,13 +53,14 @@ def built(case: tuple) -> Transcribed:
         "mesh.scheme=" + scheme,
         "mesh.intervals=6",
         "solver.compile=never",
-        *({True: SPEEDS, "jumping": JUMPING}.get(speeds, ())),
+        *({True: SPEEDS, "jumping": JUMPING, "powers": JUMPING}.get(speeds, ())),
     )
     problem = problem_of(BASES[objective], *settings)
     duration = plan.trajectory.duration_s
     durations = duration * (np.array([1.0]) if segments == 1 else np.array([0.4, 0.6]))
     mesh = uniform(3) if segments == 1 else segmented(durations, 6)
-    return transcribe(problem, motion_of(plan.trajectory), mesh, durations, position_rows=positions, least_limit=least)
+    rows = {"position_rows": positions, "power_rows": speeds == "powers"}
+    return transcribe(problem, motion_of(plan.trajectory), mesh, durations, **rows, least_limit=least)
 
 
 def point(transcribed: Transcribed, seed: int) -> np.ndarray:
