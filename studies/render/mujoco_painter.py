@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from linkplan.models.errors import LinkplanError, one_line
 from linkplan.studies.render.framing import Eye
 from linkplan.studies.render.gl import context_class
 from linkplan.studies.render.scenes import Figure, Scene, has_end, seen, stand
@@ -102,7 +103,10 @@ def mujoco_painter(
     context = context_class(gl)(width, height)
     try:
         context.make_current()
-        drawn = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        try:
+            drawn = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except mujoco.FatalError as error:  # a renderer in software without memory for its buffers
+            raise LinkplanError(f"MuJoCo's renderer cannot draw here: {one_line(error)}") from error
         try:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, drawn)
             scene = mujoco.MjvScene(model, _GEOMS)

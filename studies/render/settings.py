@@ -9,7 +9,8 @@ SUFFIXES = (".mp4", ".gif", ".png")
 # Pictures of a few pixels show nothing; beyond the largest OpenGL draws none.
 _SMALLEST_PX, _LARGEST_PX = 64, 4096
 # A GIF counts time in hundredths of a second, and browsers slow down what is shorter than two.
-_MOST_FPS, _MOST_FPS_GIF = 240.0, 50.0
+# In sixteen bits, so that no frame stands longer than eleven minutes.
+_MOST_FPS, _MOST_FPS_GIF, _LEAST_FPS = 240.0, 50.0, 0.01
 MOST_INSTANTS = 40
 
 
@@ -36,8 +37,10 @@ class RenderSettings:
         if self.slow is not None and not (math.isfinite(self.slow) and self.slow > 0):
             raise ProblemError(f"slow, how many times slower than real, is a positive number, got {self.slow:g}")
         most = _MOST_FPS_GIF if self.suffix == ".gif" else _MOST_FPS
-        if not (math.isfinite(self.fps) and 0 < self.fps <= most):
-            raise ProblemError(f"fps, frames a second of a {self.suffix}, is above 0 and at most {most:g}, got {self.fps:g}")
+        if not (math.isfinite(self.fps) and _LEAST_FPS <= self.fps <= most):
+            raise ProblemError(
+                f"fps, frames a second of a {self.suffix}, is from {_LEAST_FPS:g} to {most:g}, got {self.fps:g}"
+            )
         for side in self.size:
             if not _SMALLEST_PX <= side <= _LARGEST_PX:
                 raise ProblemError(

@@ -57,7 +57,8 @@ def test_a_picture_of_an_instant_after_the_run_is_refused_with_its_end():
     [
         ({"fps": -1.0}, "fps"),
         ({"fps": float("nan")}, "fps"),
-        ({"fps": 60.0, "suffix": ".gif"}, "at most 50"),
+        ({"fps": 60.0, "suffix": ".gif"}, "from 0.01 to 50"),
+        ({"fps": 1e-9, "suffix": ".gif"}, "from 0.01 to 50"),  # a GIF's frames stand eleven minutes at the most
         ({"slow": 0.0}, "slow"),
         ({"size": (801, 600)}, "even"),
         ({"size": (8, 6)}, "64 to 4096"),
