@@ -95,20 +95,14 @@ class MechanismCase:
         return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
 
 
-def case_of(problem: PlanningProblem, *, kinks: bool = True, power_rows: bool | None = None) -> MechanismCase:
+def case_of(problem: PlanningProblem, *, kinks: bool = True) -> MechanismCase:
     """Return the case of a problem; `kinks` says whether kinks of efforts that do not jump are looked for.
 
-    `power_rows` are as of `formulate`: by default where several freedoms' powers are limited. Of one freedom the phase plane
-    knows which limit follows on which, and their arcs are held.
+    Limits on power of several freedoms are kept at every instant. Of one freedom the phase plane knows which limit follows
+    on which, and their arcs are held.
     """
-    if power_rows is None:
-        power_rows = problem.mechanism.dof > 1 and may_keep_powers(problem)
-    return MechanismCase(problem, problem, kinks=kinks, power_rows=power_rows)
-
-
-def may_keep_powers(problem: PlanningProblem) -> bool:
-    """Return whether limits on power can be kept at every instant by rows that need not be known beforehand."""
-    return problem.mesh.effort == "polynomial" and bool(np.any(np.isfinite(problem.limits.power)))
+    powers = problem.mesh.effort == "polynomial" and bool(np.any(np.isfinite(problem.limits.power)))
+    return MechanismCase(problem, problem, kinks=kinks, power_rows=powers and problem.mechanism.dof > 1)
 
 
 def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:

@@ -43,7 +43,7 @@ def refine_rough(
         if np.isfinite(before) and objective:
             moved = change / abs(objective)
         if at.passed:
-            best = at if best is None else better_of(best, at, aims)
+            best = better_of(best, at, aims)
             settled = _settled(at, aims.objective_tolerance, change)
         if settled or at.findings is None or not (at.passed or at.findings.mendable):
             break

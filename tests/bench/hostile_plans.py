@@ -10,6 +10,7 @@ import os
 import pickle
 import shutil
 import struct
+import tempfile
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +19,9 @@ import numpy as np
 
 from tests.bench.hostile import Case
 from tests.bench.hostile_files import KNEE, REACH
+
+# What is there once a file's code was run, or a name followed out of its folder.
+EVIL = os.path.join(tempfile.gettempdir(), "linkplan-evil")
 
 
 def record(**changes) -> Callable[[Path], None]:
@@ -76,7 +80,7 @@ def all_of(archive: zipfile.ZipFile, held: dict[str, bytes]) -> None:
 def pickled(archive: zipfile.ZipFile, held: dict[str, bytes]) -> None:
     class Evil:
         def __reduce__(self):
-            return os.system, ("touch /tmp/linkplan-evil",)
+            return os.system, (f"touch {EVIL}",)
 
     all_of(archive, {**held, "effort.npy": pickle.dumps(Evil())})
 
@@ -101,7 +105,7 @@ def twice(archive: zipfile.ZipFile, held: dict[str, bytes]) -> None:
 
 
 def climbing(archive: zipfile.ZipFile, held: dict[str, bytes]) -> None:
-    all_of(archive, {**held, "../../evil.npy": b"x", "/tmp/linkplan-evil-2": b"x"})
+    all_of(archive, {**held, "../../evil.npy": b"x", f"{EVIL}-2": b"x"})
 
 
 def squeezed(archive: zipfile.ZipFile, held: dict[str, bytes]) -> None:
@@ -240,9 +244,9 @@ RECORDS = (
     plan("asked to be tracked inside itself", lambda f: None, "track", "planned", "-o", "planned/x", codes=(0,)), plan("asked by a link", lambda f: os.symlink("planned", f / "l"), "track", "l", codes=(0,)), plan("asked by its record", lambda f: None, "track", "planned/plan.json"), plan("asked by its motion", lambda f: None, "check", "planned/trajectory.npz"),
 )
 MOTIONS = (
-    plan("with a pickle", npz(pickled), after=lambda f: "it was run" if os.path.exists("/tmp/linkplan-evil") else ""), plan("with objects", npz(objects)), plan("with a member twice", npz(twice), codes=(0, 1, 2)), plan("with members that climb", npz(climbing), codes=(0,), after=lambda f: "evil" if os.path.exists("/tmp/linkplan-evil-2") else ""),
+    plan("with a pickle", npz(pickled), after=lambda f: "it was run" if os.path.exists(EVIL) else ""), plan("with objects", npz(objects)), plan("with a member twice", npz(twice), codes=(0, 1, 2)), plan("with members that climb", npz(climbing), codes=(0,), after=lambda f: "evil" if os.path.exists(f"{EVIL}-2") else ""),
     plan("with a bomb", npz(squeezed)), plan("with a size that lies", npz(lying), codes=(0, 1, 2)), plan("with 60,000 members", npz(many), codes=(0, 2)),
-    plan("with a header of code", npz(header(b"__import__('os').system('touch /tmp/linkplan-evil')\n"))), plan("with a header of parentheses", npz(header(b"(" * 60_000))), plan("with a header of a negative shape", npz(header(b"{'descr': '<f8', 'fortran_order': False, 'shape': (-1,)}\n"))),
+    plan("with a header of code", npz(header(f"__import__('os').system('touch {EVIL}')\n".encode()))), plan("with a header of parentheses", npz(header(b"(" * 60_000))), plan("with a header of a negative shape", npz(header(b"{'descr': '<f8', 'fortran_order': False, 'shape': (-1,)}\n"))),
     plan("with a header of a huge shape", npz(header(b"{'descr': '<f8', 'fortran_order': False, 'shape': (2**62,)}\n"))), plan("with a header of huge shapes", npz(header(b"{'descr': '<f8', 'fortran_order': False, 'shape': (99999999999999999999, 99999999999999999999)}\n"))), plan("with a header of no bytes", npz(header(b"{'descr': '<V0', 'fortran_order': False, 'shape': (9999999999,)}\n"))),
     plan("with a header of a shape of words", npz(header(b"{'descr': '<f8', 'fortran_order': False, 'shape': ('a',)}\n"))), plan("with a header of a record", npz(header(b"{'descr': [('a', '<f8')], 'fortran_order': False, 'shape': (8,)}\n"))), plan("with a header of true shapes", npz(header(b"{'descr': '<f8', 'fortran_order': False, 'shape': (True, 8)}\n"))),
     plan("of NaN", arrays(effort=lambda a: a * np.nan)), plan("of infinity", arrays(velocity=lambda a: a + np.inf)), plan("of 1e300", arrays(position=lambda a: a * 1e300)), plan("of 1e200 in effort", arrays(effort=lambda a: a * 1e200)), plan("of tiny time", arrays(breaks_s=lambda a: a * 1e-200)), plan("of huge time", arrays(breaks_s=lambda a: a * 1e200)), plan("of time that goes back", arrays(breaks_s=lambda a: a[::-1])), plan("of time that stands", arrays(breaks_s=lambda a: a * 0)), plan("of two days", arrays(breaks_s=lambda a: a * 1e6)),
