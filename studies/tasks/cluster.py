@@ -4,6 +4,7 @@ Dask runs the tasks of a worker that is killed on another one by itself.
 """
 
 import contextlib
+import gc
 import logging
 from collections.abc import Iterator
 from concurrent.futures import CancelledError
@@ -52,9 +53,11 @@ def _client(distributed, address: str):
     try:
         return distributed.Client(address, timeout=_PATIENCE_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
-        raise LinkplanError(
-            f"no Dask scheduler answers at '{address}' ({one_line(error)[:200]}); an address is like tcp://head:8786"
-        ) from error
+        reason = one_line(error)[:200]
+    # A client that was not connected closes itself when it is collected. Were that while the next client begins, in
+    # the thread of that one's loop, both would wait for one lock.
+    gc.collect()
+    raise LinkplanError(f"no Dask scheduler answers at '{address}' ({reason}); an address is like tcp://head:8786")
 
 
 def _refuse_unfit(client, address: str) -> None:

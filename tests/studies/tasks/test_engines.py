@@ -106,6 +106,24 @@ def test_an_address_at_which_no_scheduler_answers_is_refused_in_one_line(address
     assert "\n" not in str(refusal.value)
 
 
+def test_a_client_that_was_refused_leaves_nothing_to_be_collected_while_the_next_one_begins():
+    distributed = pytest.importorskip("distributed")
+    gc.collect()
+    gc.disable()  # the collector runs only where it is asked to
+    try:
+        before = clients(distributed)
+        with pytest.raises(LinkplanError):
+            list(streamed(cluster("nonsense://x"), squared, [1], silent))
+        after = clients(distributed)
+    finally:
+        gc.enable()
+    assert all(client in before for client in after)
+
+
+def clients(distributed):
+    return [kept for kept in gc.get_objects() if type(kept) is distributed.Client]
+
+
 def test_a_cluster_without_dask_is_refused_with_what_to_install(monkeypatch):
     real = builtins.__import__
 
