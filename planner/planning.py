@@ -158,6 +158,11 @@ RUNGS: tuple[Rung, ...] = (
 
 REPAIRS: tuple[Repair, ...] = (
     Repair(
+        name="limits on power and pin force kept at every instant",
+        tried=attempts.may_be_enclosed,
+        mend=attempts.enclosed,
+    ),
+    Repair(
         name="without phase boundaries where efforts bend",
         tried=lambda _search, problem, plan: attempts.unsound(plan) and attempts.lost_at_kinks(problem),
         mend=attempts.without_kinks,

@@ -40,15 +40,15 @@ class MechanismCase:
     n_tightenings: int = 0
     kinks: bool = True  # whether to look for kinks of efforts that do not jump
     smoothing: float = SMOOTHING  # as of `formulate`
-    power_rows: bool = False  # whether limits on power are kept at every instant
+    enclosed: bool = False  # whether limits on power and pin force are kept at every instant
     aims: Aims = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "aims", _aims(self.asked, kinks=self.kinks, power_rows=self.power_rows))
+        object.__setattr__(self, "aims", _aims(self.asked, kinks=self.kinks, enclosed=self.enclosed))
 
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""
-        kept = {"tightenings": self.tightenings, "smoothing": self.smoothing, "power_rows": self.power_rows}
+        kept = {"tightenings": self.tightenings, "smoothing": self.smoothing, "enclosed": self.enclosed}
         return transcribe(self.problem, start, mesh, durations, **kept, **options)
 
     def motion(self, solution: Solution) -> Trajectory | None:
@@ -95,14 +95,14 @@ class MechanismCase:
         return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
 
 
-def case_of(problem: PlanningProblem, *, kinks: bool = True) -> MechanismCase:
+def case_of(problem: PlanningProblem, *, kinks: bool = True, enclosed: bool = False) -> MechanismCase:
     """Return the case of a problem; `kinks` says whether kinks of efforts that do not jump are looked for.
 
     Limits on power of several freedoms are kept at every instant. Of one freedom the phase plane knows which limit follows
-    on which, and their arcs are held.
+    on which, and their arcs are held; `enclosed` says that they, and limits on pin force, are kept at every instant too.
     """
     powers = problem.mesh.effort == "polynomial" and bool(np.any(np.isfinite(problem.limits.power)))
-    return MechanismCase(problem, problem, kinks=kinks, power_rows=powers and problem.mechanism.dof > 1)
+    return MechanismCase(problem, problem, kinks=kinks, enclosed=enclosed or (powers and problem.mechanism.dof > 1))
 
 
 def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
@@ -116,7 +116,7 @@ def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
     return FixedArcs(efforts=guess.bang_efforts, paths=paths)
 
 
-def _aims(problem: PlanningProblem, *, kinks: bool, power_rows: bool) -> Aims:
+def _aims(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> Aims:
     """Return what the best motion of a problem looks like, and how exact it is to be.
 
     Efforts jump between limits, none and arcs where time or work count; where their squares do, they bend where they reach a
@@ -127,7 +127,7 @@ def _aims(problem: PlanningProblem, *, kinks: bool, power_rows: bool) -> Aims:
     objective = problem.objective
     continuous_efforts = objective.has("effort", "copper_loss")
     bending = kinks and continuous_efforts and not objective.has("tracking")
-    switches = not power_rows and (objective.has("time", "work") or bending) and not objective.has("effort_rate")
+    switches = not enclosed and (objective.has("time", "work") or bending) and not objective.has("effort_rate")
     lines = any(motor is not None and motor.has_line for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     tolerance = _OBJECTIVE if switches and (lines or bent) else None
@@ -138,9 +138,9 @@ def _aims(problem: PlanningProblem, *, kinks: bool, power_rows: bool) -> Aims:
         continuous_efforts=continuous_efforts,
         strictness=_strictness(problem),
         tolerance_given=problem.mesh.tolerance_deg is not None,
-        objective_tolerance=_JUMPS_INSIDE if power_rows else tolerance,
+        objective_tolerance=_JUMPS_INSIDE if enclosed else tolerance,
         kinks_at_limits=True,
-        enclosed=power_rows,
+        enclosed=enclosed,
         layers=any(rubbing_of(problem.mechanism.model)),  # where dry friction turns over
     )
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from linkplan.planner.closed_chain.force_rows import force_rows_of
 from linkplan.planner.closed_chain.mechanics import (
     RUNNING,
     WITH_EFFORT,
@@ -31,7 +32,7 @@ def formulate(
     scales: Scales,
     *,
     position_rows: bool = False,
-    power_rows: bool = False,
+    enclosed: bool = False,
     least_limit: bool = False,
     tightenings: tuple[Tightening, ...] = (),
     smoothing: float = SMOOTHING,
@@ -42,7 +43,7 @@ def formulate(
         problem: what to plan.
         scales: units of its unknowns.
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
-        power_rows: whether limits on power are kept between the nodes by constraint rows.
+        enclosed: whether limits on power and pin force are kept between the nodes by constraint rows.
         least_limit: leave the objective out: only a motion is sought.
         tightenings: how far limits are tightened over the motion, where it overran them between nodes.
         smoothing: the weight of the squared effort rate where nothing else makes the effort smooth, in scaled units.
@@ -51,7 +52,8 @@ def formulate(
     n_s, n_u = mechanism.dof, mechanism.n_u
     speed_columns, speed_joints = _speed_limited(problem)
     motor_columns, motors = _motors_limited(problem)
-    powers = power_rows_of(problem, everywhere=power_rows)
+    powers = power_rows_of(problem, everywhere=enclosed)
+    forces = force_rows_of(problem, everywhere=enclosed)
     running = () if least_limit else tuple(term for term in RUNNING if objective.has(term))
     smoothed = is_smoothed(objective)
     rated = tuple(int(j) for j in np.flatnonzero(np.isfinite(limits.effort_rate).any(axis=1)))
@@ -63,7 +65,8 @@ def formulate(
         motors=motors,
         powers=powers.at_nodes,
         levers=powers.levers,
-        closures=limits.limited_closures,
+        closures=forces.at_nodes,
+        bearing=forces.closures,
         singular=mechanism.dynamics.block_singularity.numel_out(0) if limits.singular_margin > 0 else 0,
         controls=tuple(j for j, actuator in enumerate(mechanism.actuators) if actuator.limits_control),
         tendons=tuple(range(len(mechanism.tendons))),
@@ -72,7 +75,8 @@ def formulate(
         n_u=n_u,
     )
     works = "work" in running
-    n_z = n_algebraic(mechanism, works=works, levers=len(powers.levers))
+    n_further = len(powers.levers) + forces.n_unknowns
+    n_z = n_algebraic(mechanism, works=works, others=n_further)
     rows = IntervalRows(
         costs=costs,
         speed_columns=speed_columns,
@@ -80,14 +84,15 @@ def formulate(
         rate_columns=rated,
         motor_columns=motor_columns,
         power_columns=powers.columns,
-        power_levers=powers.of_levers(n_z - len(powers.levers)),
+        power_levers=powers.of_levers(n_z - n_further),
+        squared_sums=forces.unknowns(n_z - forces.n_unknowns),
         open_end_path=tuple(i for i, kind in enumerate(asked.kinds) if kind in WITH_EFFORT),
     )
     unit = _term_units(problem, scales)
     value = sum(weight * unit[term] for term, weight in objective.weights.items())
     weights = [objective.weight(term) * unit[term] / value for term in running]
     lines = np.array([_line(problem, j) for j in asked.motors]).reshape(-1, 2)
-    before, after = node_numbers(mechanism, asked, scales, weights, lines, limits.closure_force[list(asked.closures)])
+    before, after = node_numbers(mechanism, asked, scales, weights, lines, limits.closure_force)
     tracked = "tracking" in running
 
     def theta(times: np.ndarray) -> np.ndarray:
@@ -100,13 +105,14 @@ def formulate(
     rate = scales.position / scales.time_s
     independent, dependent = mechanism.independent, mechanism.dependent
     algebraic = [limits.position[dependent], np.tile([0.0, np.inf], (n_u if works else 0, 1))]
-    algebraic = np.vstack([*algebraic, np.tile([-np.inf, np.inf], (len(powers.levers), 1))])
+    algebraic = np.vstack([*algebraic, np.tile([-np.inf, np.inf], (n_further, 1))])
     own = {
         "speed": limits.speed[independent[list(speed_columns)]] / rate[list(speed_columns), None],
         "position": limits.position[independent] / scales.position[:, None],
         "effort_rate": limits.effort_rate[list(rated)] * scales.time_s / scales.effort[list(rated), None],
         "motor": np.tile([-1.0, 1.0], (len(motor_columns), 1)),
         "power": powers.bounds(problem, scales),
+        "closure_force": forces.bounds(),
     }
     limited = [("speed", joint) for joint in speed_joints] + [("motor", j) for j in motors]
     limited += [("power", j) for j in asked.powers] + [("closure_force", c) for c in asked.closures]
@@ -132,7 +138,9 @@ def formulate(
     ]
     path = np.vstack([part.reshape(-1, 2) for part in path])
     state = np.vstack([limits.position[independent] / scales.position[:, None], limits.speed[independent] / rate[:, None]])
-    of_powers = tightening_over(tightenings, powers.items, own["power"])
+    of_own = {
+        rows[0][0]: tightening_over(tightenings, rows, own[rows[0][0]]) for rows in (powers.items, forces.items) if rows
+    }
     endpoint, places = site_endpoint(problem, scales.position, n_z)
     adrift = tuple(np.flatnonzero(problem.goes_on).tolist())
     returns = tuple(i for i in range(2 * n_s) if i not in adrift)
@@ -169,7 +177,7 @@ def formulate(
         ),
         theta=theta,
         tightening=tightening_over(tightenings, limited, path),
-        own_tightening={} if of_powers is None else {"power": of_powers},
+        own_tightening={kind: of_kind for kind, of_kind in of_own.items() if of_kind is not None},
         position_path=tuple(limited.index(row) for row in of_tendons + of_sites),
         passed=tuple(
             (k + 1, limited.index(("passed", passed.index((site, axis)))), coordinate_row(mechanism, site, axis, value))

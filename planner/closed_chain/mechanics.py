@@ -2,7 +2,8 @@
 
 Second-order coordinates are the independent joints. Algebraic unknowns are the dependent ones (lifted: tied by phi(s, z)
 = 0) and, where positive work costs, each actuator's positive power (P >= u w, P >= 0: exact, with no kink in the program);
-where power is limited at every instant, the levers of actuators on coordinates that they do not drive themselves.
+where power is limited at every instant, the levers of actuators on coordinates that they do not drive themselves; where pin
+force is, the force, in shares of its rating.
 Equations: phi(q) / length and (inverse_dynamics(q, v, a) - Gamma^T B u) / scale. Path quantities: what limits ask for beyond
 the bounds of the unknowns themselves.
 """
@@ -62,7 +63,8 @@ class NodeTerms:
     """What is looked at in a node, the structure of its functions: running costs out of `RUNNING`, and path quantities.
 
     `speed_joints` are dependent joints, `motors` and `powers` actuators, `levers` pairs (actuator, independent column)
-    whose entry of the effort map is an algebraic unknown, `closures` those whose force is limited; `singular`
+    whose entry of the effort map is an algebraic unknown, `closures` those whose force is limited, `bearing` those of
+    them whose force is an algebraic unknown; `singular`
     is the number of blocks of J_z whose determinants are; `controls` are servos whose ctrl is; `tendons` are places in
     `Mechanism.tendons`; `sites` are `SiteLimit.key`s; `corners` are machines whose `n_u` efforts each are limited.
     """
@@ -73,6 +75,7 @@ class NodeTerms:
     powers: tuple[int, ...] = ()
     levers: tuple[tuple[int, int], ...] = ()
     closures: tuple[int, ...] = ()
+    bearing: tuple[int, ...] = ()
     singular: int = 0
     controls: tuple[int, ...] = ()
     tendons: tuple[int, ...] = ()
@@ -96,16 +99,25 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     """Return a mechanism's system.
 
     A node's parameters are, in this order: the weights of the running costs; the reference (n_s,), scaled, where it is
-    tracked; the scales; alpha and beta of each motor's line [1 / effort, 1 / speed]; 1 / F^2 of each limited closure; 1
-    / det J_z at home where that is limited.
+    tracked; the scales; alpha and beta of each motor's line [1 / effort, 1 / speed]; 1 / F^2 of each closure limited at
+    nodes, F of each limited at every instant; 1 / det J_z at home where that is limited.
     """
     n_s, n_q, n_u = mechanism.dof, mechanism.n_q, mechanism.n_u
     works = "work" in asked.running
-    node = node_symbols(n_s, 0, n_algebraic(mechanism, works=works, levers=len(asked.levers)), n_u)
-    z, working, levers = ca.vertsplit(node.z, [0, n_q - n_s, node.z.numel() - len(asked.levers), node.z.numel()])
+    borne = [list(range(rows.start, rows.stop)) for rows in map(mechanism.closure_slice, asked.bearing)]
+    n_borne = sum(map(len, borne))
+    node = node_symbols(n_s, 0, n_algebraic(mechanism, works=works, others=len(asked.levers) + n_borne), n_u)
+    n_z = node.z.numel()
+    parts = [0, n_q - n_s, n_z - n_borne - len(asked.levers), n_z - n_borne, n_z]
+    z, working, levers, forces = ca.vertsplit(node.z, parts)
     sizes = {"weight": len(asked.running), "reference": n_s if "tracking" in asked.running else 0}
     sizes |= {"time": 1, "position": n_s, "effort": n_u, "residual": n_s, "length": 1, "power": 1, "force": 1}
-    sizes |= {"line": 2 * len(asked.motors), "rating": len(asked.closures), "home": asked.singular}
+    sizes |= {
+        "line": 2 * len(asked.motors),
+        "rating": len(asked.closures),
+        "bearing": len(asked.bearing),
+        "home": asked.singular,
+    }
     sizes |= {"payload": 0 if mechanism.payload is None else len(mechanism.payload.numbers())}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     rate = given["position"] / given["time"]
@@ -121,6 +133,11 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         leverage = ca.diag(rate) @ call("effort_map", q) @ ca.diag(given["effort"]) / given["power"]
         equations = ca.vertcat(equations, ca.vertcat(*(leverage[s, j] for j, s in asked.levers)) - levers)
         kinds += ("leverage",) * len(asked.levers)
+    if borne:
+        force = call("closure_force", q, v, a, u)
+        shares = [force[rows] / given["bearing"][item] for item, rows in enumerate(borne)]
+        equations = ca.vertcat(equations, ca.vertcat(*shares) - forces)
+        kinds += ("bearing",) * n_borne
     path = _path(mechanism, asked, given, call, (q, v, a, u))
     kinds += asked.kinds
     if works:
@@ -143,9 +160,9 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     )
 
 
-def n_algebraic(mechanism: Mechanism, *, works: bool, levers: int) -> int:
-    """Return the number of algebraic unknowns: dependent joints, positive powers where work costs, levers."""
-    return len(mechanism.dependent) + (mechanism.n_u if works else 0) + levers
+def n_algebraic(mechanism: Mechanism, *, works: bool, others: int) -> int:
+    """Return the number of algebraic unknowns: dependent joints, positive powers where work costs, levers and forces."""
+    return len(mechanism.dependent) + (mechanism.n_u if works else 0) + others
 
 
 def _caller(mechanism: Mechanism, payload: ca.SX) -> Callable[..., ca.SX]:
@@ -210,7 +227,7 @@ def _running(
 
 
 def node_numbers(
-    mechanism: Mechanism, asked: NodeTerms, scales: Scales, weights, lines, ratings
+    mechanism: Mechanism, asked: NodeTerms, scales: Scales, weights, lines, largest: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of a node's parameters before and after the reference, in the order of `mechanism_system`.
 
@@ -220,9 +237,9 @@ def node_numbers(
         scales: units.
         weights: of the running costs.
         lines: (alpha, beta) of each motor asked for.
-        ratings: largest force [N] of each closure asked for.
+        largest: force (n_closures,) [N] of each closure.
     """
-    after = [scales.vector(), np.ravel(lines), 1.0 / np.square(ratings)]
+    after = [scales.vector(), np.ravel(lines), 1.0 / np.square(largest[list(asked.closures)]), largest[list(asked.bearing)]]
     if asked.singular:
         after.append(1.0 / np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel())
     if mechanism.payload is not None:

@@ -7,6 +7,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
+from linkplan.planner.closed_chain.force_rows import force_rows_of
 from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate, is_smoothed
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
 from linkplan.planner.closed_chain.mechanics import Scales
@@ -83,7 +84,7 @@ def transcribe(
     *,
     scales: Scales | None = None,
     position_rows: bool = False,
-    power_rows: bool = False,
+    enclosed: bool = False,
     least_limit: bool = False,
     bang_efforts: np.ndarray | None = None,
     constrained_paths: np.ndarray | None = None,
@@ -99,7 +100,7 @@ def transcribe(
         durations: guessed durations of the segments.
         scales: units; chosen from the guess by default.
         position_rows: whether independent ranges are kept between the nodes by constraint rows.
-        power_rows: whether limits on power are kept between the nodes by constraint rows.
+        enclosed: whether limits on power and pin force are kept between the nodes by constraint rows.
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
         bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
         constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole
@@ -112,7 +113,7 @@ def transcribe(
         problem,
         scales,
         position_rows=position_rows,
-        power_rows=power_rows,
+        enclosed=enclosed,
         least_limit=least_limit,
         tightenings=tightenings,
         smoothing=smoothing,
@@ -163,12 +164,11 @@ def _with_numbers_of(
     problem: PlanningProblem, transcribed: Transcribed, tightenings: tuple[Tightening, ...] = ()
 ) -> Formulation:
     origin, rows = transcribed.origin, transcribed.formulation.rows
-    positions, powers = bool(rows.position_columns), bool(rows.power_columns or rows.power_levers)
     return formulate(
         problem,
         origin.scales,
-        position_rows=positions,
-        power_rows=powers,
+        position_rows=bool(rows.position_columns),
+        enclosed=rows.encloses,
         tightenings=tightenings,
         smoothing=origin.smoothing,
     )
@@ -197,7 +197,8 @@ def _start(problem: PlanningProblem, guess: Guess, scales: Scales, formulation: 
     """Return a guess as a scaled start: loops closed, efforts by inverse dynamics where it has none."""
     mechanism = problem.mechanism
     rate = scales.position / scales.time_s
-    levers = power_rows_of(problem, everywhere=bool(formulation.rows.power_levers)).levers
+    levers = power_rows_of(problem, everywhere=formulation.rows.encloses).levers
+    forces = force_rows_of(problem, everywhere=formulation.rows.encloses)
 
     def states(times: np.ndarray) -> np.ndarray:
         return np.hstack([guess.position(times) / scales.position, guess.velocity(times) / rate])
@@ -209,9 +210,11 @@ def _start(problem: PlanningProblem, guess: Guess, scales: Scales, formulation: 
         algebraic = poses[:, mechanism.dependent]
         if formulation.n_z > algebraic.shape[1]:
             maps = sampled(mechanism.dynamics.effort_map, poses)
-            n_works = formulation.n_z - algebraic.shape[1] - len(levers)
+            n_works = formulation.n_z - algebraic.shape[1] - len(levers) - forces.n_unknowns
             spent = np.maximum(effort * np.einsum("ksu,ks->ku", maps, v) / scales.power, 0.0)[:, :n_works]
             own = [maps[:, s, j] * scales.effort[j] * rate[s] / scales.power for j, s in levers]
+            borne = sampled(mechanism.dynamics.closure_force, poses, v, a, effort)[:, :, 0] if forces.closures else None
+            own += [borne[:, mechanism.closure_slice(c)] / problem.limits.closure_force[c] for c in forces.closures]
             algebraic = np.column_stack([algebraic, spent, *own])
         return a / (rate / scales.time_s), np.zeros((len(times), 0)), algebraic, effort
 

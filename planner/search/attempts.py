@@ -97,10 +97,17 @@ def refined(search: Search, problem: PlanningProblem, found: Found, *, mended: b
 
 
 def certified(
-    problem: PlanningProblem, found: Found, history: list[Step], say: Say, *, warm: bool = False, kinks: bool = True
+    problem: PlanningProblem,
+    found: Found,
+    history: list[Step],
+    say: Say,
+    *,
+    warm: bool = False,
+    kinks: bool = True,
+    enclosed: bool = False,
 ) -> Plan:
-    """Return the plan of a solution, refined until its certificate passes; `kinks` as of `case_of`."""
-    case = case_of(problem, kinks=kinks)
+    """Return the plan of a solution, refined until its certificate passes; `kinks` and `enclosed` as of `case_of`."""
+    case = case_of(problem, kinks=kinks, enclosed=enclosed)
     better = refine(case, found, history, say, warm=warm)
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
@@ -165,6 +172,20 @@ def from_next_to_it(search: Search, problem: PlanningProblem, found: Found) -> P
     """Return the plan whose finer meshes begin next to the coarser one's answer; None where it does not pass."""
     kinks = not lost_at_kinks(problem)
     plan = certified(problem, found, search.history, search.say, warm=True, kinks=kinks)
+    return plan if plan.passed else None
+
+
+def may_be_enclosed(search: Search, problem: PlanningProblem, plan: Plan) -> bool:
+    """Return whether limits on power or pin force, overrun between the nodes, may be kept there by rows on coefficients."""
+    del search
+    margins = () if plan.certificate is None else plan.certificate.margins
+    overrun = any(margin.what in ("power", "closure_force") and not margin.kept for margin in margins)
+    return problem.mesh.effort == "polynomial" and overrun and not case_of(problem).enclosed
+
+
+def enclosed(search: Search, problem: PlanningProblem, found: Found) -> Plan | None:
+    """Return the plan of a motion whose limits on power and pin force are kept at every instant; None if none passes."""
+    plan = certified(problem, found, search.history, search.say, enclosed=True)
     return plan if plan.passed else None
 
 

@@ -33,9 +33,10 @@ class IntervalRows:
     `costs` are names out of `COSTS`. `speed_columns` and `position_columns` are second-order coordinates, `state_columns`
     first-order states, `rate_columns` efforts whose rate is bounded. `motor_columns` are pairs (effort, coordinate) whose
     line alpha u + beta v is bounded, `power_columns` pairs whose product u v is, `power_levers` (effort, levers) whose
-    product with the sum of levers times speeds is, each a pair (algebraic unknown, coordinate): a polynomial through the
-    nodes. Weights, alpha and beta are numbers of the program (eta), not of its structure.
-    `at_open_ends` are path quantities that jump with the effort: they are bounded at an interval's ends too.
+    product with the sum of levers times speeds is, each a pair (algebraic unknown, coordinate), and `squared_sums` are
+    algebraic unknowns the sum of whose squares is: polynomials through the nodes. Weights, alpha and beta are numbers of the
+    program (eta), not of its structure. `open_end_path` are path quantities that jump with the effort: they are bounded at
+    an interval's ends too.
     """
 
     costs: tuple[str, ...] = ()
@@ -46,7 +47,13 @@ class IntervalRows:
     motor_columns: tuple[tuple[int, int], ...] = ()
     power_columns: tuple[tuple[int, int], ...] = ()
     power_levers: tuple[tuple[int, tuple[tuple[int, int], ...]], ...] = ()
+    squared_sums: tuple[tuple[int, ...], ...] = ()
     open_end_path: tuple[int, ...] = ()
+
+    @property
+    def encloses(self) -> bool:
+        """Whether limits on power and force are rows on coefficients."""
+        return bool(self.power_columns or self.power_levers or self.squared_sums)
 
     def n_eta(self, n_u: int) -> int:
         """Return the number of an interval's own parameters: weights of its costs, then alpha and beta of each motor."""
@@ -72,7 +79,7 @@ class ChainFunctions:
     jacobian_pattern: Pattern
     hessian_pattern: Pattern
     n_own: int
-    own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position", "state", "effort_rate", "power", "motor"
+    own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position", "state", "effort_rate", "power", ...
     own_items: tuple[int, ...]  # per own row: of which of its kind's columns
 
     def __post_init__(self) -> None:
@@ -326,6 +333,9 @@ def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows,
         parts_of_speed = [bernstein_product(through_nodes @ parts.z[:, lever], speed(column)) for lever, column in levers]
         whole = ca.vertcat(*(sum(terms) for terms in zip(*parts_of_speed, strict=True)))
         add("power", item, ca.vertcat(*bernstein_product(parts.u[:, effort], whole)))
+    for item, unknowns in enumerate(rows.squared_sums):
+        squares = [bernstein_product(one, one) for one in (through_nodes @ parts.z[:, k] for k in unknowns)]
+        add("closure_force", item, ca.vertcat(*(sum(terms) for terms in zip(*squares, strict=True))))
     first = eta.numel() - 2 * len(rows.motor_columns)
     for item, (effort, column) in enumerate(rows.motor_columns):
         alpha, beta = eta[first + 2 * item], eta[first + 2 * item + 1]

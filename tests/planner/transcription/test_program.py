@@ -59,7 +59,7 @@ def built(case: tuple) -> Transcribed:
     duration = plan.trajectory.duration_s
     durations = duration * (np.array([1.0]) if segments == 1 else np.array([0.4, 0.6]))
     mesh = uniform(3) if segments == 1 else segmented(durations, 6)
-    rows = {"position_rows": positions, "power_rows": speeds == "powers"}
+    rows = {"position_rows": positions, "enclosed": speeds == "powers"}
     return transcribe(problem, motion_of(plan.trajectory), mesh, durations, **rows, least_limit=least)
 
 
