@@ -15,7 +15,7 @@ from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import Aims, Findings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
-from linkplan.planner.refinement.tightening import AT_NODES, Tightening, tightenings_of
+from linkplan.planner.refinement.tightening import AT_NODES, Tightening, evened, tightenings_of
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
@@ -86,6 +86,7 @@ class MechanismCase:
     def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
         """Return the case with limits tightened by what the motion overran them."""
         further = tightenings_of(certificate.margins, certificate.speed_overrun, motion.breaks_s)
+        further = evened(further) if self.enclosed else further
         everywhere = self.n_tightenings >= _LOCAL
         problem = _tightened(self.problem, certificate, speeds=everywhere)
         return replace(self, problem=problem, tightenings=self.tightenings + further, n_tightenings=self.n_tightenings + 1)

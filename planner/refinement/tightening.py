@@ -1,7 +1,7 @@
 """Constraint tightening: limits that a motion overran between the nodes, tightened there and by that much."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,6 +10,9 @@ from linkplan.planner.certificate.margins import Margin
 # A little more than the overrun is taken off, so that the next motion keeps the limit and does not creep towards it.
 _MORE = 1.1
 _FLOOR = 1e-7
+# So little of a limit is taken off all along: where one interval alone is to keep more of it than its neighbours, what its
+# polynomial errs by at its end grows with that.
+_LITTLE = 2e-5
 # Bounds are never tightened beyond this share of what lies between them.
 _MOST = 0.45
 # The limits that are rows of nodes, and so can be overrun between them.
@@ -60,6 +63,15 @@ def tightenings_of(margins: tuple[Margin, ...], speed_overrun: np.ndarray, break
                 )
             )
     return tuple(found)
+
+
+def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:
+    """Return tightenings of which little ones are the same all along the motion."""
+    most = [one.share.max(initial=0.0) for one in tightenings]
+    return tuple(
+        replace(one, share=np.full_like(one.share, share)) if share <= _LITTLE else one
+        for one, share in zip(tightenings, most, strict=True)
+    )
 
 
 def tightening_over(

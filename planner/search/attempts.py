@@ -24,6 +24,8 @@ from linkplan.planner.trajectory import Trajectory
 
 # An answer whose objective a finer mesh changes by more than this share is said to move.
 MOVES = 1e-4
+# One that it changes by more than this share is not known to be near the best.
+_NOT_SETTLED = 1e-2
 # Efforts constant over intervals whose objective is above that of others, which keep no limit between the nodes, by no more
 # than this share are near enough to the best.
 _CONSTANT = 1e-3
@@ -126,7 +128,8 @@ def certified(
             f"; the arc at t = {against[0]:.4g} s would rather leave its limit (Pontryagin's principle): not a local optimum"
         )
     if plan.passed:
-        plan = replace(plan, message=plan.message + said)
+        unsettled = plan.status == "optimal" and moved > _NOT_SETTLED
+        plan = only_feasible(plan, said) if unsettled else replace(plan, message=plan.message + said)
     return replace(plan, solved=replace(solution.transcribed, start=solution.x))
 
 
