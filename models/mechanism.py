@@ -31,9 +31,10 @@ from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with
 from linkplan.models.source_table import source_table
 from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.coordinates import Coordinates
-from linkplan.models.tree.dynamics import Inertial, build_tree
+from linkplan.models.tree.dynamics import build_tree
 from linkplan.models.tree.friction import friction_notes, transition_speed
 from linkplan.models.tree.joints import Joint, index_of, read_joints
+from linkplan.models.tree.newton_euler import Inertial
 from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import TendonLimit, is_fixed, limited_tendons, tendon_joints
 from linkplan.models.urdf import conversion_notes

@@ -21,7 +21,8 @@ import numpy as np
 
 from linkplan.models.closure.second_pin import across
 from linkplan.models.errors import ModelError
-from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in, product
+from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in
+from linkplan.models.tree.rotations import product
 from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label
 from linkplan.models.tree.ties import tied_points

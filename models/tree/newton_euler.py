@@ -1,0 +1,189 @@
+"""The recursion of Newton and Euler over a kinematic tree, each body's motion and forces in its own axes.
+
+Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5. In a body's own axes its inertia is constant and a joint's
+turn meets velocities and forces once: second derivatives are a third as long as those of the same recursion in the world's
+axes. Gravity is an acceleration of the world upwards, the origin's included in `Motion.acceleration`.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import mujoco
+import numpy as np
+
+from linkplan.models.tree.coordinates import FREE, HINGE, SLIDE, Coordinates, turned_quaternion
+from linkplan.models.tree.rotations import rotation_about, rotation_from_quaternion, rotation_of
+
+# Force and moment (3,) about a body's origin, before a step of the way to it, from those after it; and the generalised
+# forces that the step takes, by dof.
+Carry = Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX, dict[int, ca.SX]]]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Inertial:
+    """A body's mass [kg], centre of mass (3,) [m] and inertia (3, 3) [kg m2] about it, in the body's frame."""
+
+    mass: ca.SX | float
+    com: ca.SX | ca.DM
+    inertia: ca.SX | ca.DM
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Motion:
+    """A frame's motion, in its own axes: angular velocity and acceleration, velocity and acceleration of the origin (3,)."""
+
+    w: ca.SX
+    alpha: ca.SX
+    velocity: ca.SX
+    acceleration: ca.SX
+
+    def at(self, arm: ca.SX | ca.DM) -> "Motion":
+        """Return the motion of the frame's point at `arm`."""
+        turning = ca.cross(self.w, arm)
+        carried = ca.cross(self.alpha, arm) + ca.cross(self.w, turning)
+        return replace(self, velocity=self.velocity + turning, acceleration=self.acceleration + carried)
+
+    def seen_from(self, R: ca.SX | ca.DM) -> "Motion":
+        """Return it in the axes R (3, 3), which does not move in the frame."""
+        return Motion(
+            w=R.T @ self.w, alpha=R.T @ self.alpha, velocity=R.T @ self.velocity, acceleration=R.T @ self.acceleration
+        )
+
+    def spun(self, rate: ca.SX, rate_of_rate: ca.SX) -> "Motion":
+        """Return the motion of what spins in the frame about its origin, axes as they are."""
+        return replace(self, w=self.w + rate, alpha=self.alpha + ca.cross(self.w, rate) + rate_of_rate)
+
+
+def newton_euler(
+    model: mujoco.MjModel,
+    coordinates: Coordinates,
+    q: ca.SX,
+    velocity: ca.SX,
+    acceleration: ca.SX,
+    gravity: ca.DM,
+    inertials: Mapping[int, Inertial],
+) -> tuple[ca.SX, ca.SX]:
+    """Return the generalised forces (nv,) on MuJoCo's qvel that a motion takes, weight included, and its kinetic energy.
+
+    `velocity` is qvel and `acceleration` its derivative, expressions; armature is not in it.
+    """
+    zero = ca.SX.zeros(3)
+    motions = [Motion(w=zero, alpha=zero, velocity=zero, acceleration=ca.SX(-gravity))]
+    ways: list[list[Carry]] = [[]]
+    force, moment = ([zero for _ in range(model.nbody)] for _ in range(2))
+    kinetic = ca.SX(0)
+    for body in range(1, model.nbody):
+        parent = motions[int(model.body_parentid[body])]
+        motion, way = _to_body(model, coordinates, body, parent, q, velocity, acceleration)
+        motions.append(motion)
+        ways.append(way)
+        if model.body_weldid[body] == 0:
+            continue
+        own = inertials.get(body) or inertial_of(model, body)
+        centre = motion.at(own.com)
+        spin = own.inertia @ motion.w
+        force[body] = own.mass * centre.acceleration
+        moment[body] = own.inertia @ motion.alpha + ca.cross(motion.w, spin) + ca.cross(own.com, force[body])
+        kinetic += 0.5 * own.mass * ca.dot(centre.velocity, centre.velocity) + 0.5 * ca.dot(motion.w, spin)
+
+    tau = ca.SX.zeros(model.nv)
+    for body in range(model.nbody - 1, 0, -1):
+        f, n, parent = force[body], moment[body], int(model.body_parentid[body])
+        for carry in reversed(ways[body]):
+            f, n, taken = carry(f, n)
+            for dof, effort in taken.items():
+                tau[dof] = effort
+        force[parent], moment[parent] = force[parent] + f, moment[parent] + n
+    return tau, kinetic
+
+
+def inertial_of(model: mujoco.MjModel, body: int) -> Inertial:
+    """Return the inertial properties that the model gives a body."""
+    R_B_I = rotation_from_quaternion(model.body_iquat[body])
+    inertia_B = R_B_I @ np.diag(model.body_inertia[body]) @ R_B_I.T
+    return Inertial(mass=float(model.body_mass[body]), com=ca.DM(model.body_ipos[body]), inertia=ca.DM(_clean(inertia_B)))
+
+
+def _clean(matrix: np.ndarray) -> np.ndarray:
+    """Return `matrix` with entries of rounding size set to zero, which keeps planar expressions short."""
+    return np.where(np.abs(matrix) > 1e-15 * np.abs(matrix).max(initial=0.0), matrix, 0.0)
+
+
+def _to_body(
+    model: mujoco.MjModel,
+    coordinates: Coordinates,
+    body: int,
+    motion: Motion,
+    q: ca.SX,
+    velocity: ca.SX,
+    acceleration: ca.SX,
+) -> tuple[Motion, list[Carry]]:
+    """Return a body's motion from its parent's, its joints applied in file order, and the steps of the way."""
+    joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+    way: list[Carry] = []
+    if not any(int(model.jnt_type[joint]) == FREE for joint in joints):  # that stands in the world by itself
+        offset, R = ca.DM(model.body_pos[body]), ca.DM(rotation_from_quaternion(model.body_quat[body]))
+        motion = motion.at(offset).seen_from(R)
+        way.append(_turned(R, offset))
+    for joint in joints:
+        dof, kind = int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
+        if kind == FREE:
+            moved = {"velocity": velocity[dof : dof + 3], "acceleration": motion.acceleration + acceleration[dof : dof + 3]}
+            motion = replace(motion, **moved)
+            way.append(_pushed(ca.DM.eye(3), ca.DM.zeros(3), range(dof, dof + 3)))
+            dof += 3
+        if kind == SLIDE:
+            axis = ca.DM(model.jnt_axis[joint])
+            travel = axis * (q[dof] - model.qpos0[model.jnt_qposadr[joint]])
+            coriolis = 2 * ca.cross(motion.w, axis * velocity[dof])
+            moved = motion.at(travel)
+            motion = replace(
+                moved,
+                velocity=moved.velocity + axis * velocity[dof],
+                acceleration=moved.acceleration + coriolis + axis * acceleration[dof],
+            )
+            way.append(_pushed(axis, travel, [dof]))
+            continue
+        if kind == HINGE:
+            axes = ca.DM(model.jnt_axis[joint])
+            R = rotation_about(model.jnt_axis[joint], q[dof] - model.qpos0[model.jnt_qposadr[joint]])
+        else:
+            (chart,) = [chart for chart in coordinates.charts if chart.joint == joint]
+            axes = ca.DM.eye(3)
+            R = ca.DM(rotation_from_quaternion(chart.centre)) @ rotation_of(turned_quaternion(chart, q))
+        dofs = range(dof, dof + axes.shape[1])
+        anchor = ca.DM(model.jnt_pos[joint])
+        rate, rate_of_rate = axes @ velocity[dof : dofs.stop], axes @ acceleration[dof : dofs.stop]
+        motion = motion.at(anchor).seen_from(R).spun(rate, rate_of_rate).at(-anchor)
+        way += [_turned(R, anchor), _held(axes, anchor, dofs)]
+    return motion, way
+
+
+def _turned(R: ca.SX | ca.DM, arm: ca.DM) -> Carry:
+    """Return the step to axes R whose origin stands at `arm`."""
+
+    def carry(f: ca.SX, n: ca.SX) -> tuple[ca.SX, ca.SX, dict[int, ca.SX]]:
+        f = R @ f
+        return f, R @ n + ca.cross(arm, f), {}
+
+    return carry
+
+
+def _held(axes: ca.DM, anchor: ca.DM, dofs: range) -> Carry:
+    """Return the step to an origin from which a joint's anchor is `anchor` away; the joint takes moments about its axes."""
+
+    def carry(f: ca.SX, n: ca.SX) -> tuple[ca.SX, ca.SX, dict[int, ca.SX]]:
+        n = n - ca.cross(anchor, f)
+        return f, n, dict(zip(dofs, ca.vertsplit(axes.T @ n), strict=True))
+
+    return carry
+
+
+def _pushed(axes: ca.DM, travel: ca.SX | ca.DM, dofs: range | list[int]) -> Carry:
+    """Return the step of a slide by `travel` along axes (3, n), which takes forces."""
+
+    def carry(f: ca.SX, n: ca.SX) -> tuple[ca.SX, ca.SX, dict[int, ca.SX]]:
+        return f, n + ca.cross(travel, f), dict(zip(dofs, ca.vertsplit(axes.T @ f), strict=True))
+
+    return carry
