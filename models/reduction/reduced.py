@@ -50,6 +50,7 @@ class ReducedDynamics:
     passive: ca.Function  # q, q' -> springs and dampers (n_q,)
     reduced_inertia: ca.Function  # q -> Gamma^T M Gamma (n_s, n_s)
     gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that holds the weight
+    tree_effort: ca.Function  # (q, qd, qdd) -> M q'' + h without passive forces and friction (n_q,), loops cut open
     effort_matrix: ca.Function  # q -> B (n_q, n_u), each actuator's generalised effort
     actuator_length: ca.Function  # q -> l (n_u,), MuJoCo's, not a number for sites and slider-cranks
     tendon_length: ca.Function  # q -> l (n_tendons,) of the tendons whose length is limited
@@ -198,6 +199,7 @@ def reduce_tree(
         passive=function("passive", [q, qd], tree.passive),
         reduced_inertia=function("reduced_inertia", [q], inertia),
         gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
+        tree_effort=function("tree_effort", [q, qd, qdd], without - tree.friction),
         effort_matrix=function("effort_matrix", [q], B),
         actuator_length=function("actuator_length", [q], ca.SX(n_u, 1) if lengths is None else lengths),
         tendon_length=function("tendon_length", [q], limited),

@@ -3,6 +3,7 @@
 import numpy as np
 
 from linkplan.planner.closed_chain.force_rows import force_rows_of
+from linkplan.planner.closed_chain.lifted import n_lifted
 from linkplan.planner.closed_chain.mechanics import (
     RUNNING,
     WITH_EFFORT,
@@ -104,8 +105,9 @@ def formulate(
 
     rate = scales.position / scales.time_s
     independent, dependent = mechanism.independent, mechanism.dependent
-    algebraic = [limits.position[dependent], np.tile([0.0, np.inf], (n_u if works else 0, 1))]
-    algebraic = np.vstack([*algebraic, np.tile([-np.inf, np.inf], (n_further, 1))])
+    algebraic = [limits.position[dependent], np.tile([-np.inf, np.inf], (n_lifted(mechanism), 1))]
+    algebraic += [np.tile([0.0, np.inf], (n_u if works else 0, 1)), np.tile([-np.inf, np.inf], (n_further, 1))]
+    algebraic = np.vstack(algebraic)
     own = {
         "speed": limits.speed[independent[list(speed_columns)]] / rate[list(speed_columns), None],
         "position": limits.position[independent] / scales.position[:, None],

@@ -17,6 +17,7 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import ranged_control
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.closed_chain.lifted import in_order, is_lifted, lifted_rows, n_lifted
 from linkplan.planner.closed_chain.site_rows import TUBE, site_row
 from linkplan.planner.problem.corner_efforts import corner_efforts
 from linkplan.planner.problem.robust import Corner
@@ -94,6 +95,14 @@ class NodeTerms:
         return (*named, *(kind for kind, n in others.items() for _ in range(n)), *of_sites)
 
 
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Speeds:
+    """What gives the rates (n_q,) of all joints and the speeds (n_u,) of actuators, written where they are asked for."""
+
+    joints: Callable[[], ca.SX]
+    actuators: Callable[[], ca.SX]
+
+
 @functools.lru_cache(maxsize=16)
 def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     """Return a mechanism's system.
@@ -107,9 +116,9 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     borne = [list(range(rows.start, rows.stop)) for rows in map(mechanism.closure_slice, asked.bearing)]
     n_borne = sum(map(len, borne))
     node = node_symbols(n_s, 0, n_algebraic(mechanism, works=works, others=len(asked.levers) + n_borne), n_u)
-    n_z = node.z.numel()
-    parts = [0, n_q - n_s, n_z - n_borne - len(asked.levers), n_z - n_borne, n_z]
-    z, working, levers, forces = ca.vertsplit(node.z, parts)
+    n_z, lifts = node.z.numel(), is_lifted(mechanism)
+    parts = [0, n_q - n_s, n_q - n_s + n_lifted(mechanism), n_z - n_borne - len(asked.levers), n_z - n_borne, n_z]
+    z, lifted, working, levers, forces = ca.vertsplit(node.z, parts)
     sizes = {"weight": len(asked.running), "reference": n_s if "tracking" in asked.running else 0}
     sizes |= {"time": 1, "position": n_s, "effort": n_u, "residual": n_s, "length": 1, "power": 1, "force": 1}
     sizes |= {
@@ -121,14 +130,19 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     sizes |= {"payload": 0 if mechanism.payload is None else len(mechanism.payload.numbers())}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     rate = given["position"] / given["time"]
-    order = np.argsort(np.concatenate([mechanism.independent, mechanism.dependent]))
-    q = ca.vertcat(node.s * given["position"], z)[[int(i) for i in order]]
+    q = in_order(mechanism, node.s * given["position"], z)
     v, a, u = node.v * rate, node.a * rate / given["time"], node.u * given["effort"]
     call = _caller(mechanism, given["payload"])
-    equations = ca.vertcat(
-        call("independent_closure", q) / given["length"], call("residual", q, v, a, u) / given["residual"]
-    )
-    kinds = ("closure",) * (n_q - n_s) + ("dynamics",) * n_s
+    equations = call("independent_closure", q) / given["length"]
+    kinds = ("closure",) * (n_q - n_s)
+    if lifts:
+        rows, named, rates = lifted_rows(mechanism, lifted, call, given, (q, v, a, u))
+        equations, kinds = ca.vertcat(equations, rows), kinds + named
+        speeds = Speeds(joints=lambda: rates, actuators=lambda: call("effort_matrix", q).T @ rates)
+    else:
+        equations = ca.vertcat(equations, call("residual", q, v, a, u) / given["residual"])
+        kinds += ("dynamics",) * n_s
+        speeds = Speeds(joints=lambda: call("velocity_map", q) @ v, actuators=lambda: call("effort_map", q).T @ v)
     if asked.levers:
         leverage = ca.diag(rate) @ call("effort_map", q) @ ca.diag(given["effort"]) / given["power"]
         equations = ca.vertcat(equations, ca.vertcat(*(leverage[s, j] for j, s in asked.levers)) - levers)
@@ -138,10 +152,10 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         shares = [force[rows] / given["bearing"][item] for item, rows in enumerate(borne)]
         equations = ca.vertcat(equations, ca.vertcat(*shares) - forces)
         kinds += ("bearing",) * n_borne
-    path = _path(mechanism, asked, given, call, (q, v, a, u))
+    path = _path(mechanism, asked, given, call, (q, v, a, u), speeds)
     kinds += asked.kinds
     if works:
-        spent = u * (call("effort_map", q).T @ v) / given["power"]
+        spent = u * speeds.actuators() / given["power"]
         path.append(working - spent)
         kinds += ("work",) * n_u
     path = ca.vertcat(ca.SX(0, 1), *path)
@@ -161,8 +175,8 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
 
 
 def n_algebraic(mechanism: Mechanism, *, works: bool, others: int) -> int:
-    """Return the number of algebraic unknowns: dependent joints, positive powers where work costs, levers and forces."""
-    return len(mechanism.dependent) + (mechanism.n_u if works else 0) + others
+    """Return the number of algebraic unknowns: dependent joints, what is lifted, powers where work costs, levers, forces."""
+    return len(mechanism.dependent) + n_lifted(mechanism) + (mechanism.n_u if works else 0) + others
 
 
 def _caller(mechanism: Mechanism, payload: ca.SX) -> Callable[..., ca.SX]:
@@ -174,13 +188,13 @@ def _caller(mechanism: Mechanism, payload: ca.SX) -> Callable[..., ca.SX]:
 
 
 def _path(
-    mechanism: Mechanism, asked: NodeTerms, given: dict[str, ca.SX], call: Callable[..., ca.SX], motion
+    mechanism: Mechanism, asked: NodeTerms, given: dict[str, ca.SX], call: Callable[..., ca.SX], motion, speeds: Speeds
 ) -> list[ca.SX]:
     """Return the path quantities that limits ask for: speeds in units of 1 / time, powers in theirs, the rest as shares."""
-    q, v, _, u = motion
-    path = [given["time"] * (call("velocity_map", q)[joint, :] @ v) for joint in asked.speed_joints]
+    q, _, _, u = motion
+    path = [given["time"] * speeds.joints()[joint] for joint in asked.speed_joints]
     if asked.motors or asked.powers:
-        w = call("effort_map", q).T @ v
+        w = speeds.actuators()
         for item, j in enumerate(asked.motors):
             path.append(given["line"][2 * item] * u[j] + given["line"][2 * item + 1] * w[j])
         path += [u[j] * w[j] / given["power"] for j in asked.powers]
@@ -191,7 +205,7 @@ def _path(
     if asked.singular:
         path.append(call("block_singularity", q) * given["home"])
     if asked.controls:
-        length, w = call("actuator_length", q), call("effort_map", q).T @ v
+        length, w = call("actuator_length", q), speeds.actuators()
         for j in asked.controls:
             b, gain = mechanism.actuators[j].biases, mechanism.actuators[j].gain
             ctrl = (u[j] - b[0] - b[1] * length[j] - b[2] * w[j]) / gain

@@ -10,6 +10,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.force_rows import force_rows_of
 from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate, is_smoothed
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
+from linkplan.planner.closed_chain.lifted import is_lifted, lifted_start
 from linkplan.planner.closed_chain.mechanics import Scales
 from linkplan.planner.closed_chain.power_rows import power_rows_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -208,6 +209,9 @@ def _start(problem: PlanningProblem, guess: Guess, scales: Scales, formulation: 
         poses = poses_along(mechanism, guess, times)
         effort = guess.effort(times) if guess.effort is not None else needed_effort(mechanism, poses, v, a)[0]
         algebraic = poses[:, mechanism.dependent]
+        if is_lifted(mechanism):
+            lifted = lifted_start(mechanism, poses, v, a, effort, scales.time_s, scales.force)
+            algebraic = np.column_stack([algebraic, lifted])
         if formulation.n_z > algebraic.shape[1]:
             maps = sampled(mechanism.dynamics.effort_map, poses)
             n_works = formulation.n_z - algebraic.shape[1] - len(levers) - forces.n_unknowns
