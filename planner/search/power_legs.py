@@ -85,10 +85,11 @@ class Leg:
 
 
 def knows_pins(problem: PlanningProblem) -> bool:
-    """Return whether legs know a problem's limits on pin forces: of one actuator, and no joint that rubs."""
+    """Return whether legs know a problem's limits on pin forces: of one freedom and actuator, and no joint that rubs."""
     mechanism = problem.mechanism
-    rubs = sliding_friction(mechanism, mechanism.home[None]).any()
-    return bool(problem.limits.limited_closures) and mechanism.n_u == 1 and not rubs
+    if not problem.limits.limited_closures or (mechanism.dof, mechanism.n_u) != (1, 1):
+        return False
+    return not sliding_friction(mechanism, mechanism.home[None]).any()
 
 
 def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:

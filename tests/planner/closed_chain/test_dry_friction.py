@@ -13,6 +13,7 @@ ARM = """<mujoco><option gravity="0 0 0" timestep="1e-3"/><worldbody><body>
   <joint name="J" axis="0 1 0" frictionloss="0.5"/><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body>
   </worldbody><actuator><motor name="m" joint="J" ctrlrange="-2 2"/></actuator></mujoco>"""
 INERTIA, RUB, EFFORT, SPAN = 0.1, 0.5, 2.0, np.pi / 2
+ENDS = {"start_deg": {"J": 0.0}, "goal_deg": {"J": 90.0}}
 # What friction that turns over at 2 deg/s takes less than Coulomb's, relative: of a least time, and of a least effort.
 # In proportion to it: measured 1.2e-3 and 1.0e-2 at 5.7 deg/s, a tenth of each at 0.57 deg/s.
 EARLY, CHEAP = 6e-4, 6e-3
@@ -20,10 +21,10 @@ EARLY, CHEAP = 6e-4, 6e-3
 TRACKED_DEG = 0.05
 
 
-def planned(duration: float | str, minimize: str, **mechanism: object) -> Plan:
+def planned(duration: float | str, minimize: str, ends: dict = ENDS, **mechanism: object) -> Plan:
     tables = {
         "mechanism": {"model": ARM, "solref": "stiff"} | mechanism,
-        "motion": {"kind": "reach", "start_deg": {"J": 0.0}, "goal_deg": {"J": 90.0}, "duration_s": duration},
+        "motion": {"kind": "reach", "duration_s": duration} | ends,
         "objective": {"minimize": minimize},
         "tracking": {"kp": 20.0, "kd": 2.0, "period_s": 1e-3},
     }
@@ -36,6 +37,19 @@ def test_the_least_time_is_that_of_full_effort_against_friction_and_of_braking_w
     plan = planned("free", "time").require()
     assert abs(without / exact - 1) > 10 * EARLY, "friction counts"
     assert -EARLY < plan.objective / exact - 1 < 0, "a little early: it breaks loose gradually"
+
+
+@pytest.mark.slow
+def test_the_least_time_of_several_freedoms_that_rub_is_found():
+    """Two such arms, turned as far: each alone takes as long as both."""
+    body, motor = ARM[ARM.index("<body>") : ARM.index("</body>") + 7], '<motor name="m" joint="J" ctrlrange="-2 2"/>'
+    both = ARM.replace(body, body + body.replace('"J"', '"K"'))
+    both = both.replace(motor, motor + motor.replace('"J"', '"K"').replace('"m"', '"n"'))
+    ends = {"start_deg": {"J": 0.0, "K": 0.0}, "goal_deg": {"J": 90.0, "K": 90.0}}
+    exact = np.sqrt(2 * SPAN * INERTIA * (1 / (EFFORT - RUB) + 1 / (EFFORT + RUB)))
+    plan = planned("free", "time", ends, model=both)
+    assert plan.problem.mechanism.dof == 2
+    assert -EARLY < plan.require().objective / exact - 1 < EARLY
 
 
 def test_the_least_effort_carries_friction_all_the_way():
