@@ -6,13 +6,13 @@ from typing import Generic
 import numpy as np
 
 from linkplan.planner.refinement.case import Aims, CertificateT, MotionT
-from linkplan.planner.refinement.judged import JudgedT
+from linkplan.planner.refinement.judged import JudgedT, error_of
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.solvers.solve import Solution
 
 # Of motions that pass, a coarser mesh's is kept where it is better than the last one by more than this share: what that mesh
-# errs by is less, so that a finer one has lost it. The other one where the coarser is not exact and the finer is.
-_LOST, _LOST_EXACT = 1e-5, 1e-4
+# errs by is less, so that a finer one has lost it. The other one where the coarser is not exact and the finer errs by less.
+_LOST, _LOST_INEXACT = 1e-5, 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -40,5 +40,6 @@ def better_of(before: JudgedT | None, now: JudgedT, aims: Aims) -> JudgedT:
     if before is None or (aims.tolerance_given and now.findings.exact and not before.findings.exact):
         return now
     then, objective = before.found.solution.objective, now.found.solution.objective
-    share = _LOST_EXACT if now.findings.exact and not before.findings.exact else _LOST
+    truer = not before.findings.exact and (now.findings.exact or error_of(now) < error_of(before))
+    share = _LOST_INEXACT if truer else _LOST
     return before if then < objective - share * abs(objective) else now

@@ -10,9 +10,10 @@ from linkplan.planner.refinement.refined import better_of
 MESH = 1e-6
 
 
-def passing(objective: float, *, exact: bool = True):
+def passing(objective: float, *, exact: bool = True, errs: float = 1e-4):
     solution = SimpleNamespace(objective=objective)
-    return SimpleNamespace(found=SimpleNamespace(solution=solution), findings=SimpleNamespace(exact=exact))
+    findings = SimpleNamespace(exact=exact, integration_error_deg=errs, integration_error=None)
+    return SimpleNamespace(found=SimpleNamespace(solution=solution), findings=findings)
 
 
 def aims(*, tolerance_given: bool = False):
@@ -37,6 +38,12 @@ def test_of_an_inexact_motion_more_is_asked(gained, kept):
     assert better_of(before, now, aims()) is (before if kept else now)
     same = passing(1.0 - gained)
     assert better_of(same, now, aims()) is same
+
+
+@pytest.mark.parametrize(("errs", "kept"), [(1e-5, False), (1e-3, True)])
+def test_of_two_inexact_motions_more_is_asked_of_the_one_that_errs_by_more(errs, kept):
+    before, now = passing(1.0 - 3e-5, exact=False), passing(1.0, exact=False, errs=errs)
+    assert better_of(before, now, aims()) is (before if kept else now)
 
 
 def test_a_better_motion_that_misses_the_tolerance_asked_for_is_no_answer():
