@@ -15,6 +15,9 @@ from linkplan.planner.transcription.schemes import MAX_DEGREE
 # The share of its allowance that marks an interval for halving; how far below the worst interval's error another may be to
 # be halved with it.
 _MARK, _WORST = 0.5, 0.01
+# Where dynamics are not kept, an interval with less than this share of the largest residual adds nothing to the error of the
+# integrated state: it carries on what others have begun.
+_CARRIES = 1e-6
 # A limit overrun between the nodes by more than this share of itself is a matter for the mesh; for less the limit is
 # tightened, which costs the objective about as much.
 _FINE = 1e-7
@@ -33,10 +36,11 @@ def marked_for(at: Judged[Any, Any], strictness: float) -> np.ndarray:
     certificate, n = at.certificate, at.n_intervals
     if certificate is None or not np.all(np.isfinite(certificate.growth)):
         return np.ones(n, dtype=bool)
-    growth = certificate.growth * strictness
+    growth, residual = certificate.growth * strictness, certificate.residual_share
     marked = np.zeros(n, dtype=bool)
-    if certificate.residual_share.max() > 1.0:
-        marked |= certificate.residual_share > _MARK
+    if residual.max() > 1.0:
+        marked |= residual > _MARK
+        growth = np.where(residual > _CARRIES * residual.max(), growth, 0.0)
     if growth.sum() > 1.0:
         marked |= growth > _MARK * max(1.0, _WORST * growth.max() * n) / n
     return marked
