@@ -34,9 +34,12 @@ _ROUGH = 0.01
 def marked_for(at: Judged[Any, Any], strictness: float) -> np.ndarray:
     """Return which intervals (n,) to halve: those with more than their share of an error that is too large."""
     certificate, n = at.certificate, at.n_intervals
-    if certificate is None or not np.all(np.isfinite(certificate.growth)):
+    if certificate is None:
         return np.ones(n, dtype=bool)
-    growth, residual = certificate.growth * strictness, certificate.residual_share
+    with np.errstate(over="ignore"):
+        growth, residual = certificate.growth * strictness, certificate.residual_share
+    if not np.all(np.isfinite(growth)):
+        return np.ones(n, dtype=bool)
     marked = np.zeros(n, dtype=bool)
     if residual.max() > 1.0:
         marked |= residual > _MARK

@@ -28,3 +28,7 @@ def test_intervals_that_err_themselves_beside_one_that_keeps_no_dynamics_are_hal
 def test_where_dynamics_are_kept_every_growing_error_counts():
     marked = marked_for(judged([1e-13, 1e-13, 0.5, 1e-13, 1e-13, 1e-13]), 1.0)
     assert marked.tolist() == [False, False, True, True, True, True]
+
+
+def test_where_a_growing_error_has_no_number_every_interval_is_halved():
+    assert marked_for(judged(np.zeros(6), np.full(6, 1e306)), 1e4).all()
