@@ -24,8 +24,9 @@ from tests.bench.fuzz_inputs import FEW, KINDS, case_of
 
 LEGAL = (0, 1, 2, 130)
 LIMIT_S, LIMIT_BYTES = 30, 2_000_000_000
-# A process keeps mechanisms that it was asked for, some hundred megabytes of them in the end: so many cases in one.
-_IN_ONE = 500
+# So many cases in one process: 400 map 3 GB (a renderer's and writers' threads, each with room of its own; holes that big
+# arrays leave), of which 0.4 GB are resident once the holes are given back and 0.04 GB are functions kept for mechanisms.
+_IN_ONE = 200
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
