@@ -8,6 +8,7 @@ import numpy as np
 
 from linkplan.models.catalogue import MODELS as BUILT_IN
 from linkplan.models.catalogue import built_in_text, is_file, is_folder, is_text, is_there
+from linkplan.models.compiling import bounded
 from linkplan.models.errors import ModelError, one_line
 from linkplan.models.model_door import MOST_BYTES, refuse_files, refuse_text, refuse_unusable
 from linkplan.models.names import nearest
@@ -33,9 +34,10 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
             attach(spec, payload)
         with warnings.catch_warnings(record=True) as told:  # what MuJoCo's bindings pass on as Python's warnings
             warnings.simplefilter("always")
-            model = spec.compile()
+            with bounded():
+                model = spec.compile()
         said += [str(one.message) for one in told]
-    except (ValueError, mujoco.FatalError, UnicodeDecodeError) as error:
+    except (ValueError, RuntimeError, mujoco.FatalError, UnicodeDecodeError) as error:
         what = "MJCF text" if is_text(str(source)) else source
         raise ModelError(f"model '{what}' does not compile: {one_line(error)}{mesh_hint(error)}") from error
     finally:

@@ -39,7 +39,10 @@ _COUNTS = {
     "nuserdata": 1_000_000, "njmax": 1_000_000, "nconmax": 1_000_000, "nstack": 10_000_000, "nkey": 100_000,
     "nuser_body": 1000, "nuser_jnt": 1000, "nuser_geom": 1000, "nuser_site": 1000, "nuser_cam": 1000,
     "nuser_tendon": 1000, "nuser_actuator": 1000, "nuser_sensor": 1000, "offwidth": 16_384, "offheight": 16_384,
-    "size": 100_000, "nsample": 1_000_000, "resolution": 16_384,
+    "size": 100_000, "nsample": 1_000_000, "resolution": 16_384, "dim": 100_000, "num": 100_000, "actdim": 1000,
+    "iterations": 10_000, "ls_iterations": 10_000, "noslip_iterations": 10_000, "ccd_iterations": 10_000,
+    "sdf_iterations": 10_000, "sdf_initpoints": 10_000, "shadowsize": 16_384, "offsamples": 64, "numslices": 1000,
+    "numstacks": 1000, "numquads": 1000, "params": 400,
 }  # fmt: skip
 _MOST_MEMORY = 1_000_000_000
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
@@ -184,6 +187,8 @@ def elements_and_size(content: bytes, path: Path | None) -> tuple[list[Element],
     for element in elements:
         for name, value in element.attributes.items():
             if name not in _COUNTS and name != "memory":
+                continue
+            if name == "params" and "builtin" not in element.attributes:
                 continue
             asked = _largest(value)
             if name == "size" and asked < 1000:

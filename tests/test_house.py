@@ -22,8 +22,8 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 ROOMS = {
     "models": (
         "errors", "interrupts", "names", "reading", "catalogue", "payload", "model_size", "model_door", "urdf",
-        "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness", "source_table",
-        "mechanism", "poses",
+        "compiling", "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
+        "source_table", "mechanism", "poses",
     ),
     "planner": (
         "transcription", "trajectory", "keys", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain",

@@ -42,6 +42,22 @@ TOO_LARGE = {
     ),
     "a cube's six sides": (model(asset='<texture width="16384" builtin="flat"/>'), ["textures"]),
     "many pictures": (model(asset='<texture type="2d" width="8192" height="8192" builtin="flat"/>' * 4), ["textures"]),
+    "a sensor of a billion numbers": (
+        '<mujoco><sensor><user name="u" dim="1000000000"/></sensor></mujoco>',
+        ["dim", "1000000000"],
+    ),
+    "a mesh of nine million points": (
+        model(asset='<mesh name="m" builtin="supersphere" params="3000 1 1"/>'),
+        ["params", "3000"],
+    ),
+    "steps of two billion iterations": (
+        '<mujoco><option iterations="2000000000" tolerance="0"/></mujoco>',
+        ["iterations", "2000000000"],
+    ),
+    "shadows of a million pixels a side": (
+        '<mujoco><visual><quality shadowsize="1000000"/></visual></mujoco>',
+        ["shadowsize", "1000000"],
+    ),
     "many height fields": (model(asset='<hfield nrow="4096" ncol="4096" size="1 1 1 1"/>' * 4), ["height fields"]),
 }
 
