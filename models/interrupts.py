@@ -44,6 +44,9 @@ def ended_by() -> int | None:
 def check() -> None:
     """Raise KeyboardInterrupt where a signal has asked this process to end, unless it is held back."""
     if asked() is not None and not _State.shields:
+        if _State.listening and hasattr(signal, "setitimer"):
+            # Not again at once: what is to be put in order on the way out must first be reached.
+            signal.setitimer(signal.ITIMER_REAL, _LATER_S)
         raise KeyboardInterrupt
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from linkplan.models.errors import PlanFileError
 from linkplan.models.interrupts import check, shielded
 from linkplan.planner.files.manifest import MANIFEST, RECORDS, replaceable, write_manifest
-from linkplan.planner.files.work_folders import link_over, stands, sweep, sync, take_place, taken, work_folder
+from linkplan.planner.files.work_folders import link_over, settle, stands, sweep, sync, take_place, taken, work_folder
 
 __all__ = ["MANIFEST", "RECORDS", "check_target", "place_of", "plain", "plain_record", "write_json", "write_whole"]
 
@@ -114,6 +114,7 @@ def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan
                 sync(fresh)
                 take_place(work, place)
                 made = []
+                settle(work.path)  # in one shield: the user's folders are in their place before an interrupt is heard
     except OSError as error:
         why = error.strerror or error
         if work is not None and stands(work, place):
