@@ -33,8 +33,13 @@ MAX_DELAY = 1000
 LQR_ERRORS = (1e-9, 1e9)
 # Corners of a tube's polyline at the most: each segment is an expression at every node.
 MOST_CORNERS = 200
+# The shortest interval of a mesh, as a share of the duration: refined, it is still longer than roundings.
+LEAST_SHARE = 1e-9
 # What the breaks of a mesh are, of which a type says but the half.
-BREAKS = "three or more increasing numbers from 0 to 1, the ends of the intervals as shares of the duration"
+BREAKS = (
+    "three or more increasing numbers from 0 to 1, the ends of the intervals as shares of the duration, at least"
+    f" {LEAST_SHARE:g} apart"
+)
 # Masses, lengths and moments of a payload beyond this are no mechanism's.
 HEAVIEST = 1e12
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.keys.kinds import BREAKS, MAX_DELAY
+from linkplan.planner.keys.kinds import BREAKS, LEAST_SHARE, MAX_DELAY
 from linkplan.planner.keys.reading import checked
 from linkplan.planner.keys.section import Section
 from linkplan.planner.keys.sections import MeshSection, SolverSection, TrackingSection
@@ -44,7 +44,7 @@ class MeshSettings:
         _check(self, "mesh", _MESH, ("intervals", "refine", "tolerance_deg", "breaks"))
         if self.breaks is not None:
             breaks = frozen(self.breaks)
-            if breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) <= 0):
+            if breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) < LEAST_SHARE):
                 raise ProblemError(f"mesh.breaks is {BREAKS}, got {given!r}")
             _set(self, "breaks", breaks)
 

@@ -1,6 +1,7 @@
-"""What ends a command for no fault of its input: too little memory, and what linkplan's makers did not foresee. Light."""
+"""What ends a command for no fault of its input: little memory, a umask, what linkplan's makers did not foresee. Light."""
 
 import errno
+import os
 import sys
 
 from linkplan.models.errors import LinkplanError, one_line
@@ -33,6 +34,22 @@ def refuse_little_memory(command: str) -> None:
                 f"this process may have {most / 1e6:.0f} MB of {what} (ulimit); what is loaded takes {least / 1e6:.0f} MB"
                 " at least"
             )
+
+
+def refuse_own_rights(command: str) -> None:
+    """Refuse a process that may not read what it has just written: its own umask takes that right away.
+
+    Raises:
+        LinkplanError: naming the umask.
+    """
+    if command in _LIGHT or os.name != "posix":
+        return
+    mask = os.umask(0o077)
+    os.umask(mask)
+    if mask & 0o700:
+        raise LinkplanError(
+            f"this process's umask is {mask:04o}: it may not read and write the files that it makes; one of 0022 lets it"
+        )
 
 
 def is_of_memory(error: BaseException) -> bool:

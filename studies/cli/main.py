@@ -18,7 +18,7 @@ from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.command_line import build_parser
 from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
-from linkplan.studies.cli.faults import is_of_memory, refuse_little_memory, told_to_the_makers
+from linkplan.studies.cli.faults import is_of_memory, refuse_little_memory, refuse_own_rights, told_to_the_makers
 from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, quiet, refuse
 from linkplan.studies.cli.streams import put
 
@@ -126,6 +126,7 @@ def _with_own_figures() -> None:
 def _run(arguments: argparse.Namespace) -> int:
     try:
         refuse_little_memory(arguments.command)
+        refuse_own_rights(arguments.command)
         module = importlib.import_module(f"linkplan.studies.cli.{_MODULES[arguments.command]}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
         try:

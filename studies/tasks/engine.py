@@ -15,6 +15,8 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
+from linkplan.models.errors import one_line
+
 Say = Callable[[str], None]
 # More processes than this are a slip of the hand.
 MOST_WORKERS = 1000
@@ -66,9 +68,15 @@ def processes(workers: int) -> Engine:
             with here(n, say) as pool:
                 yield pool
             return
-        executor = concurrent.futures.ProcessPoolExecutor(
-            max_workers=min(workers, n), mp_context=multiprocessing.get_context("spawn"), initializer=_begin
-        )
+        try:
+            executor = concurrent.futures.ProcessPoolExecutor(
+                max_workers=min(workers, n), mp_context=multiprocessing.get_context("spawn"), initializer=_begin
+            )
+        except (OSError, ImportError, NotImplementedError) as error:  # some containers have no /dev/shm for their locks
+            say(f"no processes beside this one can be begun ({one_line(error)}): this one does it all")
+            with here(n, say) as pool:
+                yield pool
+            return
         try:
             threads = max(1, (os.cpu_count() or 1) // workers)
             yield Pool(executor=executor, ahead=2 * workers, threads=threads, lost=(BrokenProcessPool,))

@@ -2,8 +2,10 @@
 
 from tests.bench.hostile_features import FEATURES
 from tests.bench.hostile_files import FILES
+from tests.bench.hostile_numbers import EDGES
 from tests.bench.hostile_places import PLACES
 from tests.bench.hostile_plans import PLANS
+from tests.bench.hostile_processes import PROCESSES
 from tests.bench.hostile_words import WORDS
 
-CASES = (*FILES, *FEATURES, *PLACES, *PLANS, *WORDS)
+CASES = (*FILES, *FEATURES, *EDGES, *PLACES, *PROCESSES, *PLANS, *WORDS)

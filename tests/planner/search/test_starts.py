@@ -165,6 +165,7 @@ def test_a_guess_decides_which_of_two_local_optima_is_found():
         (("mesh.breaks=[0,0.5]",), "three or more increasing"),
         (("mesh.breaks=[0,0.5,0.4,1]",), "three or more increasing"),
         (("mesh.breaks=[0.1,0.5,1]",), "three or more increasing"),
+        (("mesh.breaks=[0,0.5,0.5000000000000001,1]",), "at least 1e-09 apart"),
         (("mesh.breaks=[0,0.5,1]", "mesh.intervals=2"), "keep one"),
         (("mesh.refine=degrees",), "did you mean 'degree'|both, intervals, degree"),
         (("mesh.tolerance_deg=1e-12",), "mesh.tolerance_deg"),

@@ -82,3 +82,12 @@ def test_more_waypoints_than_a_mesh_has_room_for_are_counted_and_refused():
     message = refusal(lambda: load_problem("knee-reach", [f"motion.waypoints=[{', '.join([point] * 1001)}]"]), LinkplanError)
     assert "at most 1000" in message
     assert "1001" in message
+
+
+def test_a_process_that_may_not_read_what_it_writes_is_refused():
+    before = os.umask(0o777)
+    try:
+        assert "0777" in refusal(lambda: faults.refuse_own_rights("plan"), LinkplanError)
+        assert os.umask(0o777) == 0o777
+    finally:
+        os.umask(before)

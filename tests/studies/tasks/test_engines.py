@@ -38,6 +38,16 @@ def killed(task, threads):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def test_where_no_processes_can_be_begun_this_one_runs_every_task(monkeypatch):
+    def failing(**_):
+        raise OSError(30, "Read-only file system")  # locks between processes need a place such as /dev/shm
+
+    monkeypatch.setattr(concurrent.futures, "ProcessPoolExecutor", failing)
+    said = []
+    assert dict(streamed(processes(2), squared, [1, 2, 3], said.append)) == {1: 1, 2: 4, 3: 9}
+    assert "Read-only file system" in " ".join(said)
+
+
 def test_this_process_runs_each_task_when_the_one_before_is_taken():
     ran = []
 
