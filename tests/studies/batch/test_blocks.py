@@ -1,11 +1,13 @@
 """Batches: the same plans whatever ran them and however often they were killed; refused when something else is asked."""
 
+import time
+
 import pytest
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.planning import silent
 from linkplan.studies.batch import study
-from linkplan.studies.batch.block import block_count, cases_of
+from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, unpacked
 from linkplan.studies.batch.study import run_batch
 from linkplan.studies.tasks.engine import processes
 from linkplan.studies.tasks.unfinished import PARTS, unfinished
@@ -49,3 +51,11 @@ def test_what_is_planned_is_not_planned_again_and_another_batch_is_refused(tmp_p
     run_batch(swept(9), tmp_path / "x", silent)
     assert ran == [0, 1]
     assert not unfinished(tmp_path / "x").exists()
+
+
+def test_a_block_is_kept_whatever_year_its_clock_stands_in(tmp_path, monkeypatch):
+    answer = Planned(name="a", row=(), record={}, failure=None, files={"plan.json": b"{}"})
+    monkeypatch.setattr(time, "time", lambda: 0.0)  # archives know no date before 1980
+    (tmp_path / "part.zip").write_bytes(packed([answer]))
+    assert [one.name for one in unpacked(tmp_path / "part.zip", tmp_path)] == ["a"]
+    assert (tmp_path / "a" / "plan.json").read_bytes() == b"{}"
