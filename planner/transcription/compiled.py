@@ -175,6 +175,13 @@ def _names(functions: Code) -> tuple[str, ...]:
     return tuple(field.name for field in fields(functions) if isinstance(getattr(functions, field.name), ca.Function))
 
 
+class _LeftAlone(subprocess.Popen):
+    """A process that nobody waits for: Python collects it when it begins another, and warns of none that is at work."""
+
+    def __del__(self) -> None:
+        super().__del__(_warn=lambda *_, **__: None)
+
+
 def compile_beside(key: str, functions: Code) -> subprocess.Popen | None:
     """Have functions compiled by a process of its own, once they were wanted before; return it, for nobody to wait for.
 
@@ -195,7 +202,7 @@ def compile_beside(key: str, functions: Code) -> subprocess.Popen | None:
             finish = [sys.executable, "-P", "-m", "linkplan.planner.transcription.finish_compiling"]
             nothing, passed = subprocess.DEVNULL, () if lock is None else (lock,)
             # Its own session: an interrupt that ends the planner does not end it. It holds the folder's lock.
-            return subprocess.Popen(
+            return _LeftAlone(
                 [*finish, str(folder), str(work), key, str(_TIMEOUT_S), *command],
                 stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True, pass_fds=passed,
             )  # fmt: skip

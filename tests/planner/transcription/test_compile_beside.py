@@ -1,5 +1,8 @@
 """Functions that are wanted again are compiled by a process of its own, for which nobody waits."""
 
+import gc
+import warnings
+
 import numpy as np
 import pytest
 
@@ -47,6 +50,17 @@ def test_one_process_at_a_time_compiles_a_key(functions):
     process = compile_beside("k1", functions)
     assert compile_beside("k1", functions) is None
     process.wait()
+
+
+@pytest.mark.usefixtures("folder")
+def test_nobody_is_warned_of_a_process_that_is_left_to_itself(functions, monkeypatch):
+    monkeypatch.setattr("linkplan.planner.transcription.compiled.compiler", lambda: ("sleep", "1", ";"))
+    compile_beside("k1", functions)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        assert compile_beside("k1", functions).poll() is None  # at work, and held by nothing
+        gc.collect()
+    assert [str(one.message) for one in said] == []
 
 
 @pytest.mark.usefixtures("folder")
