@@ -15,7 +15,17 @@ import numpy as np
 from linkplan.models.errors import PlanFileError
 from linkplan.models.interrupts import check, shielded
 from linkplan.planner.files.manifest import MANIFEST, RECORDS, replaceable, write_manifest
-from linkplan.planner.files.work_folders import link_over, settle, stands, sweep, sync, take_place, taken, work_folder
+from linkplan.planner.files.work_folders import (
+    link_over,
+    settle,
+    stands,
+    sweep,
+    sync,
+    take_place,
+    taken,
+    unmovable,
+    work_folder,
+)
 
 __all__ = ["MANIFEST", "RECORDS", "check_target", "place_of", "plain", "plain_record", "write_json", "write_whole"]
 
@@ -72,6 +82,9 @@ def _judged(target: Path, place: Path, record: str) -> frozenset[str]:
         if place.is_dir():
             sweep(place)
         ours = replaceable(place, record) if place.is_dir() else frozenset()
+        held = unmovable(place, ours) if place.is_dir() else None
+        if held is not None:
+            raise PlanFileError(f"'{target}' holds '{held}', which cannot be moved: no permission to write into that folder")
         parent = place.parent
         while not os.path.lexists(parent):
             parent = parent.parent

@@ -16,7 +16,7 @@ from linkplan.models.errors import PlanFileError
 MANIFEST = ".linkplan.json"
 _FORMAT = 1
 # A manifest of 10,000 cases is about a megabyte; anything larger than this is none.
-_LARGEST_BYTES = 64 << 20
+_LARGEST_BYTES, _MOST_FILES = 64 << 20, 100_000
 _PLAN = r"(plan\.json|trajectory\.(npz|csv)|plan\.png)"
 _BODE = r"(bode\.json|(bode|nyquist|sensitivity|margins)(-[^/]+)?\.png|(map|large|along)\.png)"
 # What versions without manifests wrote beside each record, and a key that the record has.
@@ -86,7 +86,7 @@ def read_manifest(folder: Path) -> Manifest | None:
             raise ValueError
         said = json.loads(path.read_text(encoding="utf-8"))
         files, record, identity = said["files"], said["record"], said["identity"]
-        if said["format"] != _FORMAT or record not in RECORDS or not isinstance(identity, str):
+        if len(files) > _MOST_FILES or said["format"] != _FORMAT or record not in RECORDS or not isinstance(identity, str):
             raise ValueError
         if not all(isinstance(name, str) and _stays_inside(name) for name in files):
             raise ValueError

@@ -294,6 +294,15 @@ def _remove_empty(folder: Path) -> None:
     folder.rmdir()
 
 
+def unmovable(place: Path, ours: frozenset[str]) -> str | None:
+    """Return the name of a folder of the user's in a result that could not go over to a newer one, or None.
+
+    To move a folder, its own entry of the folder above it is written.
+    """
+    folders = (name for name in _theirs(place, ours) if (place / name).is_dir() and not (place / name).is_symlink())
+    return next((name for name in folders if not os.access(place / name, os.W_OK)), None)
+
+
 def taken(place: Path, ours: frozenset[str], files: frozenset[str]) -> str | None:
     """Return the name of something of the user's that stands where a new result has a file or a folder, or None."""
     if not place.is_dir():

@@ -117,8 +117,20 @@ def test_a_file_of_the_users_under_a_name_of_ours_is_not_replaced(tmp_path):
     assert (place / "case").read_text() == "mine"
 
 
-@pytest.mark.parametrize("files", [["../thesis.tex"], ["/etc/passwd"], [1], "plan.json", ["a/../../b"]])
-def test_a_manifest_that_leads_outside_is_refused(files, tmp_path):
+def test_a_folder_of_the_users_that_may_not_be_moved_is_a_refusal_before_the_work(tmp_path, monkeypatch):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    (place / "mine").mkdir()
+    (place / "mine" / "thesis.tex").write_text("all my work")
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "mine" or mode != os.W_OK)
+    with pytest.raises(PlanFileError, match="'mine', which cannot be moved"):
+        check_target(place)
+    assert (place / "mine" / "thesis.tex").read_text() == "all my work"
+    assert names(tmp_path) == ["run"]
+
+
+@pytest.mark.parametrize("files", [["../thesis.tex"], ["/etc/passwd"], [1], "plan.json", ["a/../../b"], list("ab") * 50_001])
+def test_a_manifest_that_leads_outside_or_lists_without_end_is_refused(files, tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
     place = tmp_path / "run"
     write_whole(place, result("old"))
