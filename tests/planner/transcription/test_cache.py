@@ -241,7 +241,7 @@ def test_a_compiler_ends_before_the_planner_s_deadline_and_the_interpreter_serve
     script.write_text(f'#!/bin/sh\necho begun > "{tmp_path}/begun"\nsleep 600\n', encoding="utf-8")
     script.chmod(0o700)
     monkeypatch.setattr(module, "compiler", lambda: (str(script),))
-    functions = compiled("k1", NodeFunctions, built, time.monotonic() + 2.0)
+    functions = compiled("k1", NodeFunctions, built, time.monotonic() + 4.0)
     assert (tmp_path / "begun").exists()
     assert "External" not in functions.node_value.class_name()
     (tmp_path / "begun").unlink()
