@@ -14,6 +14,8 @@ from linkplan.models.interrupts import asked, check
 
 # Processor time of a compilation [s]: the muscles of a whole body take a few. It is looked at once in so many readings.
 MOST_S, _READINGS = 20.0, 1000
+# The clock that MuJoCo reads is one for the whole process: threads compile one after the other.
+_ALONE = threading.Lock()
 
 
 class _StopError(Exception):
@@ -40,17 +42,18 @@ def bounded(most_s: float = MOST_S) -> Iterator[None]:
                 raise _StopError
         return 0.0
 
-    before = mujoco.get_mjcb_time()
-    mujoco.set_mjcb_time(reading)
-    try:
-        yield
-    except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        check()
-        if late:
-            raise RuntimeError(
-                f"not done within {most_s:g} s: MuJoCo simulates muscles to find how long they can be, and comes to no end;"
-                " give each actuator its lengthrange, or <compiler> a <lengthrange/> of its own"
-            ) from error
-        raise
-    finally:
-        mujoco.set_mjcb_time(before)
+    with _ALONE:
+        before = mujoco.get_mjcb_time()
+        mujoco.set_mjcb_time(reading)
+        try:
+            yield
+        except (ValueError, RuntimeError, mujoco.FatalError) as error:
+            check()
+            if late:
+                raise RuntimeError(
+                    f"not done within {most_s:g} s: MuJoCo simulates muscles to find how long they can be, and comes to no"
+                    " end; give each actuator its lengthrange, or <compiler> a <lengthrange/> of its own"
+                ) from error
+            raise
+        finally:
+            mujoco.set_mjcb_time(before)
