@@ -134,6 +134,7 @@ def fuzz(numbers: list[int], seed: int, plan: Path) -> list[Outcome]:
             print(f"case {current} ({kind}): {why}", flush=True)
             waiting = waiting[waiting.index(current) + 1 :]
         child.join()
+        print(f"{len(found)} of {len(numbers)}", file=sys.stderr, flush=True)
     return found
 
 
