@@ -25,7 +25,7 @@ from linkplan.planner.trajectory import Trajectory
 # An answer whose objective a finer mesh changes by more than this share is said to move.
 MOVES = 1e-4
 # One that it changes by more than this share is not known to be near the best.
-_NOT_SETTLED = 1e-2
+_NOT_SETTLED = 5e-2
 # Efforts constant over intervals whose objective is above that of others, which keep no limit between the nodes, by no more
 # than this share are near enough to the best.
 _CONSTANT = 1e-3
