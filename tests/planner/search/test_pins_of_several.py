@@ -9,6 +9,7 @@ from linkplan.planner.closed_chain.force_rows import force_rows_of
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.refinement.tightening import Tightening, evened
+from tests.support.five_bar_reach import five_bar_reach
 
 # A force may exceed its limit by what rounding makes of it, as a share.
 ROUNDING = 1e-6
@@ -18,17 +19,7 @@ LEAST_S, CLOSE = 0.3820984, 1e-4
 
 
 def five_bar(newton: float) -> dict:
-    return {
-        "mechanism": {"model": "five-bar"},
-        "motion": {
-            "kind": "reach",
-            "start_deg": {"O1": -90.0, "O2": -90.0},
-            "goal_deg": {"O1": -112.0, "O2": -75.0},
-            "duration_s": "free",
-        },
-        "objective": {"minimize": "time"},
-        "limits": {"closure_force": {"E2": newton}},
-    }
+    return five_bar_reach({"closure_force": {"E2": newton}})
 
 
 @pytest.mark.slow

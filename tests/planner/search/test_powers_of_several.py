@@ -8,6 +8,7 @@ from linkplan.planner.closed_chain.power_rows import power_rows_of
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from tests.support.digger import DIGGER, POWERS
+from tests.support.five_bar_reach import five_bar_reach
 
 # A power may exceed its limit by what rounding makes of it.
 ROUNDING = 1e-6
@@ -18,21 +19,11 @@ SAID = 1e-4
 
 
 def five_bar(power: float, **motion) -> dict:
-    motion = {"duration_s": "free"} | motion
-    return {
-        "mechanism": {"model": "five-bar"},
-        "motion": {
-            "kind": "reach",
-            "start_deg": {"O1": -90.0, "O2": -90.0},
-            "goal_deg": {"O1": -112.0, "O2": -75.0},
-            **motion,
-        },
-        "objective": {"minimize": "time" if motion["duration_s"] == "free" else "effort"},
-        "limits": {
-            "effort": {"act_O1": [-1.4, 1.4], "act_O2": [-1.4, 1.4]},
-            "power_w": {"act_O1": power, "act_O2": power},
-        },
+    limits = {
+        "effort": {"act_O1": [-1.4, 1.4], "act_O2": [-1.4, 1.4]},
+        "power_w": {"act_O1": power, "act_O2": power},
     }
+    return five_bar_reach(limits, **motion)
 
 
 def digger() -> dict:
