@@ -1,42 +1,58 @@
-"""Result folders: written whole or not at all, and never over what is not linkplan's.
+"""Result folders: written whole or not at all, and never over what is the user's.
 
-A result is written in a work folder beside its place, brought to the disk, and changes places with the earlier result in one
-step. Of the earlier one those files are deleted that its manifest lists; whatever else is in the folder stays in it.
+A result is written in a work folder beside its place and brought to the disk. Without an earlier result, one rename puts it
+in its place. Over an earlier one, one rename puts it into that folder as `.linkplan-new`. The new result counts from then
+on: files that only the earlier result had are deleted, the new files take their places one by one, and the manifest comes
+last. If a process is killed in between, the next command that uses the folder does the rest (`complete`). The user's own
+files in the folder are never touched.
 """
 
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
-from pathlib import Path
+import re
+import stat
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from linkplan.models.errors import PlanFileError
 from linkplan.models.interrupts import check, shielded
-from linkplan.planner.files.manifest import MANIFEST, RECORDS, replaceable, write_manifest
-from linkplan.planner.files.work_folders import (
-    link_over,
-    settle,
-    stands,
-    sweep,
-    sync,
-    take_place,
-    taken,
-    unmovable,
-    work_folder,
+from linkplan.planner.files.manifest import (
+    MANIFEST,
+    RECORDS,
+    Manifest,
+    files_in,
+    is_unchanged,
+    read_manifest,
+    write_manifest,
 )
+from linkplan.planner.files.work_folders import locked, sweep, sync, sync_folder, work_folder
 
-__all__ = ["MANIFEST", "RECORDS", "check_target", "place_of", "plain", "plain_record", "write_json", "write_whole"]
+__all__ = [
+    "MANIFEST",
+    "RECORDS",
+    "check_target",
+    "complete",
+    "place_of",
+    "plain",
+    "plain_record",
+    "remove_result",
+    "write_json",
+    "write_whole",
+]
+
+_NEW = ".linkplan-new"
 
 
 def place_of(target: Path) -> Path:
-    """Return the folder that a target means, links and ".." resolved; refused where no result may ever be put.
+    """Return the folder that a target means, with links and ".." resolved.
 
     Raises:
         PlanFileError: for the working folder, the home folder, what is above them, and paths that cannot be.
     """
-    if Path(target).parts[:1] == ("~",):  # a folder of that name would be asked for its removal once, by "rm -r ~"
+    if Path(target).parts[:1] == ("~",):  # the user would remove a folder of that name by "rm -r ~"
         raise PlanFileError(f"'{target}' begins with a ~ that no shell has replaced; write the home folder's path")
     try:
         place, here = Path(target).resolve(), Path.cwd().resolve()
@@ -57,34 +73,26 @@ def place_of(target: Path) -> Path:
 def check_target(target: Path, record: str = "plan.json") -> None:
     """Refuse a target that could not be written later: before long work begins, not after it.
 
-    A folder may be written into that is empty or holds an older result of the same kind, known by its `record`. What a run
-    that was killed left beside it is put in order first.
+    A folder may be written into if it is empty or holds an earlier result of the same kind whose files are unchanged. What
+    a process that was killed left there and beside it is put in order first.
+
+    Args:
+        target: the result's folder.
+        record: the name of the record of that kind of result.
 
     Raises:
-        PlanFileError: when the target is a file, or a folder with things in it that are not ours, or its parent cannot
-            be written.
+        PlanFileError: when the target is a file or a folder of the user's, when files of the earlier result have changed or
+            may not be replaced, and when the folder above cannot be written.
     """
-    _judged(target, place_of(target), record)
-
-
-def _judged(target: Path, place: Path, record: str) -> frozenset[str]:
-    """Return the files in a result's place that may be replaced."""
+    place = place_of(target)
     try:
         sweep(place.parent)
-        if os.path.lexists(place) and not place.is_dir():
-            raise PlanFileError(f"a result is a folder; '{target}' is a file")
-        if place.is_dir() and os.path.ismount(place):
-            raise PlanFileError(
-                f"'{target}' is where a file system is mounted, which cannot be replaced; name a folder in it"
-            )
-        if place.is_dir() and not os.access(place, os.R_OK | os.W_OK | os.X_OK):
-            raise PlanFileError(f"'{target}' cannot be replaced: no permission to read and change what is in it")
         if place.is_dir():
             sweep(place)
-        ours = replaceable(place, record) if place.is_dir() else frozenset()
-        held = unmovable(place, ours) if place.is_dir() else None
-        if held is not None:
-            raise PlanFileError(f"'{target}' holds '{held}', which cannot be moved: no permission to write into that folder")
+            complete(place)
+            _refuse_folder(target, place, record)
+        elif os.path.lexists(place):
+            raise PlanFileError(f"a result is a folder; '{target}' is a file")
         parent = place.parent
         while not os.path.lexists(parent):
             parent = parent.parent
@@ -94,51 +102,168 @@ def _judged(target: Path, place: Path, record: str) -> frozenset[str]:
             raise PlanFileError(f"'{target}' cannot be written: no permission to write into '{parent}'")
     except OSError as error:
         raise PlanFileError(f"'{target}' cannot be written: {error.strerror or error}") from error
-    return ours
+
+
+def _refuse_folder(target: Path, place: Path, record: str) -> None:
+    """Refuse an existing folder whose content a new result may not replace."""
+    if not os.access(place, os.R_OK | os.W_OK | os.X_OK):
+        raise PlanFileError(f"'{target}' cannot be replaced: no permission to read and change what is in it")
+    mount = _mount_in(place)
+    if mount is not None:
+        raise PlanFileError(
+            f"a file system is mounted at '{mount}', which a result cannot replace; name a folder without mount points"
+        )
+    manifest = read_manifest(place)
+    if manifest is None:
+        if any(place.iterdir()):
+            other = [name for name in RECORDS if (place / name).is_file()]
+            held = f"{other[0]} without the {MANIFEST} of a result" if other else "files that are not linkplan's"
+            raise PlanFileError(f"'{target}' holds {held}; name a new or an empty folder")
+        return
+    if manifest.record != record:
+        raise PlanFileError(f"'{target}' holds another result ({manifest.record}); name a new or an empty folder")
+    for name in manifest.files:
+        if os.path.lexists(place / name) and not is_unchanged(place, name, manifest):
+            raise PlanFileError(
+                f"'{target}' holds '{name}', which has changed since linkplan wrote it; move it or name another folder"
+            )
+    for name in (*_folders_of(manifest.files), *manifest.files, MANIFEST):
+        if os.path.lexists(place / name) and not os.access(place / name, os.W_OK):  # an immutable file refuses root, too
+            raise PlanFileError(f"'{target}' holds '{name}', which may not be changed; name another folder")
+
+
+def _mount_in(folder: Path) -> str | None:
+    """Return the first mount point at or below a folder, bind mounts included (Linux), or None."""
+    if os.path.ismount(folder):
+        return str(folder)
+    try:
+        lines = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="surrogateescape").splitlines()
+    except OSError:
+        return None
+    points = (re.sub(r"\\([0-7]{3})", lambda octal: chr(int(octal[1], 8)), line.split()[4]) for line in lines)
+    return next((point for point in points if Path(point).is_relative_to(folder)), None)
+
+
+def _folders_of(names: Iterable[str]) -> set[str]:
+    """Return the folders, below a result's own, in which files of some names stand."""
+    return {str(parent) for name in names for parent in PurePosixPath(name).parents} - {"."}
 
 
 def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan.json") -> None:
     """Write a folder by `write(folder)` beside its place, then let it take its place; on any failure nothing changes.
 
     Raises:
-        PlanFileError: when the disk refuses, or something in the folder is not linkplan's.
+        PlanFileError: when the disk refuses, or something in the folder is the user's.
     """
+    check_target(target, record)
     place = place_of(target)
-    _judged(target, place, record)
-    made, work = [], None
+    made: list[Path] = []
     try:
         made = _make_parents(place)
-        with work_folder(place) as work:
-            fresh = work.path / "new"
-            fresh.mkdir()
-            write(fresh)
+        with work_folder(place.parent) as work:
+            write(work)
             check()
-            files = write_manifest(fresh, record, work.identity)
+            write_manifest(work, record)
+            sync(work)
             with shielded():
-                ours = _judged(target, place, record)  # again: the work may have taken hours
-                name = taken(place, ours, files)
-                if name is not None:
-                    raise PlanFileError(
-                        f"'{target}' holds '{name}', which linkplan would now write; move it or name another folder"
-                    )
-                if place.is_dir():
-                    fresh.chmod(place.stat().st_mode & 0o7777)
-                    link_over(place, fresh, ours)
-                sync(fresh)
-                take_place(work, place)
+                check_target(target, record)  # again: the work may have taken hours
+                _put_in_place(target, work, place)
                 made = []
-                settle(work.path)  # in one shield: the user's folders are in their place before an interrupt is heard
     except OSError as error:
-        why = error.strerror or error
-        if work is not None and stands(work, place):
-            raise PlanFileError(
-                f"'{target}' stands, new and whole, but the disk refused afterwards: {why}; what stood there before is in"
-                f" '{work.path}' as far as it is not cleared away, which the next run tries again"
-            ) from error
-        raise PlanFileError(f"cannot write '{target}': {why}") from error
+        raise PlanFileError(f"cannot write '{target}': {error.strerror or error}") from error
     finally:
         for parent in made:
             _remove_if_empty(parent)
+
+
+def _put_in_place(target: Path, work: Path, place: Path) -> None:
+    """Let a complete new result take its place."""
+    if not place.is_dir() or not any(place.iterdir()):
+        if place.is_dir():
+            work.chmod(stat.S_IMODE(place.stat().st_mode))
+        work.rename(place)
+        sync_folder(place.parent)
+        return
+    with locked(place):
+        old = read_manifest(place)
+        name = None if old is None else _taken(place, old, set(files_in(work)) - {MANIFEST})
+        if name is not None:
+            raise PlanFileError(f"'{target}' holds '{name}', which linkplan would now write; move it or name another folder")
+        for folder in sorted(_folders_of(files_in(work))):  # a full disk refuses here, while nothing has changed
+            (place / folder).mkdir(exist_ok=True)
+        work.rename(place / _NEW)
+        sync_folder(place)
+        _complete(place)
+
+
+def _taken(place: Path, old: Manifest, new: set[str]) -> str | None:
+    """Return the first entry of the user's that stands where a new result has a file or a folder, or None."""
+    files = (name for name in sorted(new - set(old.files)) if os.path.lexists(place / name))
+    folders = (
+        name
+        for name in sorted(_folders_of(new) - set(old.files))
+        if os.path.lexists(place / name) and ((place / name).is_symlink() or not (place / name).is_dir())
+    )
+    return next(folders, None) or next(files, None)
+
+
+def complete(folder: Path) -> None:
+    """Complete the replacement of a folder's earlier result, where a process was killed in between.
+
+    Raises:
+        PlanFileError: when the disk refuses, or a file that is to be replaced has changed; the rest of the new result stays
+            in `.linkplan-new`.
+    """
+    if (folder / _NEW / MANIFEST).is_file():
+        with shielded(), locked(folder):
+            _complete(folder)
+
+
+def _complete(folder: Path) -> None:
+    source = folder / _NEW
+    try:
+        new, old = read_manifest(source), read_manifest(folder)
+        if new is None:  # another process has completed it
+            return
+        listed = {} if old is None else old.files
+        coming = [name for name in new.files if (source / name).is_file()]
+        for name in (*coming, *(name for name in listed if name not in new.files)):
+            if os.path.lexists(folder / name) and (old is None or not is_unchanged(folder, name, old)):
+                raise PlanFileError(
+                    f"'{folder}' holds '{name}', which changed while it was being replaced; the new result is in '{source}'"
+                )
+        for name in listed:
+            if name not in new.files:
+                (folder / name).unlink(missing_ok=True)
+        for name in sorted(_folders_of(listed) - _folders_of(new.files), reverse=True):
+            _remove_if_empty(folder / name)
+        for name in coming:
+            os.replace(source / name, folder / name)
+        sync_folder(folder)
+        os.replace(source / MANIFEST, folder / MANIFEST)
+        for name in sorted(_folders_of(new.files), reverse=True):
+            _remove_if_empty(source / name)
+        _remove_if_empty(source)
+    except OSError as error:
+        why = error.strerror or error
+        raise PlanFileError(
+            f"'{folder}' is replaced in part: {why}; the rest of the new result is in '{source}', and the next command that"
+            " uses the folder goes on"
+        ) from error
+
+
+def remove_result(folder: Path) -> None:
+    """Remove a result's unchanged files, its manifest, and the folders that are then empty."""
+    manifest = read_manifest(folder)
+    if manifest is None:
+        return
+    for name in manifest.files:
+        if is_unchanged(folder, name, manifest):
+            (folder / name).unlink()
+    (folder / MANIFEST).unlink()
+    for name in sorted(_folders_of(manifest.files), reverse=True):
+        _remove_if_empty(folder / name)
+    _remove_if_empty(folder)
 
 
 def _make_parents(place: Path) -> list[Path]:

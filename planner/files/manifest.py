@@ -1,56 +1,54 @@
-"""Which files of a result folder are linkplan's: those that its manifest lists, and no others.
+"""The manifest of a result folder: which files linkplan wrote there, each with the hash of its content.
 
-`write_whole` writes the manifest, `.linkplan.json`, with every result. A folder without one was written by an earlier
-version or is the user's: it counts as ours where it holds only files that the earlier versions wrote.
+A file belongs to linkplan while it is listed and its content has the listed hash. A file that has changed since, and a file
+that is not listed, belong to the user. A folder without a manifest belongs to the user.
 """
 
+import hashlib
 import json
-import re
+import os
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
 from linkplan.models.errors import PlanFileError
 
 MANIFEST = ".linkplan.json"
-_FORMAT = 1
-# A manifest of 10,000 cases is about a megabyte; anything larger than this is none.
-_LARGEST_BYTES, _MOST_FILES = 64 << 20, 100_000
-_PLAN = r"(plan\.json|trajectory\.(npz|csv)|plan\.png)"
-_BODE = r"(bode\.json|(bode|nyquist|sensitivity|margins)(-[^/]+)?\.png|(map|large|along)\.png)"
-# What versions without manifests wrote beside each record, and a key that the record has.
-_EARLIER = {
-    "plan.json": (_PLAN, "problem"),
-    "track.json": (r"track\.(json|png)", "tracker"),
-    "compare.json": (r"compare\.(json|png)|desired_and_actual\.png", "plan"),
-    "bode.json": (_BODE, "points"),
-    "tune.json": (r"tune\.(json|png)|tracking\.toml", "found"),
-    "check.json": (r"check\.json|mechanism\.png|loop-\d+\.png", "problems"),
-    "demo.json": (
-        r"demo\.json|report\.html|stability_map\.png|desired_and_actual\.png|check/[^/]+/(check\.json|mechanism\.png)"
-        rf"|plans/[^/]+/{_PLAN}|compare/[^/]+/compare\.(json|png)|bode/[^/]+/{_BODE}",
-        "versions",
-    ),
-    "experiment.json": (r"experiment\.(json|png)|results\.parquet", "experiment"),
-    "decompose.json": (r"decompose\.(json|png)", "decomposition"),
-    "batch.json": (rf"batch\.json|[^/]+/{_PLAN}", "cases"),
-}
-# A folder that holds one of these is a result.
-RECORDS = tuple(_EARLIER)
+_FORMAT_VERSION = 2
+# A manifest of 10,000 cases has about four megabytes; the limits protect memory from a file that is no manifest.
+_MAX_MANIFEST_BYTES = 64 << 20
+_MAX_LISTED_FILES = 400_000
+# The name of the record in each kind of result.
+RECORDS = (
+    "plan.json",
+    "track.json",
+    "compare.json",
+    "bode.json",
+    "tune.json",
+    "check.json",
+    "demo.json",
+    "experiment.json",
+    "decompose.json",
+    "batch.json",
+)
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Manifest:
-    """What linkplan wrote into a folder: the record's name, every file's path from there, and which writing it was."""
+    """What linkplan wrote into a folder.
+
+    `record` is the name of the result's record, `files` the SHA-256 of each file by its path from the folder, and `identity`
+    a random word that tells one result from the next.
+    """
 
     record: str
-    files: frozenset[str]
+    files: Mapping[str, str]
     identity: str
 
 
 def files_in(folder: Path, below: str = "") -> Iterator[str]:
-    """Yield the path from a folder of everything in it that is not itself a folder; links are not followed."""
+    """Yield the path, from a folder, of every entry below it that is not a folder; links are not followed."""
     for entry in sorted((folder / below).iterdir()):
         name = f"{below}/{entry.name}" if below else entry.name
         if entry.is_dir() and not entry.is_symlink():
@@ -59,118 +57,71 @@ def files_in(folder: Path, below: str = "") -> Iterator[str]:
             yield name
 
 
-def write_manifest(folder: Path, record: str, identity: str) -> frozenset[str]:
-    """List a new result's files in its manifest and return them."""
-    files = frozenset(files_in(folder))
+def write_manifest(folder: Path, record: str) -> None:
+    """Write the manifest of a new result: every file in its folder with its hash."""
     said = {
-        "format": _FORMAT,
-        "about": "files that linkplan wrote here; a newer result replaces these and nothing else",
+        "format": _FORMAT_VERSION,
+        "about": "the files that linkplan wrote here, with SHA-256; a newer result replaces those that are unchanged",
         "record": record,
-        "identity": identity,
-        "files": sorted(files),
+        "identity": os.urandom(8).hex(),
+        "files": {name: _hash(folder / name) for name in sorted(files_in(folder))},
     }
     (folder / MANIFEST).write_text(json.dumps(said, indent=1) + "\n", encoding="utf-8")
-    return files
 
 
 def read_manifest(folder: Path) -> Manifest | None:
     """Return a folder's manifest, or None where there is none.
 
     Raises:
-        PlanFileError: when there is one that cannot be read, or that is not ours.
+        PlanFileError: when there is one that cannot be read, or that linkplan did not write.
     """
     path = folder / MANIFEST
     try:
         found = path.lstat()
-        if not stat.S_ISREG(found.st_mode) or found.st_size > _LARGEST_BYTES:
+        if not stat.S_ISREG(found.st_mode) or found.st_size > _MAX_MANIFEST_BYTES:
             raise ValueError
         said = json.loads(path.read_text(encoding="utf-8"))
         files, record, identity = said["files"], said["record"], said["identity"]
-        if len(files) > _MOST_FILES or said["format"] != _FORMAT or record not in RECORDS or not isinstance(identity, str):
+        if said["format"] != _FORMAT_VERSION or record not in RECORDS or not isinstance(identity, str):
             raise ValueError
-        if not all(isinstance(name, str) and _stays_inside(name) for name in files):
+        if not isinstance(files, dict) or len(files) > _MAX_LISTED_FILES:
+            raise ValueError
+        if not all(_stays_inside(name) and isinstance(digest, str) for name, digest in files.items()):
             raise ValueError
     except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise PlanFileError(
-            f"'{folder}' has a damaged {MANIFEST}, so that it cannot be told which files are linkplan's; name a new folder"
+            f"'{folder}' has a {MANIFEST} that is damaged or of another version; name a new folder"
         ) from error
-    return Manifest(record=record, files=frozenset(files), identity=identity)
+    return Manifest(record=record, files=files, identity=identity)
 
 
-def with_inner(folder: Path, files: frozenset[str]) -> frozenset[str]:
-    """Return a result's files and those of results that were since written into folders of it, a batch's case say.
+def identity_at(folder: Path) -> str | None:
+    """Return the identity of the result in a folder, or None where there is none that can be read."""
+    try:
+        manifest = read_manifest(folder)
+    except PlanFileError:
+        return None
+    return None if manifest is None else manifest.identity
 
-    What has become a folder since is no file of ours.
-    """
-    found = set(files)
-    for below in {str(parent) for name in files for parent in PurePosixPath(name).parents} - {"."}:
-        try:
-            inner = read_manifest(folder / below)
-        except PlanFileError:  # the user's, then
-            inner = None
-        if inner is not None:
-            found |= {f"{below}/{name}" for name in (*inner.files, MANIFEST)}
-    return frozenset(name for name in found if (folder / name).is_symlink() or not (folder / name).is_dir())
+
+def is_unchanged(folder: Path, name: str, manifest: Manifest) -> bool:
+    """Return True if a file in a folder is as its manifest lists it: a plain file, below no link, of the same content."""
+    path = folder / name
+    if any((folder / parent).is_symlink() for parent in PurePosixPath(name).parents):
+        return False
+    try:
+        return stat.S_ISREG(path.lstat().st_mode) and _hash(path) == manifest.files.get(name)
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _stays_inside(name: str) -> bool:
     path = PurePosixPath(name)
     return bool(name) and "\0" not in name and not path.is_absolute() and ".." not in path.parts and str(path) == name
-
-
-def replaceable(folder: Path, record: str) -> frozenset[str]:
-    """Return the files in an existing folder that a new result may replace.
-
-    Raises:
-        PlanFileError: when the folder holds another kind of result, or is not empty and not a result.
-    """
-    manifest = read_manifest(folder)
-    if manifest is not None:
-        if manifest.record != record:
-            raise PlanFileError(f"'{folder}' holds another result ({manifest.record}); name a new or an empty folder")
-        return with_inner(folder, manifest.files)
-    if not any(folder.iterdir()):
-        return frozenset()
-    if not (folder / record).is_file():
-        other = [name for name in RECORDS if (folder / name).is_file()]
-        held = f"another result ({', '.join(other)})" if other else "files that are not linkplan's"
-        raise PlanFileError(f"'{folder}' holds {held}; name a new or an empty folder")
-    files = earlier_files(folder, record)
-    if files is None:
-        raise PlanFileError(
-            f"'{folder}' holds a {record} and files that are not linkplan's, without a {MANIFEST} to tell them apart;"
-            " name a new or an empty folder"
-        )
-    return files
-
-
-def earlier_files(folder: Path, record: str) -> frozenset[str] | None:
-    """Return the files of a result without a manifest, or None where something in its folder is not such a result's."""
-    pattern, key = _EARLIER[record]
-    path = folder / record
-    try:
-        if path.is_symlink() or path.stat().st_size > _LARGEST_BYTES:
-            return None
-        said = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(said, dict) or key not in said:
-        return None
-    files = set()
-    for name in files_in(folder):
-        if not re.fullmatch(pattern, name) or (folder / name).is_symlink():
-            return None
-        files.add(name)
-    # A folder in which there is nothing is not ours either.
-    folders = {str(parent) for name in files for parent in PurePosixPath(name).parents}
-    return frozenset(files) if all(_folders(folder, folders)) else None
-
-
-def _folders(folder: Path, known: Iterable[str], below: str = "") -> Iterator[bool]:
-    for entry in (folder / below).iterdir():
-        if entry.is_dir():
-            name = f"{below}/{entry.name}" if below else entry.name
-            yield name in known
-            yield from _folders(folder, known, name)

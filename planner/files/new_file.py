@@ -1,12 +1,10 @@
 """Single files that are written: whole or not at all, and never over what is there and not linkplan's."""
 
 import os
-import shutil
 from pathlib import Path
 
 from linkplan.models.errors import PlanFileError
-from linkplan.models.interrupts import shielded
-from linkplan.planner.files.work_folders import sync_folder
+from linkplan.planner.files.work_folders import replace_file, work_folder
 
 
 def check_new(path: Path) -> None:
@@ -36,24 +34,23 @@ def write_new(path: Path, content: bytes) -> None:
         PlanFileError: where something is there, or the disk refuses.
     """
     check_new(path)
-    part = path.with_name(f".{path.name[:100]}.{os.getpid()}.part")
     try:
-        with part.open("xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        try:
-            os.link(part, path)  # refuses where something has come there meanwhile, as renaming does not
-        except FileExistsError:
-            check_new(path)
-            raise
-        except OSError:  # a file system without hard links
-            with path.open("xb") as file:
+        with work_folder(path.parent) as work:
+            part = work / path.name
+            with part.open("xb") as file:
                 file.write(content)
+                file.flush()
+                os.fsync(file.fileno())
+            try:
+                os.link(part, path)  # refuses where something has come there meanwhile, as renaming does not
+            except FileExistsError:
+                check_new(path)
+                raise
+            except OSError:  # a file system without hard links
+                with path.open("xb") as file:
+                    file.write(content)
     except OSError as error:
         raise PlanFileError(f"cannot write '{path}': {error.strerror or error}") from error
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def write_over(path: Path, content: bytes) -> None:
@@ -64,18 +61,6 @@ def write_over(path: Path, content: bytes) -> None:
     """
     try:
         place = path.resolve()  # a link to an earlier one stays one
-        part = place.with_name(f".{place.name[:100]}.{os.getpid()}.part")
-        try:
-            with shielded():
-                with part.open("xb") as file:
-                    file.write(content)
-                    file.flush()
-                    os.fsync(file.fileno())
-                if place.exists():
-                    shutil.copymode(place, part)
-                os.replace(part, place)
-                sync_folder(place.parent)
-        finally:
-            part.unlink(missing_ok=True)
+        replace_file(place, lambda work: work.write_bytes(content))
     except (OSError, RuntimeError) as error:
         raise PlanFileError(f"cannot write '{path}': {getattr(error, 'strerror', None) or error}") from error

@@ -19,7 +19,7 @@ from linkplan.planner.certificate.collisions import with_contacts
 from linkplan.planner.certificate.margins import Margin
 from linkplan.planner.certificate.saved import disagreements
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
-from linkplan.planner.files.folders import plain_record, write_json
+from linkplan.planner.files.folders import complete, plain_record, write_json
 from linkplan.planner.files.motion_table import motion_table
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.saved_history import history_of
@@ -177,6 +177,7 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
     folder = Path(folder)
     if not folder.is_dir():
         raise PlanFileError(f"'{folder}' is not a plan: a plan is a folder with plan.json and trajectory.npz")
+    complete(folder)
     if not (folder / "plan.json").exists():
         within = folder / "plan"
         inside = f", as '{within}' is" if (within / "plan.json").is_file() else ""

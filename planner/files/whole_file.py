@@ -5,12 +5,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 from linkplan.models.errors import PlanFileError
-from linkplan.models.interrupts import check, shielded
-from linkplan.planner.files.work_folders import sweep, sync, sync_folder, work_folder
+from linkplan.planner.files.work_folders import replace_file, sweep
 
 # What every such file has in it, as its format allows: in a PNG's text, a GIF's comment, an MP4's metadata.
 MADE_BY = "made by linkplan render"
-_CHUNK = 1 << 20
+_CHUNK_BYTES = 1 << 20
 
 
 def check_file_target(target: Path, suffixes: tuple[str, ...]) -> None:
@@ -45,17 +44,13 @@ def write_file_whole(target: Path, suffixes: tuple[str, ...], write: Callable[[P
     """
     check_file_target(target, suffixes)
     place = target.resolve()
+
+    def write_and_check(path: Path) -> None:
+        write(path)
+        check_file_target(target, suffixes)  # again: the work may have taken long
+
     try:
-        with work_folder(place) as work:
-            fresh = work.path / "new"
-            fresh.mkdir()
-            write(fresh / place.name)
-            check()
-            with shielded():
-                check_file_target(target, suffixes)  # again: the work may have taken long
-                sync(fresh)
-                os.replace(fresh / place.name, place)
-                sync_folder(place.parent)
+        replace_file(place, write_and_check)
     except OSError as error:
         raise PlanFileError(f"cannot write '{target}': {error.strerror or error}") from error
 
@@ -66,7 +61,7 @@ def _is_ours(path: Path) -> bool:
         return False
     mark, kept = MADE_BY.encode(), b""
     with path.open("rb") as file:
-        while chunk := file.read(_CHUNK):
+        while chunk := file.read(_CHUNK_BYTES):
             if mark in kept + chunk:
                 return True
             kept = chunk[-len(mark) :]

@@ -10,12 +10,13 @@ from linkplan.planner.batch import check_batch
 from linkplan.planner.files.batch_file import Batch
 from linkplan.planner.files.folders import check_target, write_json
 from linkplan.planner.files.plan_folder import versions
+from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.refinement.history import silent
 from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, plan_block, unpacked
 from linkplan.studies.tasks.engine import Engine, Say, here
 from linkplan.studies.tasks.progress import Progress
 from linkplan.studies.tasks.streaming import streamed
-from linkplan.studies.tasks.unfinished import done, finish, part, put_whole, unfinished, working
+from linkplan.studies.tasks.unfinished import done, finish, part, unfinished, working
 
 RECORD = "batch.json"
 
@@ -88,7 +89,7 @@ def _conduct(folder: Path, batch: Batch, target: Path | None, engine: Engine, pa
     todo = [block for block in range(block_count(n)) if block not in there]
     with contextlib.closing(streamed(engine, work, todo, say)) as results:
         for block, answers in results:
-            put_whole(part(folder, block, "zip"), functools.partial(_write, content=packed(answers)))
+            replace_file(part(folder, block, "zip"), functools.partial(_write, content=packed(answers)))
             progress.more(len(answers))
 
 

@@ -13,6 +13,7 @@ import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
@@ -47,11 +48,11 @@ _MODULES = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Before:
-    """A command, its -o, and which folder stood there before it began: a new result is another folder."""
+    """A command, its -o, and the identity of the result that stood there before it began."""
 
     command: str = ""
     target: str | None = None
-    folder: tuple[int, int] | None = None
+    result: str | None = None
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -71,7 +72,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 code = arguments
             else:
                 target = getattr(arguments, "output", None)
-                before = _Before(command=arguments.command, target=target, folder=_folder_at(target))
+                before = _Before(command=arguments.command, target=target, result=_result_at(target))
                 arguments.mujoco_gl = os.environ.get("MUJOCO_GL")
                 if argv is None and before.command != "view":
                     # MuJoCo would look for a window library, in a process that signals reach too. What is rendered goes
@@ -154,8 +155,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _interrupted(before: _Before) -> int:
     """Say what an interrupted command leaves, and return its exit code."""
-    what, folder = "nothing was written", _folder_at(before.target)
-    if folder is not None and folder != before.folder:
+    what, result = "nothing was written", _result_at(before.target)
+    if result not in (None, before.result):
         what = f"the result is in '{before.target}', whole"
     elif (
         before.command in ("experiment", "batch")
@@ -167,13 +168,13 @@ def _interrupted(before: _Before) -> int:
     return BY_SIGNAL + (ended_by() or signal.SIGINT)
 
 
-def _folder_at(target: str | None) -> tuple[int, int] | None:
-    """Return which folder stands at a place; None where there is none."""
-    try:
-        found = os.stat(target) if target else None
-    except (OSError, ValueError):
+def _result_at(target: str | None) -> str | None:
+    """Return the identity of the result that stands at a place; None where there is none."""
+    if not target or not os.path.isdir(target):
         return None
-    return None if found is None else (found.st_dev, found.st_ino)
+    from linkplan.planner.files.manifest import identity_at
+
+    return identity_at(Path(target))
 
 
 def unforeseen(command: str, error: BaseException) -> int:

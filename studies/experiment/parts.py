@@ -6,8 +6,9 @@ from pathlib import Path
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import write_whole
 from linkplan.planner.files.plan_folder import write_plan
+from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.plan import Plan
-from linkplan.studies.tasks.unfinished import PLAN, part, put_whole
+from linkplan.studies.tasks.unfinished import PLAN, part
 
 
 def keep_plan(folder: Path, plan: Plan) -> None:
@@ -21,7 +22,7 @@ def write_part(folder: Path, block: int, columns: Mapping[str, list]) -> None:
     import pyarrow.parquet as parquet
 
     table = _table(columns)
-    put_whole(part(folder, block, "parquet"), lambda place: parquet.write_table(table, place))
+    replace_file(part(folder, block, "parquet"), lambda place: parquet.write_table(table, place))
 
 
 def write_results(folder: Path, path: Path, blocks: int) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import read_file, too_deep
-from linkplan.planner.files.folders import RECORDS, plain_record
+from linkplan.planner.files.folders import RECORDS, complete, plain_record
 from linkplan.planner.files.plan_folder import MOST_JSON_BYTES, read_plan, unchecked
 from linkplan.planner.plan import Plan
 from linkplan.studies.experiment.study import RECORD as EXPERIMENT
@@ -33,6 +33,7 @@ def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = 
     """
     if not folder.is_dir():
         raise PlanFileError(f"'{folder}' is no folder; a report is made of a folder that linkplan wrote")
+    complete(folder)
     if (folder / DOCUMENT).is_file():
         return read_document(folder / DOCUMENT)
     if (folder / "plan.json").is_file():

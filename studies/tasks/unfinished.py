@@ -8,14 +8,14 @@ waited for, and renamed. The next run of the same command goes on from there; a 
 import contextlib
 import json
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from linkplan.models.errors import PlanFileError
 from linkplan.models.interrupts import shielded
-from linkplan.planner.files.folders import plain_record, write_json, write_whole
-from linkplan.planner.files.work_folders import sweep, sync_folder
+from linkplan.planner.files.folders import plain_record, remove_result, write_json, write_whole
+from linkplan.planner.files.manifest import identity_at
+from linkplan.planner.files.work_folders import replace_file, sweep
 
 try:
     import fcntl
@@ -54,9 +54,8 @@ def working(folder: Path, asked: Mapping, what: str) -> Iterator[None]:
         held = True
         _compare(folder, asked, what)
         (folder / PARTS).mkdir(exist_ok=True)
-        sweep(folder)
-        for left in (*folder.glob(f".{ASKED}.*"), *(folder / PARTS).glob(".*")):  # being written when its process was killed
-            left.unlink()
+        for place in (folder, folder / PARTS):
+            sweep(place)
         yield
     except OSError as error:
         raise PlanFileError(f"cannot write '{folder}': {error.strerror or error}; what is done is kept") from error
@@ -73,7 +72,7 @@ def _compare(folder: Path, asked: Mapping, what: str) -> None:
         strangers = [entry.name for entry in folder.iterdir() if entry.name not in (_LOCK, PLAN) and entry.name[0] != "."]
         if strangers:
             raise PlanFileError(f"'{folder}' holds '{strangers[0]}', which is none of {what}'s; move it away")
-        put_whole(path, lambda place: write_json(place, asked))
+        replace_file(path, lambda place: write_json(place, asked))
         return
     refuse_other(path, asked, f"'{folder}' holds the parts of {what} that was asked otherwise")
 
@@ -119,33 +118,25 @@ def finish(folder: Path, target: Path, write: Callable[[Path], None], record: st
     Raises:
         PlanFileError: when the disk refuses, or something in the result's folder is not linkplan's.
     """
-    before = _folder_at(target)
+    before = identity_at(target)
     try:
         write_whole(target, write, record)
     finally:
         with shielded():
-            if _folder_at(target) not in (None, before):
+            if identity_at(target) not in (None, before):
                 remove(folder)
 
 
-def _folder_at(target: Path) -> tuple[int, int] | None:
-    try:
-        found = os.stat(target)
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
-
-
 def remove(folder: Path) -> None:
-    """Remove a folder of parts whose result is whole, and what writing into it has left where it was killed."""
-    for left in (folder / PARTS, folder / PLAN, *folder.glob(".linkplan-work-*")):
-        shutil.rmtree(left, ignore_errors=True)
-    for left in folder.glob(f".{ASKED}.*"):
+    """Remove the parts of a result that is whole, and their folder where nothing else is in it."""
+    sweep(folder)
+    for left in (*(folder / PARTS).glob("part-[0-9]*.*"), folder / ASKED, folder / _LOCK):
         left.unlink(missing_ok=True)
-    for name in (ASKED, _LOCK):
-        (folder / name).unlink(missing_ok=True)
-    with contextlib.suppress(OSError):  # somebody put something into it
-        folder.rmdir()
+    with contextlib.suppress(OSError, PlanFileError):  # somebody put something into it
+        remove_result(folder / PLAN)
+    for left in (folder / PARTS, folder):
+        with contextlib.suppress(OSError):
+            left.rmdir()
 
 
 def remove_left(folder: Path, asked: Mapping) -> None:
@@ -154,20 +145,3 @@ def remove_left(folder: Path, asked: Mapping) -> None:
         if folder.is_dir():
             with working(folder, asked, "a result"):
                 remove(folder)
-
-
-def put_whole(path: Path, write: Callable[[Path], None]) -> None:
-    """Write a file under another name, wait for the disk, and rename it."""
-    work = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        write(work)
-        with shielded():
-            descriptor = os.open(work, os.O_RDWR)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
-            os.replace(work, path)
-            sync_folder(path.parent)
-    finally:
-        work.unlink(missing_ok=True)

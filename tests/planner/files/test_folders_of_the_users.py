@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files import work_folders
-from linkplan.planner.files.folders import MANIFEST, check_target, write_json, write_whole
+from linkplan.planner.files.folders import MANIFEST, RECORDS, check_target, complete, write_json, write_whole
 
 
 def result(text):
@@ -51,20 +52,96 @@ def test_a_file_that_only_the_older_result_had_goes_with_it(tmp_path):
     assert names(place) == [MANIFEST, "plan.json"]
 
 
-@pytest.mark.parametrize("content", ["{}", "[1]", "my plan", '{"problem": {}}'])
-def test_a_folder_with_a_plan_json_and_other_files_is_not_ours(content, tmp_path):
-    (tmp_path / "plan.json").write_text(content)
-    (tmp_path / "thesis.tex").write_text("all my work")
-    with pytest.raises(PlanFileError, match="not linkplan's"):
-        write_whole(tmp_path, result("new"))
-    assert (tmp_path / "thesis.tex").read_text() == "all my work"
-    assert (tmp_path / "plan.json").read_text() == content
+@pytest.mark.parametrize("record", RECORDS)
+@pytest.mark.parametrize("beside", [None, "thesis.tex", "sub/plan.json"])
+def test_a_folder_without_a_manifest_is_never_replaced(record, beside, tmp_path):
+    keys = ("problem", "tracker", "plan", "points", "found", "problems", "versions", "experiment", "decomposition", "cases")
+    content = json.dumps(dict.fromkeys(keys, "my thesis"))
+    for name in filter(None, (record, beside)):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(content)
+    for act in (lambda: check_target(tmp_path, record), lambda: write_whole(tmp_path, result("new"), record)):
+        with pytest.raises(PlanFileError, match=f"{record} without the .linkplan.json of a result"):
+            act()
+    assert (tmp_path / record).read_text() == content
+    assert beside is None or (tmp_path / beside).read_text() == content
 
 
-def test_a_plan_json_of_somebody_elses_is_not_ours(tmp_path):
-    (tmp_path / "plan.json").write_text('{"holiday": "in May"}')
-    with pytest.raises(PlanFileError, match="not linkplan's"):
-        check_target(tmp_path)
+@pytest.mark.parametrize("name", ["plan.json", "case/plan.json"])
+def test_a_file_that_has_changed_since_belongs_to_the_user(name, tmp_path):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    (place / name).write_text("my own words")
+    for act in (lambda: check_target(place), lambda: write_whole(place, result("new"))):
+        with pytest.raises(PlanFileError, match=f"'{name}', which has changed since linkplan wrote it"):
+            act()
+    assert (place / name).read_text() == "my own words"
+
+
+@pytest.mark.parametrize("linked", ["case/plan.json", "case"])
+def test_a_link_in_the_place_of_a_file_or_folder_of_a_result_belongs_to_the_user(linked, tmp_path):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    (place / linked).rename(tmp_path / "moved")
+    (place / linked).symlink_to(tmp_path / "moved")
+    with pytest.raises(PlanFileError, match="has changed since"):
+        check_target(place)
+    assert (place / linked).is_symlink()
+
+
+def test_a_manifest_of_another_version_is_refused(tmp_path):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    said = json.loads((place / MANIFEST).read_text())
+    (place / MANIFEST).write_text(json.dumps(said | {"format": 1, "files": list(said["files"])}))
+    with pytest.raises(PlanFileError, match="of another version"):
+        check_target(place)
+
+
+@pytest.mark.skipif(shutil.which("chattr") is None, reason="needs chattr")
+@pytest.mark.parametrize("name", ["plan.json", "case", "case/plan.json", "."])
+def test_an_immutable_part_of_a_result_is_a_refusal_before_the_work(name, tmp_path):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    if subprocess.run(["chattr", "+i", str(place / name)], check=False, capture_output=True).returncode:
+        pytest.skip("this file system or user has no immutable files")
+    try:
+        with pytest.raises(PlanFileError, match=r"may not be changed|no permission"):
+            check_target(place)
+    finally:
+        subprocess.run(["chattr", "-i", str(place / name)], check=True)
+    check_target(place)
+
+
+MOUNTED = """
+import subprocess, sys
+from pathlib import Path
+from linkplan.models.errors import PlanFileError
+from linkplan.planner.files.folders import check_target
+other, inside, place = sys.argv[1:]
+subprocess.run(["mount", "--bind", other, inside], check=True)
+try:
+    check_target(Path(place))
+except PlanFileError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("inside", ["case", "case/plan.json", "mine, and yours"])
+def test_a_mount_inside_a_result_is_a_refusal_before_the_work(inside, tmp_path):
+    place, other = tmp_path / "run", tmp_path / "other"
+    write_whole(place, result("old"))
+    if inside == "case/plan.json":
+        other.write_text("a file")
+    else:
+        other.mkdir()
+        (place / inside).mkdir(exist_ok=True)
+    spaces = ["unshare", "--user", "--map-root-user", "--mount"]
+    if shutil.which("unshare") is None or subprocess.run([*spaces, "true"], check=False, capture_output=True).returncode:
+        pytest.skip("this system has no mount spaces for users")
+    words = [*spaces, sys.executable, "-c", MOUNTED, str(other), str(place / inside), str(place)]
+    said = subprocess.run(words, capture_output=True, text=True, check=True).stdout
+    assert f"mounted at '{place / inside}'" in said
 
 
 def test_a_path_is_resolved_before_it_is_judged(tmp_path):
@@ -117,79 +194,102 @@ def test_a_file_of_the_users_under_a_name_of_ours_is_not_replaced(tmp_path):
     assert (place / "case").read_text() == "mine"
 
 
-def test_a_folder_of_the_users_that_may_not_be_moved_is_a_refusal_before_the_work(tmp_path, monkeypatch):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
-    (place / "mine").mkdir()
-    (place / "mine" / "thesis.tex").write_text("all my work")
-    monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "mine" or mode != os.W_OK)
-    with pytest.raises(PlanFileError, match="'mine', which cannot be moved"):
-        check_target(place)
-    assert (place / "mine" / "thesis.tex").read_text() == "all my work"
-    assert names(tmp_path) == ["run"]
-
-
-@pytest.mark.parametrize("files", [["../thesis.tex"], ["/etc/passwd"], [1], "plan.json", ["a/../../b"], list("ab") * 50_001])
+@pytest.mark.parametrize(
+    "files",
+    [
+        {"../thesis.tex": ""},
+        {"/etc/passwd": ""},
+        {"a": 1},
+        ["plan.json"],
+        {"a/../../b": ""},
+        {f"{k}": "" for k in range(400_001)},
+    ],
+    ids=["climbs", "absolute", "no hash", "no hashes", "climbs later", "too many"],
+)
 def test_a_manifest_that_leads_outside_or_lists_without_end_is_refused(files, tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
     place = tmp_path / "run"
     write_whole(place, result("old"))
     said = json.loads((place / MANIFEST).read_text()) | {"files": files}
     (place / MANIFEST).write_text(json.dumps(said))
-    if files != "plan.json":
-        with pytest.raises(PlanFileError, match="damaged"):
-            write_whole(place, result("new"))
+    with pytest.raises(PlanFileError, match="damaged"):
+        write_whole(place, result("new"))
     assert (tmp_path / "thesis.tex").read_text() == "mine"
 
 
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from linkplan.planner.files import work_folders, folders
+from linkplan.planner.files import folders
 point, place = sys.argv[1], Path(sys.argv[2])
-def kill(*_):
+def kill():
     os.kill(os.getpid(), signal.SIGKILL)
 def write(new):
-    (new / "plan.json").write_text('{"problem": "new"}')
-    if point == "write":
+    for name in ("plan.json", "plan.png"):
+        (new / name).write_text('{"problem": "new"}')
+    if point == "writing":
         kill()
-exchanged, handed, rename = work_folders._exchanged, work_folders.hand_over, Path.rename
-if point.startswith("two"):
-    work_folders._exchanged = lambda a, b: False
-if point == "before":
-    work_folders._exchanged = kill
-if point == "after":
-    work_folders._exchanged = lambda a, b: exchanged(a, b) and kill()
-if point == "two renames":
-    def once(self, other):
-        rename(self, other)
-        if Path(other).name == "old":
-            kill()
-    Path.rename = once
-if point in ("settling", "two, settling"):
-    def half(earlier, place):
-        (earlier / "plan.json").unlink()
+rename, replace = Path.rename, os.replace
+def renamed(self, other):
+    if point == "before the rename":
         kill()
-    work_folders.hand_over = half
+    rename(self, other)
+    if point == "after the rename":
+        kill()
+def replaced(source, target):
+    if Path(target).name == point:
+        kill()
+    replace(source, target)
+Path.rename, os.replace = renamed, replaced
 folders.write_whole(place, write)
 """
 
 
-@pytest.mark.parametrize("point", ["write", "before", "after", "two renames", "settling", "two, settling"])
-def test_a_kill_at_any_moment_leaves_old_or_new_and_the_next_run_puts_the_rest_in_order(point, tmp_path):
+@pytest.mark.parametrize(
+    ("point", "counts"),
+    [
+        ("writing", "old"),
+        ("before the rename", "old"),
+        ("after the rename", "new"),
+        ("plan.json", "new"),
+        ("plan.png", "new"),
+        (MANIFEST, "new"),
+    ],
+)
+def test_a_kill_at_any_moment_leaves_old_or_new_and_the_next_run_puts_the_rest_in_order(point, counts, tmp_path):
     place = tmp_path / "run"
-    write_whole(place, lambda new: write_json(new / "plan.json", {"problem": "old"}))
+    write_whole(place, result("old"))
     (place / "notes.txt").write_text("mine")
     (place / "mine").mkdir()
     (place / "mine" / "thesis.tex").write_text("all my work")
     ended = subprocess.run([sys.executable, "-c", KILLED, point, str(place)], check=False)
     assert ended.returncode == -9
-    assert len(names(tmp_path)) == (1 if point == "two renames" else 2)  # the effect is there: something is left over
+    assert len(list(tmp_path.rglob(".linkplan-*"))) == 1  # the effect is there: something is left over
     check_target(place)
     assert names(tmp_path) == ["run"]
-    assert json.loads((place / "plan.json").read_text())["problem"] in ("old", "new")
-    assert names(place) == [MANIFEST, "mine", "notes.txt", "plan.json"]
+    assert json.loads((place / "plan.json").read_text())["problem"] == counts
+    written = ["case", "plan.json"] if counts == "old" else ["plan.json", "plan.png"]
+    assert names(place) == sorted([MANIFEST, "mine", "notes.txt", *written])
     assert (place / "mine" / "thesis.tex").read_text() == "all my work"
+
+
+def test_a_file_that_changed_after_a_kill_is_not_replaced(tmp_path):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    subprocess.run([sys.executable, "-c", KILLED, "after the rename", str(place)], check=False)
+    (place / "plan.json").write_text("my own words")
+    with pytest.raises(PlanFileError, match=r"'plan\.json', which changed while it was being replaced"):
+        check_target(place)
+    assert (place / "plan.json").read_text() == "my own words"
+
+
+def test_a_read_completes_a_replacement_that_was_killed(tmp_path):
+    place = tmp_path / "run"
+    write_whole(place, result("old"))
+    subprocess.run([sys.executable, "-c", KILLED, "after the rename", str(place)], check=False)
+    complete(place)
+    assert json.loads((place / "plan.json").read_text())["problem"] == "new"
+    assert names(place) == [MANIFEST, "plan.json", "plan.png"]
 
 
 def test_a_work_folder_that_is_in_use_is_left_alone(tmp_path):
@@ -200,17 +300,6 @@ def test_a_work_folder_that_is_in_use_is_left_alone(tmp_path):
 
     write_whole(tmp_path / "run", write)
     assert (tmp_path / "run" / "plan.json").is_file()
-
-
-def test_without_an_exchange_two_renames_serve(tmp_path, monkeypatch):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
-    (place / "notes.txt").write_text("mine")
-    monkeypatch.setattr(work_folders, "_exchanged", lambda *_: False)
-    write_whole(place, result("new"))
-    assert (place / "case" / "plan.json").read_text() == "new"
-    assert (place / "notes.txt").read_text() == "mine"
-    assert names(tmp_path) == ["run"]
 
 
 def test_a_disk_that_refuses_to_sync_keeps_the_earlier_result(tmp_path, monkeypatch):
@@ -239,18 +328,13 @@ def test_an_interrupt_while_it_is_written_leaves_the_earlier_result(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_a_result_that_was_written_into_a_folder_of_another_is_replaced_with_it(tmp_path):
-    """A case of a batch that was planned again by itself: its figure is not left beside the batch's newer plan."""
+def test_a_folder_inside_a_result_is_no_place_for_another_result(tmp_path):
+    """A case of a batch has no manifest of its own."""
     place = tmp_path / "run"
-    write_whole(place, result(json.dumps({"problem": "old"})))
-    write_whole(place / "case", lambda new: [(new / name).write_text("alone") for name in ("plan.json", "plan.png")])
-    (place / "case" / "notes.txt").write_text("mine")
-    assert names(place / "case") == [MANIFEST, "notes.txt", "plan.json", "plan.png"]
-    write_whole(place, result("new"))
-    assert names(place / "case") == ["notes.txt", "plan.json"]
-    assert (place / "case" / "plan.json").read_text() == "new"
-    assert (place / "case" / "notes.txt").read_text() == "mine"
-    assert names(tmp_path) == ["run"]
+    write_whole(place, result("old"))
+    with pytest.raises(PlanFileError, match=r"without the \.linkplan\.json"):
+        write_whole(place / "case", result("alone"))
+    assert (place / "case" / "plan.json").read_text() == "old"
 
 
 def test_a_result_of_its_own_below_another_stays(tmp_path):

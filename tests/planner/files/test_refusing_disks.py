@@ -26,22 +26,24 @@ def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_an_empty_work_folder_without_a_lock_is_swept_at_once(tmp_path):
-    (tmp_path / ".linkplan-work-host-1-0123").mkdir()  # its owner was killed before it held a lock, or after
+def test_a_work_folder_whose_process_is_gone_is_removed(tmp_path):
+    (tmp_path / ".linkplan-work-0123456789abcdef").mkdir()
+    (tmp_path / ".linkplan-work-0123456789abcdef" / "half").write_text("half")
+    (tmp_path / ".linkplan-work-of-mine").mkdir()
     check_target(tmp_path / "run")
-    assert names(tmp_path) == []
+    assert names(tmp_path) == [".linkplan-work-of-mine"]
 
 
-def test_a_work_folder_that_is_swept_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
-    locked, gone = work_folders._locked, []
+def test_a_work_folder_that_is_removed_before_it_is_locked_is_made_again(tmp_path, monkeypatch):
+    lock, gone = work_folders._lock, []
 
-    def swept_first(path: Path, *, make: bool) -> int | None:
-        if make and not gone:
+    def swept_first(path: Path, *, wait: bool) -> int | None:
+        if not gone:
             gone.append(path)
-            path.parent.rmdir()
-        return locked(path, make=make)
+            path.rmdir()
+        return lock(path, wait=wait)
 
-    monkeypatch.setattr(work_folders, "_locked", swept_first)
+    monkeypatch.setattr(work_folders, "_lock", swept_first)
     write_whole(tmp_path / "run", result("new"))
     assert gone
     assert names(tmp_path) == ["run"]
@@ -68,15 +70,16 @@ def test_a_folder_of_the_users_under_a_name_of_ours_is_not_taken_away(tmp_path):
     assert names(tmp_path) == ["run"]
 
 
-def test_a_disk_that_refuses_to_clear_the_earlier_result_away_is_no_result_lost(tmp_path, monkeypatch):
+def test_a_disk_that_refuses_in_the_midst_of_a_replacement_loses_nothing(tmp_path, monkeypatch):
     place = tmp_path / "run"
     write_whole(place, result("old"))
-    monkeypatch.setattr(work_folders, "hand_over", refuse)
-    with pytest.raises(PlanFileError, match="stands, new and whole"):
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(PlanFileError, match="is replaced in part: No space left"):
         write_whole(place, result("new"))
-    assert json.loads((place / "plan.json").read_text())["problem"] == "new"
     monkeypatch.undo()
     check_target(place)
+    assert json.loads((place / "plan.json").read_text())["problem"] == "new"
+    assert names(place) == [folders.MANIFEST, "plan.json"]
     assert names(tmp_path) == ["run"]
 
 

@@ -1,6 +1,5 @@
 """Results on disk are written whole or not at all, and never over what is somebody else's."""
 
-import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -11,13 +10,6 @@ from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import MANIFEST, RECORDS, check_target, write_json, write_whole
 from linkplan.planner.files.plan_folder import read_plan, write_plan
 from tests.support.plans import optimal, planned
-
-# A key that a record of each kind has: by it a result of a version without manifests is known.
-KEYS = {
-    "plan.json": "problem", "track.json": "tracker", "compare.json": "plan", "bode.json": "points", "tune.json": "found",
-    "check.json": "problems", "demo.json": "versions", "batch.json": "cases", "experiment.json": "experiment",
-    "decompose.json": "decomposition",
-}  # fmt: skip
 
 
 def fails(folder: Path) -> None:
@@ -79,11 +71,11 @@ def test_a_folder_of_other_things_is_not_overwritten(tmp_path):
 
 @pytest.mark.parametrize("name", RECORDS)
 def test_a_result_is_replaced_by_its_own_kind_only(name, tmp_path):
-    (tmp_path / name).write_text(json.dumps({KEYS[name]: None}))
-    check_target(tmp_path, name)
+    write_whole(tmp_path / "run", lambda new: write_json(new / name, {}), name)
+    check_target(tmp_path / "run", name)
     other = next(record for record in RECORDS if record != name)
     with pytest.raises(PlanFileError, match=rf"another result \({name}\)"):
-        check_target(tmp_path, other)
+        check_target(tmp_path / "run", other)
 
 
 def test_a_file_in_the_way_is_not_overwritten(tmp_path):

@@ -173,7 +173,7 @@ def test_an_interrupt_while_workers_are_waited_for_reaches_the_command(tmp_path,
 
     lost, batch = [], Batch(problem="x", common=(), cases=(Case(name="a", settings=()),))
     monkeypatch.setattr(sys, "unraisablehook", lost.append)
-    monkeypatch.setattr(study, "put_whole", interrupted)
+    monkeypatch.setattr(study, "replace_file", interrupted)
     monkeypatch.setattr(study, "_work", lambda *_: [])
     with pytest.raises(KeyboardInterrupt, match="again"):
         study._conduct(tmp_path, batch, None, waiting, False, silent)
