@@ -214,7 +214,7 @@ def complete(folder: Path) -> None:
         PlanFileError: when the disk refuses, or a file that is to be replaced has changed; the rest of the new result stays
             in `.linkplan-new`.
     """
-    if (folder / _NEW / MANIFEST).is_file():
+    if (folder / _NEW).is_dir():
         with shielded(), locked(folder):
             _complete(folder)
 
@@ -223,7 +223,8 @@ def _complete(folder: Path) -> None:
     source = folder / _NEW
     try:
         new, old = read_manifest(source), read_manifest(folder)
-        if new is None:  # another process has completed it
+        if new is None:  # all is in its place but for this folder
+            _remove_if_empty(source)
             return
         listed = {} if old is None else old.files
         coming = [name for name in new.files if (source / name).is_file()]
@@ -239,10 +240,10 @@ def _complete(folder: Path) -> None:
             _remove_if_empty(folder / name)
         for name in coming:
             os.replace(source / name, folder / name)
-        sync_folder(folder)
-        os.replace(source / MANIFEST, folder / MANIFEST)
         for name in sorted(_folders_of(new.files), reverse=True):
             _remove_if_empty(source / name)
+        sync_folder(folder)
+        os.replace(source / MANIFEST, folder / MANIFEST)
         _remove_if_empty(source)
     except OSError as error:
         why = error.strerror or error

@@ -225,7 +225,8 @@ point, place = sys.argv[1], Path(sys.argv[2])
 def kill():
     os.kill(os.getpid(), signal.SIGKILL)
 def write(new):
-    for name in ("plan.json", "plan.png"):
+    (new / "far").mkdir()
+    for name in ("plan.json", "far/plan.png"):
         (new / name).write_text('{"problem": "new"}')
     if point == "writing":
         kill()
@@ -240,6 +241,8 @@ def replaced(source, target):
     if Path(target).name == point:
         kill()
     replace(source, target)
+    if point == "at the end" and Path(target).name == folders.MANIFEST:
+        kill()
 Path.rename, os.replace = renamed, replaced
 folders.write_whole(place, write)
 """
@@ -254,6 +257,7 @@ folders.write_whole(place, write)
         ("plan.json", "new"),
         ("plan.png", "new"),
         (MANIFEST, "new"),
+        ("at the end", "new"),
     ],
 )
 def test_a_kill_at_any_moment_leaves_old_or_new_and_the_next_run_puts_the_rest_in_order(point, counts, tmp_path):
@@ -268,7 +272,7 @@ def test_a_kill_at_any_moment_leaves_old_or_new_and_the_next_run_puts_the_rest_i
     check_target(place)
     assert names(tmp_path) == ["run"]
     assert json.loads((place / "plan.json").read_text())["problem"] == counts
-    written = ["case", "plan.json"] if counts == "old" else ["plan.json", "plan.png"]
+    written = ["case", "plan.json"] if counts == "old" else ["far", "plan.json"]
     assert names(place) == sorted([MANIFEST, "mine", "notes.txt", *written])
     assert (place / "mine" / "thesis.tex").read_text() == "all my work"
 
@@ -289,7 +293,7 @@ def test_a_read_completes_a_replacement_that_was_killed(tmp_path):
     subprocess.run([sys.executable, "-c", KILLED, "after the rename", str(place)], check=False)
     complete(place)
     assert json.loads((place / "plan.json").read_text())["problem"] == "new"
-    assert names(place) == [MANIFEST, "plan.json", "plan.png"]
+    assert names(place) == [MANIFEST, "far", "plan.json"]
 
 
 def test_a_work_folder_that_is_in_use_is_left_alone(tmp_path):
