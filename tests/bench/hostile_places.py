@@ -255,8 +255,6 @@ MEANWHILE = (
     place("whose folder is deleted while it runs", during=later(0.6, lambda f, _: shutil.rmtree(f)), codes=(0, 2), changes=("",)),
     place("whose folder is renamed while it runs", during=later(0.6, lambda f, _: (f.rename(f.with_name("moved")), time.sleep(3), f.with_name("moved").rename(f))), codes=(0, 2)),
     place("whose work folder is deleted while it runs", during=when_working(lambda f, w: shutil.rmtree(w, ignore_errors=True)), codes=(0, 2), make=earlier, changes=("out/",), after=whole),
-    place("whose work folder is made a file while it runs", during=when_working(lambda f, w: (shutil.rmtree(w, ignore_errors=True), w.write_text(""))), codes=(0, 2), make=earlier, changes=("out/",),
-          after=lambda f: [p.unlink() for p in f.glob(".linkplan-work*")] and ""),
     place("where a file comes while it runs", during=later(0.5, lambda f, _: (f / "out").write_text("mine")), codes=(2,), after=lambda f: "" if (f / "out").read_text() == "mine" else "lost"),
     place("where a folder comes while it runs", during=later(0.5, lambda f, _: ((f / "out").mkdir(), (f / "out/mine").write_text("mine"))), codes=(2,), after=lambda f: "" if (f / "out/mine").read_text() == "mine" else "lost"),
     place("where a link comes while it runs", during=later(0.5, lambda f, _: ((f / "other").mkdir(), (f / "out").symlink_to("other"))), codes=(0, 2)),
