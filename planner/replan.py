@@ -230,6 +230,5 @@ def structure(problem: PlanningProblem) -> tuple:
         problem.adrift.tobytes(),
         terms,
         problem.reference is None,
-        problem.solver.name,
     )
     return (*of, finite, corners, sites, ends, given, motion.min_duration_s is None, via, lines, mesh)

@@ -142,8 +142,7 @@ def least_of(
     history.append(step_of(f"least {what}", transcribed, best))
     if not best.converged:
         return motion
-    endpoint = transcribed.formulation.endpoint
-    solver = build_solver(transcribed.program, problem.solver, warm=True, endpoint=endpoint)
+    solver = build_solver(transcribed.program, problem.solver, warm=True)
     for _ in range(_HALVINGS):
         if problem.solver.deadline is not None and time.monotonic() > problem.solver.deadline:
             break

@@ -128,7 +128,6 @@ class MeshSection(Section, frozen=True):
 class SolverSection(Section, frozen=True):
     """How the program is solved."""
 
-    name: Annotated[kinds.Solver, key("the solver")] = "ipopt"
     compile: Annotated[
         kinds.Compile, key("C functions where the cache has them, made beside the second solve; or always; or never")
     ] = "auto"

@@ -55,13 +55,12 @@ CERTIFYING = 0.1
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SolverSettings:
-    """How a program is solved: by which solver, compiled or not, in how many starts, and how long it may take [s].
+    """How a program is solved: compiled or not, in how many starts, and how long it may take [s].
 
     `compile` is "auto" (compiled functions where the cache has them or the mesh is large), "always" or "never". Of
     `starts` motions to start from, the best answer is kept.
     """
 
-    name: str = _SOLVER.name
     compile: str = _SOLVER.compile
     max_time_s: float = _SOLVER.max_time_s
     starts: int = _SOLVER.starts
@@ -69,7 +68,7 @@ class SolverSettings:
     deadline: float | None = None  # on the monotonic clock [s]: when whoever plans wants to be done; None: no such instant
 
     def __post_init__(self) -> None:
-        _check(self, "solver", _SOLVER, ("name", "compile", "max_time_s", "starts"))
+        _check(self, "solver", _SOLVER, ("compile", "max_time_s", "starts"))
         if self.max_iterations is not None:
             _set(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, _MAX_ITERATIONS))
 

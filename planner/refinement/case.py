@@ -239,7 +239,7 @@ def _asked(transcribed: Transcribed, settings: SolverSettings, warm: bool, close
     """Return a hash of a program with its numbers, and of how it is solved."""
     formulation, mesh, linear = transcribed.formulation, transcribed.program.mesh, transcribed.program.linear
     digest = hashlib.sha256(_expressions(formulation.build_system(), formulation.endpoint))
-    how = (settings.name, settings.max_iterations, warm, close, transcribed.scheme.name, transcribed.least_limit)
+    how = (settings.max_iterations, warm, close, transcribed.scheme.name, transcribed.least_limit)
     digest.update(repr((how, transcribed.scheme.effort_at.shape, formulation.rows)).encode())
     bounds = (transcribed.lower, transcribed.upper, transcribed.row_lower, transcribed.row_upper)
     rows = (linear.rows, linear.columns, linear.values)

@@ -7,7 +7,7 @@ TOLERANCE = 1e-10
 # Feasibility with which a solver may stop that cannot come nearer to its tolerance.
 ACCEPTABLE = 1e-8
 MAX_ITERATIONS = 500
-# IPOPT's words, which the others borrow.
+# IPOPT's words.
 SUCCEEDED = "Solve_Succeeded"
 OUT_OF_TIME = "Maximum_WallTime_Exceeded"
 OUT_OF_ITERATIONS = "Maximum_Iterations_Exceeded"

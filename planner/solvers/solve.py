@@ -1,4 +1,4 @@
-"""Solving a program with IPOPT, or with FATROP where that is asked for."""
+"""Solving a program with IPOPT."""
 
 import contextlib
 import io
@@ -13,7 +13,6 @@ import numpy as np
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.interrupts import asked, solving
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.solvers.fatrop import FatropSolver
 from linkplan.planner.solvers.outcome import (
     ACCEPTABLE,
     INVALID,
@@ -26,7 +25,6 @@ from linkplan.planner.solvers.outcome import (
 from linkplan.planner.transcription.collocation import Transcribed, with_compiled_code
 from linkplan.planner.transcription.compiled import compiler
 from linkplan.planner.transcription.program import Program
-from linkplan.planner.transcription.system import Endpoint
 
 __all__ = ["INVALID", "OUT_OF_TIME", "Solution", "build_solver", "run_solver", "solve"]
 
@@ -51,8 +49,8 @@ _LEAST_TIME_S = 1e-3
 class Solution:
     """A solver's result for a program: unknowns, whether a local optimum, its status in words, the time it took [s].
 
-    `multipliers` (n_rows,) are the rows', of f + multipliers g, `bound_multipliers` (n,) the unknowns' own; None from a
-    solver that does not tell.
+    `multipliers` (n_rows,) are the rows', of f + multipliers g, `bound_multipliers` (n,) the unknowns' own; None
+    without an answer.
     """
 
     transcribed: Transcribed
@@ -73,17 +71,14 @@ def build_solver(
     *,
     warm: bool = False,
     close: bool = False,
-    endpoint: Endpoint | None = None,
 ) -> Solver:
-    """Return the solver that settings ask for; a warm one begins next to the point that it is given.
+    """Return IPOPT for a program; a warm one begins next to the point that it is given.
 
     Args:
         program: what to solve.
-        settings: by which solver, and how long.
+        settings: how many iterations, and how long.
         warm: whether it begins next to an answer.
-        close: whether that is the answer itself but for another mesh; both, whether it is so nearly to the last digit. IPOPT
-            alone makes a difference.
-        endpoint: the program's, where it has one.
+        close: whether that is the answer itself but for another mesh; both, whether it is so nearly to the last digit.
 
     Raises:
         ProblemError: when the solver cannot be set up for the program.
@@ -94,11 +89,9 @@ def build_solver(
     if settings.deadline is not None:
         max_time_s = max(_LEAST_TIME_S, min(max_time_s, settings.deadline - time.monotonic()))
     try:
-        if settings.name == "fatrop":
-            return FatropSolver(program, endpoint, max_iterations=iterations, max_time_s=max_time_s, warm=warm or close)
         return _ipopt(program, iterations, max_time_s, warm=warm, close=close)
     except RuntimeError as error:
-        raise ProblemError(f"solver '{settings.name}' cannot be set up: {one_line(error)}") from error
+        raise ProblemError(f"IPOPT cannot be set up: {one_line(error)}") from error
 
 
 def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool, close: bool) -> Solver:
@@ -233,8 +226,8 @@ def _patience(transcribed: Transcribed, settings: SolverSettings) -> int | None:
 
 
 def _solved(transcribed: Transcribed, settings: SolverSettings, *, warm: bool, close: bool) -> Solution:
-    begin, endpoint = time.perf_counter(), transcribed.formulation.endpoint
-    solver = build_solver(transcribed.program, settings, warm=warm, close=close, endpoint=endpoint)
+    begin = time.perf_counter()
+    solver = build_solver(transcribed.program, settings, warm=warm, close=close)
     return run_solver(solver, transcribed, build_s=time.perf_counter() - begin)
 
 

@@ -14,8 +14,6 @@ from linkplan.planner.transcription import collocation
 
 # Settings that cannot be used, what sets the same in a problem file (None where no file can say it), words of the answer.
 REFUSED = [
-    (SolverSettings, {"name": "snopt"}, "solver.name=snopt", ["unknown solver.name 'snopt'", "ipopt, fatrop"]),
-    (SolverSettings, {"name": 3}, "solver.name=3", ["solver.name is one of ipopt, fatrop", "got 3"]),
     (SolverSettings, {"compile": "allways"}, "solver.compile=allways", ["'allways'", "did you mean 'always'", "auto"]),
     (SolverSettings, {"max_time_s": 0}, "solver.max_time_s=0", ["solver.max_time_s is a positive number", "got 0"]),
     (SolverSettings, {"max_time_s": np.inf}, "solver.max_time_s=inf", ["solver.max_time_s is a positive number", "inf"]),
