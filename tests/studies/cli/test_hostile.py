@@ -241,12 +241,6 @@ def test_no_hostile_input_of_a_sample_gets_through(tmp_path):
     shutil.rmtree(tmp_path, ignore_errors=True)
 
 
-def test_a_model_with_a_word_of_a_million_letters_is_looked_through_at_once():
-    from linkplan.models.model_door import refuse_text
-
-    refuse_text("<mujoco>" + "a" * 1_000_000 + "</mujoco>", None)
-
-
 def test_a_schema_is_not_written_into_a_device(ask):
     code, _, err = ask("schema", "problem", "-o", "/dev/zero")
     assert code == 2
