@@ -263,7 +263,8 @@ def _asked(
 
 
 def _words(error: BaseException) -> str:
-    """Return an error in a line: the kind of one that is not linkplan's own is half of what it says."""
+    """Return an error, or its cause, in a line: the kind of one that is not linkplan's own is half of what it says."""
+    error = error.__cause__ or error
     kind, said = type(error).__name__, one_line(error)
     return said if isinstance(error, LinkplanError) else f"{kind}: {said}" if said else kind
 
