@@ -27,6 +27,14 @@ class ModelError(LinkplanError):
     """An MJCF model, a payload or a name in it that cannot be used."""
 
 
+class InertiaError(ModelError):
+    """A mechanism whose reduced inertia is singular at home: some motion of its joints moves no mass."""
+
+    def __init__(self, message: str, dof: int = 0) -> None:
+        LinkplanError.__init__(self, message)
+        self.dof = dof
+
+
 class AssemblyError(ModelError):
     """A pose that does not close the loops, or that cannot be reached on the branch."""
 
