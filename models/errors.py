@@ -1,6 +1,7 @@
 """The errors that linkplan raises: one tree, rooted at `LinkplanError`.
 
-A message is one line that says what was asked, what is legal and what was got.
+A message is one line that says what was asked, what is legal and what was got. Errors go from one process to another: what
+they carry beside it has a default, which pickle fills in.
 """
 
 from collections.abc import Mapping
@@ -42,9 +43,9 @@ class AssemblyError(ModelError):
 class LockedError(AssemblyError):
     """A mechanism that its closures lock; carries the degrees of freedom that come with leaving each of them out."""
 
-    def __init__(self, message: str, freed: Mapping[str, int]) -> None:
+    def __init__(self, message: str, freed: Mapping[str, int] | None = None) -> None:
         LinkplanError.__init__(self, message)
-        self.freed = dict(freed)
+        self.freed = dict(freed or {})
 
 
 class UnassembledError(AssemblyError):
@@ -78,6 +79,6 @@ class CertificateError(PlanFileError):
 class InfeasibleError(LinkplanError):
     """Raised by `Plan.require()` on a plan that is not optimal; carries the plan."""
 
-    def __init__(self, message: str, plan: object) -> None:
+    def __init__(self, message: str, plan: object = None) -> None:
         LinkplanError.__init__(self, message)
         self.plan = plan
