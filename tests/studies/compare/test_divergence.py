@@ -12,6 +12,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.main import main
 from linkplan.studies.compare.compare import Comparison, _loop, rollout_record, track, tracking_reference
 from linkplan.studies.compare.draw_tracking import comparison_figure
+from linkplan.studies.experiment.statistics import mean_of
 
 pytestmark = pytest.mark.filterwarnings("error")
 # Two links on motors without limits: what a law asks for acts.
@@ -79,6 +80,12 @@ def test_machines_and_rigid_loops_that_diverge_are_logged_without_a_warning(plan
     assert np.nanmax(np.abs(ensemble.commanded)) > 1e6
     rigid = run_rigid(mechanism, reference, law, [Clock()], (reference.pose[:1], reference.velocity[:1]))
     assert all(rigid.failure)
+
+
+def test_a_mean_of_values_beyond_all_squares_has_no_bounds():
+    found = mean_of(np.array([1e200, -1e200, 3e200]))
+    assert found.value == pytest.approx(1e200)
+    assert (found.low, found.high) == (-np.inf, np.inf)
 
 
 def test_a_feedback_loop_that_diverges_is_said_to_be_unstable_and_nothing_else_is_said(tmp_path, monkeypatch, capfd):
