@@ -30,8 +30,8 @@ ROOMS = {
         "ode", "search", "diagnosis", "planning", "robustness", "files", "motion_step", "replan", "batch",
     ),
     "controllers": (
-        "reference", "trackers", "integrator", "sampling", "rollout", "imperfections", "rigid_loop", "ensemble", "batch",
-        "controls", "playback",
+        "reference", "trackers", "divergence", "integrator", "sampling", "rollout", "imperfections", "rigid_loop",
+        "ensemble", "batch", "controls", "playback",
     ),
     "studies": (
         "output", "check", "tasks", "compare", "batch", "sensitivity", "experiment", "decompose", "frequency", "bode",

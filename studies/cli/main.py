@@ -142,7 +142,7 @@ def _run(arguments: argparse.Namespace) -> int:
         what = "the result cannot be written" if error.filename is None else f"'{error.filename}' cannot be read or written"
         refuse(arguments.command, one_line(f"{what}: {error.strerror or error}"))
         return BAD_INPUT
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a library that ends the process would leave neither result nor word
         check()  # libraries make other errors of an interrupt that comes while they are loaded
         return unforeseen(arguments.command, error)
 
