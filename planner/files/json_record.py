@@ -8,8 +8,10 @@ import msgspec
 from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import read_file, too_deep
 
-# The records of plans, experiments and reports have some hundred kilobytes. Eight megabytes of JSON take 300 MB at the most.
+# The records of plans, experiments and reports have some hundred kilobytes.
 MAX_RECORD_BYTES = 8_000_000
+# A table of one key takes thirty times its seven bytes of JSON. Records have a table or a list for every fifty bytes.
+_BYTES_A_CONTAINER = 20
 Record = TypeVar("Record")
 
 
@@ -19,13 +21,16 @@ def read_record(path: Path, kind: type[Record], max_bytes: int = MAX_RECORD_BYTE
     Args:
         path: of the file.
         kind: a msgspec type. Keys that it does not name are skipped.
-        max_bytes: the file's largest size. What a type leaves open (`Any`) takes up to forty times as much memory.
+        max_bytes: the file's largest size.
 
     Raises:
         PlanFileError: when the file is missing, too large, truncated, nested more than a hundred levels deep, or holds
             values of other types.
     """
     content = read_file(path, f"'{path}'", max_bytes, PlanFileError)
+    containers, most = content.count(b"{") + content.count(b"["), max_bytes // _BYTES_A_CONTAINER
+    if containers > most:
+        raise PlanFileError(f"'{path}' has {containers} tables and lists; at most {most} are read")
     try:
         record = msgspec.json.decode(content, type=kind)
     except msgspec.ValidationError as error:

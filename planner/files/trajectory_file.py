@@ -16,8 +16,8 @@ from linkplan.planner.trajectory import Trajectory
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 # The largest mesh, in its highest degree, for a mechanism of forty joints: 20,000 intervals x 10 x 40 x 8 bytes.
 _MOST_BYTES = 64_000_000
-# The largest mesh with every interval halved, and twice the coefficients of the highest degree: more takes gigabytes.
-_MAX_INTERVALS, _MAX_COEFFICIENTS = 2 * MAX_INTERVALS, 24
+# Twice the coefficients of the highest degree, on the largest mesh: more takes gigabytes to check.
+_MAX_COEFFICIENTS = 24
 
 
 def read_trajectory(path: Path) -> Trajectory:
@@ -39,9 +39,9 @@ def read_trajectory(path: Path) -> Trajectory:
             arrays = {name: _array(archive, name, float) for name in ARRAYS}
             trajectory = Trajectory(**arrays, periodic=bool(periodic.ravel()[0]))
             n, most = len(trajectory.breaks_s) - 1, max(len(arrays[name]) for name in ("position", "velocity", "effort"))
-            if n > _MAX_INTERVALS or most > _MAX_COEFFICIENTS:
+            if n > MAX_INTERVALS or most > _MAX_COEFFICIENTS:
                 raise ValueError(
-                    f"it has {n} intervals of {most} coefficients; at most {_MAX_INTERVALS} of {_MAX_COEFFICIENTS} are read"
+                    f"it has {n} intervals of {most} coefficients; at most {MAX_INTERVALS} of {_MAX_COEFFICIENTS} are read"
                 )
             return trajectory
     except PlanFileError:

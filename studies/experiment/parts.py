@@ -28,8 +28,9 @@ def keep_plan(folder: Path, plan: Plan) -> None:
 def column_kinds(experiment: Experiment) -> dict[str, Kind]:
     """Return the kinds of the columns of an experiment's results, by name and in their order."""
     kinds: dict[str, Kind] = {"sample": "count", "tracker": "word", "success": "flag", "failure": "word"}
-    kinds |= dict.fromkeys(metrics_of(experiment.plan.problem.mechanism), "number")
-    return kinds | dict.fromkeys(experiment.varied_values(), "number")
+    for name in (*metrics_of(experiment.plan.problem.mechanism), *experiment.varied_values()):
+        kinds[name] = "number"
+    return kinds
 
 
 def write_part(folder: Path, block: int, columns: Mapping[str, list], experiment: Experiment) -> None:

@@ -343,3 +343,11 @@ def test_a_motion_that_was_changed_on_disk_no_longer_counts_as_optimal(saved):
         return
     assert not plan.certificate.passed
     assert plan.status != "optimal"
+
+
+@pytest.mark.parametrize(("n", "coefficients"), [(20_001, 4), (40, 25)], ids=["intervals", "coefficients"])
+def test_a_motion_larger_than_any_that_is_planned_is_refused_before_it_is_checked(n, coefficients, saved):
+    many = np.ones((coefficients, n, 1))
+    with_arrays(breaks_s=np.linspace(0, 0.16, n + 1), position=many, velocity=many, effort=many)(saved)
+    with pytest.raises(PlanFileError, match=rf"it has {n} intervals of {coefficients} coefficients; at most 20000 of 24"):
+        read_plan(saved, anyway=True)
