@@ -89,13 +89,14 @@ def _off_objective(problem: PlanningProblem, trajectory: Trajectory, said: float
     return [f"its objective is said to be {said:.6g}, and that of the motion is {value:.6g}"]
 
 
+@np.errstate(all="ignore")  # a motion that was changed on disk may last 1e200 s
 def negligible_objective(problem: PlanningProblem, trajectory: Trajectory) -> float:
     """Return the objective [SI] that counts as none: a motion that needs no work has what the solver's rounding leaves.
 
     It is the same share of every term's quantity on its natural scale: a radian, or the mechanism's extent, of each joint;
     the actuator's effort limit, or where there is none the largest effort of the motion and the inertia's over its duration.
     """
-    mechanism, T = problem.mechanism, trajectory.duration_s
+    mechanism, T = problem.mechanism, np.float64(trajectory.duration_s)
     unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.independent_joints])
     pose = trajectory.start_pose
     maps = np.abs(np.array(mechanism.dynamics.effort_map(pose)))

@@ -10,7 +10,7 @@ from linkplan.models.reading import read_file, too_deep
 
 # The records of plans, experiments and reports have some hundred kilobytes.
 MAX_RECORD_BYTES = 8_000_000
-# A table of one key takes thirty times its seven bytes of JSON. Records have a table or a list for every fifty bytes.
+# A table of one key takes thirty times its seven bytes of JSON. Records have a table or a list for every forty bytes.
 _BYTES_A_CONTAINER = 20
 Record = TypeVar("Record")
 
