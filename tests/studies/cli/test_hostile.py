@@ -197,7 +197,6 @@ def scaled(folder: Path, name: str, factor: float) -> Path:
 CHANGED = {
     "status": lambda folder: edited(folder, status="failed"),
     "objective": lambda folder: edited(folder, objective=300.0),
-    "an objective beyond all floats": lambda folder: edited(folder, objective=10**400),
     "effort": lambda folder: scaled(folder, "effort", 0.5),
     "duration": lambda folder: scaled(folder, "breaks_s", 1.01),
 }
@@ -216,6 +215,13 @@ def test_a_plan_that_does_not_pass_is_refused_or_run_anyway_with_exit_one(what, 
     assert code == 1
     assert "run anyway" in err
     assert out
+
+
+@pytest.mark.parametrize("factor", [1e-200, 1e200])
+def test_a_plan_of_a_duration_whose_square_is_no_float_is_refused(factor, tmp_path):
+    folder = scaled(saved_plan("knee-reach", tmp_path), "breaks_s", factor)
+    with pytest.raises(PlanFileError):
+        read_plan(folder)
 
 
 def test_a_plan_that_passes_is_read_and_its_objective_is_its_integral(tmp_path):
