@@ -1,7 +1,6 @@
 """What a process finds around it: limits, matplotlib's settings of somebody else's, memory that there is not."""
 
 import os
-import resource
 import subprocess
 import sys
 
@@ -40,12 +39,6 @@ def test_a_check_is_drawn_whatever_matplotlib_is_set_to(tmp_path):
     assert (tmp_path / "out" / "mechanism.png").is_file()
 
 
-def test_a_process_of_too_little_memory_is_refused_before_libraries_are_loaded(monkeypatch):
-    monkeypatch.setattr(resource, "getrlimit", lambda _: (100_000_000, resource.RLIM_INFINITY))
-    assert "100 MB" in refusal(lambda: faults.refuse_little_memory("plan"), LinkplanError)
-    faults.refuse_little_memory("list")
-
-
 @pytest.mark.parametrize(
     "error",
     [MemoryError(), OSError(12, "Cannot allocate memory"), ImportError("x.so: failed to map segment from shared object")],
@@ -82,12 +75,3 @@ def test_more_waypoints_than_a_mesh_has_room_for_are_counted_and_refused():
     message = refusal(lambda: load_problem("knee-reach", [f"motion.waypoints=[{', '.join([point] * 1001)}]"]), LinkplanError)
     assert "at most 1000" in message
     assert "1001" in message
-
-
-def test_a_process_that_may_not_read_what_it_writes_is_refused():
-    before = os.umask(0o777)
-    try:
-        assert "0777" in refusal(lambda: faults.refuse_own_rights("plan"), LinkplanError)
-        assert os.umask(0o777) == 0o777
-    finally:
-        os.umask(before)
