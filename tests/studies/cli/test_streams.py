@@ -58,7 +58,6 @@ def test_progress_never_lands_in_the_json(tmp_path):
     ("line", "code"),
     [
         ("L --version | (exec <&-)", 141),
-        ("L plan --help | (exec <&-)", 141),
         ("L list | (exec <&-)", 141),
         ("L list > /dev/full", 2),
         ("L --version >&-", 2),
