@@ -21,6 +21,8 @@ _CARRIES = 1e-6
 # A limit overrun between the nodes by more than this share of itself is a matter for the mesh; for less the limit is
 # tightened, which costs the objective about as much.
 _FINE = 1e-7
+# Intervals on which a limit is overrun by this share of the most are halved where limits are loosened.
+_LARGE_OVERRUN = 0.1
 # The degree is raised where at least this share of the intervals asks for more, and none stands out by more than this
 # factor: the motion is smooth there, and nodes are worth more than intervals.
 _EVERYWHERE = 0.5
@@ -55,6 +57,12 @@ def overrunning(at: Judged[Any, Any]) -> np.ndarray:
         return np.zeros(at.n_intervals, dtype=bool)
     overrun = at.findings.overrun
     return overrun > max(_FINE, _WORST * overrun.max(initial=0.0))
+
+
+def most_overrun(at: Judged[Any, Any]) -> np.ndarray:
+    """Return on which intervals (n,) a limit is overrun by a share of the most that it is overrun."""
+    overrun = np.zeros(at.n_intervals) if at.findings is None else at.findings.overrun
+    return overrun > _LARGE_OVERRUN * overrun.max(initial=0.0)
 
 
 def grown(mesh: Mesh, marked: np.ndarray) -> int:

@@ -1,0 +1,174 @@
+"""The decision on the next action of a refinement: a pure function of its state.
+
+| action | when | source |
+|---|---|---|
+| ReadSwitches | efforts jump, and their times are no unknowns yet or were read from a coarser mesh | Betts 2010, 4.4 |
+| ImposeRanges | a state leaves its range between the nodes | Bernstein coefficients enclose the state |
+| RaiseDegree | the error is spread evenly over the intervals: the motion is smooth there | Patterson, Hager and Rao 2015 |
+| Halve | the error is large on some intervals | Betts and Huffman 1998 |
+| Tighten | only an overrun between the nodes is left, or halving did not remove it | constraint tightening |
+| Loosen | the motion passes within tightened limits | the same, on the finer mesh |
+
+Where several rows hold, the first one counts, but a mesh is halved before limits are tightened.
+"""
+
+import numpy as np
+
+from linkplan.planner.refinement.actions import (
+    Action,
+    Halve,
+    ImposeRanges,
+    Loosen,
+    RaiseDegree,
+    ReadSwitches,
+    ReleaseArcs,
+    Tighten,
+)
+from linkplan.planner.refinement.marking import (
+    degree_of,
+    grown,
+    higher_for,
+    higher_on_arcs,
+    marked_for,
+    most_overrun,
+    overrunning,
+    rough_of,
+    uneven_of,
+)
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
+from linkplan.planner.refinement.state import RefinementState
+from linkplan.planner.refinement.switch_search import is_bang_bang
+
+# A boundary layer a ten-thousandth of the motion long takes eight halvings; no refinement of the record took more rounds.
+MAX_ROUNDS = 24
+# A mesh that has grown by this factor without passing will not pass by growing on.
+MAX_GROWTH = 120
+# Where no tolerance is asked for, a mesh of so many intervals is fine enough; where efforts jump inside intervals, so many.
+ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS = 100, 200
+# Switches are read again at most so often, and wrongly held arcs released.
+MAX_READINGS, MAX_RELEASES = 3, 3
+# Limits are tightened while the mesh is still halved from so many rounds after the last reading of switches on.
+HALVINGS_BEFORE_TIGHTENING = 4
+# Limits are loosened while tightening costs more than this share of the objective, on meshes of so many intervals at most,
+# until so many loosenings in a row gained nothing; in between they are tightened so often.
+COST_OF_TIGHTENING, MAX_LOOSENED_INTERVALS, MAX_IDLE_LOOSENINGS, TIGHTENINGS_BETWEEN = 1e-6, 240, 2, 2
+# The highest degree where efforts jump inside intervals or errors grow along the motion: intervals are worth more.
+MAX_ROUGH_DEGREE = 5
+
+
+def next_action(state: RefinementState) -> Action | None:
+    """Return the next action, or None to stop."""
+    return _towards_a_certificate(state) or _towards_the_optimum(state)
+
+
+def _towards_a_certificate(state: RefinementState) -> Action | None:
+    at, report = state.at, state.at.findings
+    if state.ended or state.rounds >= MAX_ROUNDS or (report is not None and not at.passed and not report.mendable):
+        return None
+    if state.loose is not None:
+        return Tighten() if not at.passed and at.overruns and state.tightenings < TIGHTENINGS_BETWEEN else None
+    if state.finished:
+        return ReadSwitches() if _may_read_better(state) else None
+    over, higher = overrunning(at), _higher_scheme(state)
+    if over.any() and _switches_are_open(state) and state.rounds % 2 == 0 and state.rounds > 0 and state.readings < 2:
+        return ReadSwitches()
+    if report is not None and report.leaves_positions and not (state.position_rows or state.rows_lost):
+        return ImposeRanges()
+    if higher is not None:
+        return RaiseDegree(higher)
+    marked, uneven = _marked(state, over)
+    if not marked.any() and at.overruns:
+        return Tighten()
+    if not marked.any():
+        marked = np.ones(at.n_intervals, dtype=bool)
+    if grown(at.found.mesh, marked) > _most_intervals(state):
+        if at.passed and _may_read_better(state) and _switches_are_open(state):
+            return ReadSwitches()
+        return Tighten() if state.aims.enclosed and at.overruns else None
+    late = state.rounds - state.read_in >= HALVINGS_BEFORE_TIGHTENING * (2 if over.any() else 1)
+    return Halve(marked, tightens=late and at.overruns and not state.aims.enclosed, tells=not np.any(uneven & ~marked))
+
+
+def _towards_the_optimum(state: RefinementState) -> Action | None:
+    """Return the next action on a motion that passes: release arcs that are held too long, and loosen limits."""
+    best = state.best
+    if best is None:
+        return None
+    if state.releases < MAX_RELEASES and len(arcs_against_their_limits(best.found.solution)):
+        return ReleaseArcs()
+    return Loosen() if _may_loosen(state) else None
+
+
+def _may_loosen(state: RefinementState) -> bool:
+    """Return True if the best motion is within tightened limits, and loosening them may gain something."""
+    best, loose = state.best.found, state.loose
+    if best.solution.transcribed.formulation.tightening is None or state.aims.bang_bang or state.idle >= MAX_IDLE_LOOSENINGS:
+        return False
+    if loose is None:
+        return True
+    gain = best.solution.objective - loose.found.solution.objective
+    grows = loose.overruns and grown(loose.found.mesh, most_overrun(loose)) <= MAX_LOOSENED_INTERVALS
+    return grows and gain > COST_OF_TIGHTENING * abs(best.solution.objective)
+
+
+def _switches_are_open(state: RefinementState) -> bool:
+    fixed = state.at.found.fixed
+    return state.aims.switches and not (fixed is not None and fixed.everything)
+
+
+def _may_read_better(state: RefinementState) -> bool:
+    """Return True if switches read from a motion that passes may be better: efforts were left free, or bounds were met."""
+    may = state.readings < MAX_READINGS and not state.arcs_known
+    return may and is_bang_bang(state.case, state.at.found.solution.transcribed)
+
+
+def _marked(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the intervals (n,) to halve, and those of them that the objective alone asks for."""
+    at, fixed, none = state.at, state.at.found.fixed, np.zeros(state.at.n_intervals, dtype=bool)
+    if state.aims.enclosed:
+        needed = marked_for(at, 1.0)
+        if needed.any() or at.findings is None:
+            return needed, none
+        if state.settled:
+            return marked_for(at, state.aims.strictness), none
+        return uneven_of(at) | state.kept_off, none
+    marked = marked_for(at, state.aims.strictness) | state.kept_off
+    uneven = none
+    if at.passed and not state.settled and (fixed is None or not (marked | over).any()):
+        # With arcs held between switch times, limits begin and cease to bind there and not inside intervals.
+        uneven = uneven_of(at) if fixed is None else rough_of(at.found.motion)
+    marked = marked | uneven
+    if over.any() and _switches_are_open(state):
+        marked = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
+    # Held throughout, limits are overrun by what the mesh errs by: tightened by that, the motion would be late.
+    held = fixed is not None and fixed.everything and bool(fixed.paths.any())
+    if grown(at.found.mesh, marked | over) <= (_most_intervals(state, held=held) if held else _comfortable(state)):
+        marked = marked | over
+    return marked, uneven
+
+
+def _higher_scheme(state: RefinementState) -> str | None:
+    """Return the scheme of higher degree that is worth more than a finer mesh, or None."""
+    at, report = state.at, state.at.findings
+    if report is not None and report.unseen:
+        return None
+    over, marked = overrunning(at), marked_for(at, 1.0 if state.aims.enclosed else state.aims.strictness)
+    higher = None if state.aims.enclosed else higher_on_arcs(state.case, at, over)
+    if higher is None and not (over.any() and _switches_are_open(state)):
+        higher = higher_for(state.case, at.certificate, marked)
+    rough = state.aims.enclosed or (state.warm and report is not None and report.unstable)
+    return None if higher is not None and rough and degree_of(higher) > MAX_ROUGH_DEGREE else higher
+
+
+def _comfortable(state: RefinementState) -> int:
+    """Return the number of intervals that is enough for a motion that passes."""
+    if state.aims.tolerance_given:
+        return MAX_GROWTH * state.asked.problem.mesh.intervals
+    rough = state.aims.enclosed and not state.settled
+    return ENOUGH_ROUGH_INTERVALS if rough else ENOUGH_INTERVALS
+
+
+def _most_intervals(state: RefinementState, *, held: bool = False) -> int:
+    """Return the number of intervals beyond which the mesh is not refined."""
+    most = MAX_GROWTH * state.asked.problem.mesh.intervals
+    return _comfortable(state) if state.best is not None and not held else most
