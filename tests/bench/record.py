@@ -68,7 +68,9 @@ def tables_answer(tables: dict) -> dict:
 def answer_of(plan) -> dict:
     """Return what is recorded of a plan."""
     duration = None if plan.trajectory is None else plan.trajectory.duration_s
-    return {"status": plan.status, "objective": plan.objective, "duration_s": duration, "message": plan.message}
+    steps = [step.what for step in plan.history]
+    answer = {"status": plan.status, "objective": plan.objective, "duration_s": duration, "message": plan.message}
+    return answer | {"steps": steps}
 
 
 def ode_answer(name: str) -> dict:
