@@ -170,5 +170,7 @@ def _comfortable(state: RefinementState) -> int:
 
 def _most_intervals(state: RefinementState, *, held: bool = False) -> int:
     """Return the number of intervals beyond which the mesh is not refined."""
+    wanders = not (state.falls or state.aims.layers or state.at.findings is None or state.at.findings.exact)
+    wanders = wanders and not state.aims.enclosed and not overrunning(state.at).any()
     most = MAX_GROWTH * state.asked.problem.mesh.intervals
-    return _comfortable(state) if state.best is not None and not held else most
+    return _comfortable(state) if (state.best is not None or wanders) and not held else most

@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.planner.refinement.case import Aims, Case, CertificateT, MotionT
 from linkplan.planner.refinement.constrained_arcs import standing_off
-from linkplan.planner.refinement.judged import Judged
+from linkplan.planner.refinement.judged import Judged, error_of
 from linkplan.planner.refinement.pontryagin import limits_bind
 from linkplan.planner.refinement.refined import Refined, better_of
 from linkplan.planner.refinement.switch_search import at_bounds
@@ -15,6 +15,8 @@ from linkplan.planner.solvers.outcome import SUCCEEDED
 
 # The objective must keep still on this many meshes in a row; on one mesh it can do so by chance.
 MESHES_WITHOUT_CHANGE = 2
+# An error that a finer mesh leaves at more than this share does not fall: each mesh has another motion.
+FALLING_ERROR = 0.5
 # The relative change of the objective that counts as none where an enclosure by coefficients keeps the motion off its limit.
 CHANGE_AT_TOUCHED_LIMIT = 1e-7
 
@@ -26,9 +28,10 @@ class RefinementState(Generic[MotionT, CertificateT]):
     `asked` has the limits as they are asked: every certificate is against them. `case` has the scheme and the tightened
     limits by now. `at` is the last iterate, `best` the best that passed. `warm` says that finer meshes are solved from next
     to the coarser one's answer. `position_rows` says that ranges are imposed at every instant, `rows_lost` that this led to
-    no solution. `rounds` counts actions, `read_in` is the round in which switches were last read. `before` and `change` are
-    the objective of the iterate that passed before and its relative change since; `calm` counts the meshes without change.
-    `loose` is the last iterate that was solved for with the limits as asked after one had passed within tightened limits,
+    no solution. `rounds` counts actions, `readings` those that read switches, `read_in` is the round of the last reading.
+    `before` is the objective of the iterate that passed before, `change` its relative change since, `calm` the number of
+    meshes without change. `falls` says that the last finer mesh erred by less than the one before. `releases` counts
+    releases of arcs. `loose` is the last iterate with the limits as asked after one had passed within tightened limits,
     `tightenings` counts those since then, `idle` the loosenings since the best one improved. `ended` says that the last
     action led nowhere.
     """
@@ -46,6 +49,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
     before: float = np.inf
     change: float = np.inf
     calm: int = 0
+    falls: bool = True
     releases: int = 0
     loose: Judged[MotionT, CertificateT] | None = None
     tightenings: int = 0
@@ -119,7 +123,7 @@ def observed(
     state: RefinementState[MotionT, CertificateT], at: Judged[MotionT, CertificateT], *, tells: bool = True
 ) -> RefinementState[MotionT, CertificateT]:
     """Return the state after a new iterate; `tells` says that its mesh is finer wherever the objective depends on it."""
-    new = replace(state, at=at)
+    new = replace(state, at=at, falls=at is state.at or error_of(at) <= FALLING_ERROR * error_of(state.at))
     if not at.passed:
         return new
     solution = at.found.solution
