@@ -6,16 +6,15 @@ motion whose certificate does not pass, before the next rung. Diagnoses say why 
 To add a rung: one function, `(Search, Budget) -> Plan | None`, and one row.
 """
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from linkplan.models.deadline import OutOfTimeError
 from linkplan.planner.closed_chain.prescribed_plan import plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.problem.settings import CERTIFYING
-from linkplan.planner.refinement.history import Say, silent
+from linkplan.planner.refinement.history import Say, Step, silent
 from linkplan.planner.search import (
     attempts,
     duration_continuation,
@@ -27,6 +26,7 @@ from linkplan.planner.search import (
 )
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
 
@@ -205,13 +205,27 @@ def plan_motion(problem: PlanningProblem, say: Say = silent, rungs: Sequence[Run
     Raises:
         ProblemError: when start, goal or reference contradict the mechanism itself.
     """
-    deadline = time.monotonic() + (1 - CERTIFYING) * problem.solver.max_time_s
+    begun, history = replace(problem, solver=problem.solver.begun()), []
+    try:
+        plan = _planned(begun, say, rungs, history)
+    except OutOfTimeError:
+        message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
+        plan = Plan(problem=problem, status="failed", message=message, history=tuple(history))
+    return replace(plan, problem=problem)
+
+
+def _planned(problem: PlanningProblem, say: Say, rungs: Sequence[Rung], history: list[Step]) -> Plan:
+    """Return the plan of a problem with a deadline; `history` takes a note of every solve.
+
+    Raises:
+        OutOfTimeError: when the deadline passes before anything is known.
+    """
     start_pose = start_pose_of(problem)
     if problem.motion.kind == "track":
         return plan_prescribed(problem, start_pose, say)
     plans: list[Plan] = []
     said = _with_the_best(say, plans)
-    search = Search(problem=problem, start_pose=start_pose, say=said, deadline=deadline, repairs=REPAIRS, plans=plans)
+    search = Search(problem=problem, start_pose=start_pose, say=said, history=history, repairs=REPAIRS, plans=plans)
     return reasons.contradicted(search) or reasons.too_short(search) or climb(search, rungs) or _diagnosed(search)
 
 

@@ -10,12 +10,14 @@ where the warm solve does not lead to a plan that is optimal, judged as any othe
 planned from the beginning.
 """
 
+import contextlib
 import threading
 import time
 from dataclasses import replace
 
 import numpy as np
 
+from linkplan.models.deadline import OutOfTimeError
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.case import case_of
@@ -65,15 +67,15 @@ class Planner:
             ProblemError: when start, goal or reference contradict the mechanism itself.
         """
         with self._alone:
-            again = self.solve_again(problem)
-            if again is not None:
-                plan = self._certified(problem, again)
-                if plan is not None:
-                    return plan
-            plan = plan_motion(problem, self._say)
-            if plan.passed and plan.solved is not None:
-                self._keep(problem, plan.solved)
-            return plan
+            begun, plan = replace(problem, solver=problem.solver.begun()), None
+            with contextlib.suppress(OutOfTimeError):
+                again = self.solve_again(begun)
+                plan = None if again is None else self._certified(begun, again)
+            if plan is None:
+                plan = plan_motion(begun, self._say)
+                if plan.passed and plan.solved is not None:
+                    self._keep(problem, plan.solved)
+            return replace(plan, problem=problem)
 
     def solve_again(self, problem: PlanningProblem) -> Solution | None:
         """Return a warm solve of the kept program with a problem's numbers; None where it does not serve or converge.
@@ -230,6 +232,5 @@ def structure(problem: PlanningProblem) -> tuple:
         problem.adrift.tobytes(),
         terms,
         problem.reference is None,
-        problem.solver.name,
     )
     return (*of, finite, corners, sites, ends, given, motion.min_duration_s is None, via, lines, mesh)

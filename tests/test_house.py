@@ -21,7 +21,7 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "interrupts", "names", "reading", "catalogue", "payload", "model_size", "model_door", "urdf",
+        "errors", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_size", "model_door", "urdf",
         "compiling", "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
         "source_table", "mechanism", "poses",
     ),
@@ -43,7 +43,7 @@ MOST_ARROWS = 20
 # The root of the public package: installed as `linkplan` itself, above everything.
 PUBLIC = ROOT / "studies" / "package"
 SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
-TRANSCRIPTION_MAY = {"linkplan.models.errors", "linkplan.models.names"}
+TRANSCRIPTION_MAY = {"linkplan.models.deadline", "linkplan.models.errors", "linkplan.models.names"}
 
 
 def module_of(path: Path) -> str:

@@ -10,6 +10,7 @@ import functools
 import numpy as np
 
 from linkplan.models.closure.newton import CLOSED_M
+from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, sampled
@@ -23,20 +24,24 @@ _NEWTON_STEPS = 12
 _MOST_STEPS = 1e5
 
 
-def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+def follow(
+    mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = None, deadline: Deadline = NO_DEADLINE
+) -> np.ndarray:
     """Return the poses (n, n_q) on the branch of `start` along positions s of the independent joints (n, n_s).
 
     Args:
         mechanism: whose loops are to stay closed.
         path: independent positions [rad or m], each near the one before; the first may be far from `start`.
         start: a closed pose (n_q,); home by default.
+        deadline: until when the path may be followed.
 
     Raises:
         AssemblyError: naming the joint's position at which the loop opens, or the ball joint whose chart the motion leaves.
+        OutOfTimeError: when the deadline passes before its end.
     """
     q = np.array(mechanism.home if start is None else start, dtype=float)
     path = np.asarray(path, dtype=float)
-    poses, arrived = led(mechanism, q, path)
+    poses, arrived = led(mechanism, q, path, deadline)
     if arrived < len(path):
         raise AssemblyError(
             f"mechanism '{mechanism.name}' does not close at {_where(mechanism, path[arrived])}: the kinematic loop opens at"
@@ -48,7 +53,7 @@ def follow(mechanism: Mechanism, path: np.ndarray, start: np.ndarray | None = No
     return poses
 
 
-def led(mechanism: Mechanism, q: np.ndarray, path: np.ndarray) -> tuple[np.ndarray, int]:
+def led(mechanism: Mechanism, q: np.ndarray, path: np.ndarray, deadline: Deadline = NO_DEADLINE) -> tuple[np.ndarray, int]:
     """Return the poses at the positions of a path, led from pose q, and how many there are.
 
     Where the path cannot be followed to its end, one pose more: the last on the branch before the loop comes apart.
@@ -57,14 +62,14 @@ def led(mechanism: Mechanism, q: np.ndarray, path: np.ndarray) -> tuple[np.ndarr
     poses, k = np.empty((len(path), mechanism.n_q)), 0
     while k < len(path):
         between, at = _strides(mechanism, np.concatenate([q[independent][None], path[k:]]), step_size[independent])
-        strides = stride_along(mechanism, q, between, step_size)
+        strides = stride_along(mechanism, q, between, step_size, deadline)
         if mechanism.projected:
             strides = strides[: _on_branch(mechanism, np.concatenate([q[None], strides]))]
         reached = int(np.searchsorted(at, len(strides), side="right"))
         poses[k : k + reached] = strides[at[:reached] - 1]
         q, k = (strides[-1] if len(strides) else q), k + reached
         if k < len(path):  # from the last regular pose on, with steps as short as it takes
-            q, arrived = advance(mechanism, q, path[k])
+            q, arrived = advance(mechanism, q, path[k], deadline)
             if not arrived:
                 return np.concatenate([poses[:k], q[None]]), k
             poses[k] = q
@@ -127,7 +132,9 @@ def step_sizes(mechanism: Mechanism) -> np.ndarray:
     return np.array([_STEP if joint.kind == "hinge" else _STEP * extent for joint in mechanism.joints])
 
 
-def advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, bool]:
+def advance(
+    mechanism: Mechanism, q: np.ndarray, target: np.ndarray, deadline: Deadline = NO_DEADLINE
+) -> tuple[np.ndarray, bool]:
     """Return the pose at `target`, or the last one on the branch before the loop comes apart, and whether it arrived."""
     independent, dependent = mechanism.independent, mechanism.dependent
     step_size = step_sizes(mechanism)
@@ -140,6 +147,7 @@ def advance(mechanism: Mechanism, q: np.ndarray, target: np.ndarray) -> tuple[np
             f"mechanism '{mechanism.name}' does not close at {_where(mechanism, target)}: further away than any motion goes"
         )
     while True:
+        deadline.require_time()
         left = target - q[independent]
         longest = np.max(np.abs(left) / step_size[independent], initial=0.0)
         if longest == 0.0:

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.closure.pins import shared_pins
+from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.passive import disabled
@@ -102,7 +103,11 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
 
 
 def meetings(
-    mechanism: Mechanism, time: np.ndarray, poses: np.ndarray, position_at: Callable[[np.ndarray], np.ndarray]
+    mechanism: Mechanism,
+    time: np.ndarray,
+    poses: np.ndarray,
+    position_at: Callable[[np.ndarray], np.ndarray],
+    deadline: Deadline = NO_DEADLINE,
 ) -> tuple[Meeting, ...]:
     """Return the contacts along a motion, those that are not there by construction first, in the order of their instants.
 
@@ -113,14 +118,18 @@ def meetings(
         time: increasing instants (n,), or another measure of the way.
         poses: closed poses (n, n_q) at them.
         position_at: independent positions (m, n_s) at instants (m,), for poses between.
+        deadline: until when poses may be looked at.
+
+    Raises:
+        OutOfTimeError: when the deadline passes before the motion's end.
     """
     model = mechanism.model
     if not may_collide(model):
         return ()
-    size, sample = _bounding_radii(mechanism), _pose_sampler(mechanism, model)
+    size, sample = _bounding_radii(mechanism), _pose_sampler(mechanism, model, deadline)
     first = list(sample(poses))
     span = max((_travel(a, b, size).max() for a, b in pairwise(first)), default=0.0)
-    sample = _pose_sampler(mechanism, _with_wider_gaps(model, 2 * float(span)))
+    sample = _pose_sampler(mechanism, _with_wider_gaps(model, 2 * float(span)), deadline)
     (at_home,) = sample(mechanism.home[None])
     seen = [(float(t), pose, one) for t, pose, one in zip(time, poses, sample(poses), strict=True)]
     seen = _sampled_between(mechanism, seen, sample, position_at, size)
@@ -190,7 +199,9 @@ def _sampled_between(mechanism: Mechanism, seen, sample, position_at, size: np.n
     return result
 
 
-def _pose_sampler(mechanism: Mechanism, model: mujoco.MjModel) -> Callable[[np.ndarray], Iterator[_PoseSample]]:
+def _pose_sampler(
+    mechanism: Mechanism, model: mujoco.MjModel, deadline: Deadline = NO_DEADLINE
+) -> Callable[[np.ndarray], Iterator[_PoseSample]]:
     """Return a function from poses (n, n_q) to what collision detection with a model shows at each."""
     pins = shared_pins(mechanism.model, mechanism.qpos_of(mechanism.home), mechanism.extent_m)
     data = mujoco.MjData(model)
@@ -202,6 +213,7 @@ def _pose_sampler(mechanism: Mechanism, model: mujoco.MjModel) -> Callable[[np.n
         return any(np.linalg.norm(place - pin) <= min(radius[list(pair)]) for pin in places)
 
     def look(qpos: np.ndarray) -> _PoseSample:
+        deadline.require_time()
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)

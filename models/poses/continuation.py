@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.closure.newton import CLOSED_M
+from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated
 
@@ -28,7 +29,13 @@ MOST_CORRECTED = 0.25
 MOST_TURNED = 0.5
 
 
-def stride_along(mechanism: Mechanism, q: np.ndarray, positions: np.ndarray, step_size: np.ndarray) -> np.ndarray:
+def stride_along(
+    mechanism: Mechanism,
+    q: np.ndarray,
+    positions: np.ndarray,
+    step_size: np.ndarray,
+    deadline: Deadline = NO_DEADLINE,
+) -> np.ndarray:
     """Return the poses (m, n_q) at the first m of the positions (n, n_s), led from pose q: all if all are regular.
 
     Positions are at most a step (`step_size`, (n_q,) [rad or m]) apart.
@@ -44,6 +51,7 @@ def stride_along(mechanism: Mechanism, q: np.ndarray, positions: np.ndarray, ste
     found: list[np.ndarray] = [np.empty((0, mechanism.n_q))]
     begin, longest = 0, min(_FIRST, most)
     while begin < len(positions):
+        deadline.require_time()
         n = min(longest, len(positions) - begin)
         length = next(length for length in _STRETCHES if length >= n)
         targets = positions[np.minimum(np.arange(begin, begin + length), len(positions) - 1)]

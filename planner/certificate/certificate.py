@@ -6,7 +6,6 @@ is integrated under the carried effort, against the planned state.
 """
 
 from dataclasses import dataclass
-from time import monotonic
 
 import numpy as np
 
@@ -103,13 +102,14 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
 
     Raises:
         AssemblyError: when the motion leaves what the loops allow.
+        OutOfTimeError: when the deadline of judging passes before its poses are known.
     """
-    mechanism, limits = problem.mechanism, problem.limits
+    mechanism, limits, until = problem.mechanism, problem.limits, problem.solver.certificate_deadline
     points = sample_points(trajectory.velocity.shape[0] - 1)
     time = trajectory.times_at(points)
     s, v, a = (f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
     u = trajectory.effort_at(time)
-    q = follow(mechanism, s, trajectory.start_pose)
+    q = follow(mechanism, s, trajectory.start_pose, problem.solver.judging_deadline)
     worst: dict[str, float] = {}
 
     def peak(name: str, values: np.ndarray) -> float:
@@ -144,13 +144,13 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     site_error, sites_off = ends_off_m(problem, trajectory, time, q)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     allowed_error = np.where(hinge, np.radians(INTEGRATION_DEG), INTEGRATION_M)
-    integrated = integrate(mechanism, trajectory, speed, allowed_error, problem.solver.judged_until)
+    integrated = integrate(mechanism, trajectory, speed, allowed_error, until)
     in_deg = float(np.degrees(integrated.position[hinge].max(initial=0.0)))
     in_m = float(integrated.position[~hinge].max(initial=0.0))
     velocity_error, growth = integrated.velocity, integrated.growth
 
     failures = []
-    if not np.all(np.isfinite(integrated.position)) and monotonic() > problem.solver.judged_until:
+    if not np.all(np.isfinite(integrated.position)) and until.passed:
         failures.append(f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
     if effort_excess > 0:
         failures.append(f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s")

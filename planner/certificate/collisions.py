@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Meeting, exclusion, may_collide, meetings, new_meetings
 from linkplan.planner.certificate.certificate import Certificate
@@ -26,8 +27,13 @@ def with_contacts(problem: PlanningProblem, trajectory: Trajectory, certificate:
         return certificate
     n = len(trajectory.breaks_s) - 1
     time = np.unique(trajectory.dense_times(max(1, min(_PER_INTERVAL, _SAMPLES // n))))
-    poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
-    found = meetings(problem.mechanism, time, poses, trajectory.position_at)
+    solver = problem.solver
+    try:
+        poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose, solver.judging_deadline)
+        found = meetings(problem.mechanism, time, poses, trajectory.position_at, solver.judging_deadline)
+    except OutOfTimeError:
+        said = f"its check for contacts ran out of the plan's {solver.max_time_s:g} s (solver.max_time_s)"
+        return replace(certificate, failures=(*certificate.failures, said))
     if problem.contacts == "refuse" and new_meetings(found):
         said = (_failure(new_meetings(found)),)
         failures, unmendable = certificate.failures + said, certificate.unmendable + said

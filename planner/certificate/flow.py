@@ -8,12 +8,12 @@ needs too many: the implicit method Radau IIA of order five (ibid. II, section I
 
 import functools
 import itertools
-import time
 from collections.abc import Callable, Iterator
 
 import casadi as ca
 import numpy as np
 
+from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.interrupts import check
 from linkplan.models.poses.along import evaluated
 from linkplan.planner.certificate.dormand_prince import E3, E5, A, B, C
@@ -37,10 +37,12 @@ class _CrawlsError(Exception):
     """Integration of an interval needs more evaluations than any feasible motion does, or more time than there is."""
 
 
-def flow(rate: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, until: float = np.inf) -> np.ndarray | None:
+def flow(
+    rate: Rate, width_s: float, state: np.ndarray, shares: np.ndarray, until: Deadline = NO_DEADLINE
+) -> np.ndarray | None:
     """Return the states (m, n) at shares (m,) of an interval, from one at its beginning; None where it fails.
 
-    `until` is on the monotonic clock [s]: what is not done by then has failed.
+    What is not done `until` a deadline has failed.
     """
     return _flown(_counted(rate, until), width_s, state, shares, method="DOP853")
 
@@ -51,7 +53,7 @@ def stiff_flow(
     width_s: float,
     state: np.ndarray,
     shares: np.ndarray,
-    until: float = np.inf,
+    until: Deadline = NO_DEADLINE,
 ) -> np.ndarray | None:
     """Return what `flow` does, by an implicit method, with the derivative (n, n) of the rate by the state."""
     counted = _counted(rate, until)
@@ -79,7 +81,11 @@ def _flown(counted: Rate, width_s: float, state: np.ndarray, shares: np.ndarray,
 
 
 def flows(
-    rate_on: Callable[[int], Rate], breaks_s: np.ndarray, state: np.ndarray, shares: np.ndarray, until: float = np.inf
+    rate_on: Callable[[int], Rate],
+    breaks_s: np.ndarray,
+    state: np.ndarray,
+    shares: np.ndarray,
+    until: Deadline = NO_DEADLINE,
 ) -> Iterator[np.ndarray | None]:
     """Yield the states (m, n) on one interval after the other, each from where the last ended; None where one fails.
 
@@ -98,13 +104,13 @@ def flows(
         state = reached[-1]
 
 
-def _counted(rate: Rate, until: float) -> Rate:
+def _counted(rate: Rate, until: Deadline) -> Rate:
     """Return a right-hand side that may be called so often, and so long, and no more."""
     calls = itertools.count()
 
     def counted(t: float, y: np.ndarray) -> np.ndarray:
         check()
-        if next(calls) > _EVALUATIONS or time.monotonic() > until:
+        if next(calls) > _EVALUATIONS or until.passed:
             raise _CrawlsError
         return rate(t, y)
 
@@ -112,7 +118,7 @@ def _counted(rate: Rate, until: float) -> Rate:
 
 
 def strides(
-    rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, state: np.ndarray, until: float = np.inf
+    rate: ca.Function, widths_s: np.ndarray, inputs: np.ndarray, state: np.ndarray, until: Deadline = NO_DEADLINE
 ) -> np.ndarray:
     """Return the states (m, 2, n) in the middle and at the end of the first m intervals, all but where a step is too long.
 
@@ -125,7 +131,7 @@ def strides(
     """
     found: list[np.ndarray] = [np.empty((0, 2, len(state)))]
     begin, longest = 0, 4
-    while begin < len(widths_s) and time.monotonic() <= until:
+    while begin < len(widths_s) and not until.passed:
         check()
         length = max(length for length in _STRETCHES if length <= min(longest, len(widths_s) - begin))
         some = slice(begin, begin + length)
@@ -145,7 +151,7 @@ def side_by_side(
     inputs: np.ndarray,
     states: np.ndarray,
     shares: np.ndarray,
-    until: float = np.inf,
+    until: Deadline = NO_DEADLINE,
 ) -> np.ndarray | None:
     """Return the states (n_intervals, m, n) at shares of every interval, each from a state of its own; None where one fails.
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
@@ -43,7 +44,7 @@ class Integrated:
 
 
 def integrate(
-    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: float = np.inf
+    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: Deadline = NO_DEADLINE
 ) -> Integrated:
     """Return the integrated model's errors against a plan.
 
@@ -54,18 +55,20 @@ def integrate(
         trajectory: the plan.
         speed: its largest speed [rad/s or m/s].
         allowed: errors (n_s,) [rad or m] above which the motion is checked for instability.
-        until: when integration is given up, on the monotonic clock [s].
+        until: when integration is given up.
     """
     whole = _in_one_go(mechanism, trajectory, speed, allowed, until)
     if np.all(whole.position <= allowed):
         return whole
     try:
         return _anew(mechanism, trajectory, speed, allowed, until) or whole
-    except AssemblyError:  # an infeasible motion
+    except (AssemblyError, OutOfTimeError):  # an infeasible motion, or no time left
         return whole
 
 
-def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: float) -> Integrated:
+def _in_one_go(
+    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: Deadline
+) -> Integrated:
     """Return the errors of one integration, sampled in the middle of every interval and on both sides of every break."""
     n_q, independent = mechanism.n_q, mechanism.independent
     start = follow(mechanism, trajectory.position[0, :1], trajectory.start_pose)[0]
@@ -89,7 +92,7 @@ def _in_one_go(mechanism: Mechanism, trajectory: Trajectory, speed: float, allow
 
 
 def _anew(
-    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: float
+    mechanism: Mechanism, trajectory: Trajectory, speed: float, allowed: np.ndarray, until: Deadline
 ) -> Integrated | None:
     """Return the errors propagated from interval to interval with restarts; None where the motion is not so unstable."""
     n, n_s, n_q = len(trajectory.breaks_s) - 1, mechanism.dof, mechanism.n_q
@@ -99,11 +102,11 @@ def _anew(
     unit = np.concatenate([span, np.full(n_s, speed)])
     begins = np.hstack([trajectory.position[0], trajectory.velocity[0]])
     ends = np.hstack([trajectory.position[-1], trajectory.velocity[-1]])
-    poses = follow(mechanism, trajectory.position[0], trajectory.start_pose)
+    poses = follow(mechanism, trajectory.position[0], trajectory.start_pose, until)
     last = np.array([1.0])
 
     def arrives(k: int, begin: np.ndarray) -> np.ndarray | None:
-        pose = poses[k] if np.array_equal(begin, begins[k]) else follow(mechanism, begin[None, :n_s], poses[k])[0]
+        pose = poses[k] if np.array_equal(begin, begins[k]) else follow(mechanism, begin[None, :n_s], poses[k], until)[0]
         reached = flow(called(function, inputs[k], widths[k]), widths[k], np.concatenate([pose, begin[n_s:]]), last, until)
         return None if reached is None else np.concatenate([reached[0, :n_q][mechanism.independent], reached[0, n_q:]])
 
@@ -132,7 +135,7 @@ def _anew(
     return Integrated(position=position, velocity=velocity, growth=growth, restarts=restarts)
 
 
-def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, until: float) -> np.ndarray:
+def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, until: Deadline) -> np.ndarray:
     """Return the states (m + 1, 2, n): the start twice, then the middle and end of every interval up to one that fails."""
     widths, inputs = np.diff(trajectory.breaks_s), _inputs(trajectory)
     rate = _rate(mechanism, *trajectory.effort[:, 0].shape)

@@ -69,7 +69,7 @@ def _looked_at_closer(
     first, last = times[rows, np.maximum(worst[rows] - 1, 0)], times[rows, np.minimum(worst[rows] + 1, n_points - 1)]
     shares = np.linspace(0.0, 1.0, _CLOSER)
     near = first[:, None] + (last - first)[:, None] * shares
-    q = follow(mechanism, trajectory.position_at(near.ravel()), trajectory.start_pose)
+    q = follow(mechanism, trajectory.position_at(near.ravel()), trajectory.start_pose, problem.solver.judging_deadline)
     fine = limit.value(places_of(mechanism, limit.index, q)).reshape(near.shape)
     left = np.minimum(fine - low, limit.high - fine)
     # Of the samples the finest count, and parabolas through those: coarse ones may bulge beyond the curve.
@@ -101,7 +101,7 @@ def ends_off_m(
         if not points:
             continue
         near = q[int(np.argmin(np.abs(time - at)))]
-        pose = follow(problem.mechanism, trajectory.position_at(np.array([at])), near)[0]
+        pose = follow(problem.mechanism, trajectory.position_at(np.array([at])), near, problem.solver.judging_deadline)[0]
         for point in points:
             off = point.off_m(places_of(problem.mechanism, point.index, pose)[0])
             worst = max(worst, off)
@@ -128,6 +128,8 @@ def waypoint_off_m(problem: PlanningProblem, trajectory: Trajectory, waypoint: W
         return np.zeros((len(time), 1))
     # Loops are followed from break to break, whatever instant is asked for.
     along, back = np.unique(np.concatenate([trajectory.breaks_s, time]), return_inverse=True)
-    q = follow(problem.mechanism, trajectory.position_at(along), trajectory.start_pose)[back[len(trajectory.breaks_s) :]]
+    until = problem.solver.judging_deadline
+    poses = follow(problem.mechanism, trajectory.position_at(along), trajectory.start_pose, until)
+    q = poses[back[len(trajectory.breaks_s) :]]
     places = [places_of(problem.mechanism, point.index, q) for point in waypoint.at]
     return np.array([[p.off_m(x) for x in at] for p, at in zip(waypoint.at, places, strict=True)]).T

@@ -10,6 +10,7 @@ from linkplan.planner.closed_chain.case import is_exact
 from linkplan.planner.closed_chain.prescribed import reference_demand
 from linkplan.planner.plan import Plan, tracking_errors
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.history import Step
 from linkplan.planner.trajectory import Trajectory
 
@@ -54,7 +55,7 @@ def finished(
             f"nearest motion to the reference: {joint.shown(errors[0]):.4g} {joint.unit} rms,"
             f" {joint.shown(errors[1]):.4g} {joint.unit} at most away from it"
         )
-        demand = reference_demand(problem, trajectory.start_pose)
+        demand = reference_demand(replace(problem, solver=SolverSettings()), trajectory.start_pose)
         if demand is not None:
             sentence += f"; {demand.sentence('the reference itself')}"
             details |= {"reference_needs": demand.needed, "reference_needs_at_s": demand.time_s}

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.models.tree.friction import rubbing_of
 from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
@@ -63,10 +64,10 @@ class MechanismCase:
         return motion_of(motion)
 
     def certify(self, motion: Trajectory) -> Certificate | None:
-        """Return a trajectory's certificate; None where it leaves the branch."""
+        """Return a trajectory's certificate; None where it leaves the branch, or no time is left."""
         try:
             return certify(self.asked, motion)
-        except AssemblyError:
+        except (AssemblyError, OutOfTimeError):
             return None
 
     def findings(self, certificate: Certificate) -> Findings:

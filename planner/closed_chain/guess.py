@@ -3,10 +3,11 @@
 import functools
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
@@ -82,7 +83,7 @@ def first_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess:
     duration = motion.duration_s or _within(problem, _shortest_duration(problem, start_pose))
     boundaries = boundary_times(problem, duration)
     guess = replace(_guess_along(_smooth_path(problem, duration), duration, start_pose), boundaries_s=boundaries)
-    if motion.waypoints and not closes(problem.mechanism, guess):
+    if motion.waypoints and not closes(problem, guess):
         return replace(
             _guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose), boundaries_s=boundaries
         )
@@ -101,10 +102,14 @@ def perturbed_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Itera
         yield f"perturbed guess {number}", _splined(times, s + offset, base.start_pose, base.boundaries_s)
 
 
-def closes(mechanism: Mechanism, guess: Guess) -> bool:
-    """Return whether a guess stays within what the loops allow."""
+def closes(problem: PlanningProblem, guess: Guess) -> bool:
+    """Return whether a guess stays within what the loops allow.
+
+    Raises:
+        OutOfTimeError: when the problem's deadline passes meanwhile.
+    """
     try:
-        even_poses(mechanism, guess)
+        even_poses(problem, guess)
     except AssemblyError:
         return False
     return True
@@ -170,7 +175,7 @@ def users_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
             start_pose=given.start_pose,
             boundaries_s=boundary_times(problem, duration),
         )
-    return guess if closes(problem.mechanism, guess) else None
+    return guess if closes(problem, guess) else None
 
 
 def _splined(times: np.ndarray, s: np.ndarray, start_pose: np.ndarray, boundaries_s: np.ndarray | None) -> Guess:
@@ -208,7 +213,7 @@ def swinging_guesses(problem: PlanningProblem, start_pose: np.ndarray) -> Iterat
         states = np.array([motion.start, via, motion.goal])
         path = PiecewisePolynomial.through(np.array([0.0, at * duration, duration]), states, np.zeros_like(states))
         guess = _guess_along(path, duration, start_pose)
-        if closes(problem.mechanism, guess):
+        if closes(problem, guess):
             yield guess
 
 
@@ -247,7 +252,7 @@ def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> floa
     unit = _smooth_path(problem, 1.0)
     tau = np.linspace(0.0, 1.0, _SAMPLES)
     try:
-        poses = follow(mechanism, unit(tau), start_pose)
+        poses = follow(mechanism, unit(tau), start_pose, problem.solver.deadline)
     except AssemblyError:  # the path leaves what the loop allows; how fast it could be gone along says nothing
         return 1.0
 
@@ -274,19 +279,33 @@ def _shortest_duration(problem: PlanningProblem, start_pose: np.ndarray) -> floa
     return float(np.exp(high))
 
 
-@functools.lru_cache(maxsize=4)
-def even_poses(mechanism: Mechanism, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """Whose poses are asked for: the same for the same mechanism and guess, whatever the deadline."""
+
+    mechanism: Mechanism
+    guess: Guess
+    deadline: Deadline = field(compare=False)
+
+
+def even_poses(problem: PlanningProblem, guess: Guess) -> tuple[np.ndarray, np.ndarray]:
     """Return even times (n,) over a guess and its closed poses (n, n_q) at them: looked at once, by all who ask.
 
     Raises:
         AssemblyError: where its loops open.
+        OutOfTimeError: when the problem's deadline passes meanwhile.
     """
-    times = np.linspace(0.0, guess.duration_s, _SAMPLES)
-    poses = poses_along(mechanism, guess, times)
+    return _even_poses(_Asked(problem.mechanism, guess, problem.solver.deadline))
+
+
+@functools.lru_cache(maxsize=4)
+def _even_poses(asked: _Asked) -> tuple[np.ndarray, np.ndarray]:
+    times = np.linspace(0.0, asked.guess.duration_s, _SAMPLES)
+    poses = poses_along(asked.mechanism, asked.guess, times, asked.deadline)
     times.flags.writeable = poses.flags.writeable = False
     return times, poses
 
 
-def poses_along(mechanism: Mechanism, guess: Guess, time_s: np.ndarray) -> np.ndarray:
-    """Return the closed poses (n, n_q) of a guess at increasing times (n,)."""
-    return follow(mechanism, guess.position(time_s), guess.start_pose)
+def poses_along(mechanism: Mechanism, guess: Guess, time_s: np.ndarray, deadline: Deadline = NO_DEADLINE) -> np.ndarray:
+    """Return the closed poses (n, n_q) of a guess at increasing times (n,); raises as of `follow`."""
+    return follow(mechanism, guess.position(time_s), guess.start_pose, deadline)

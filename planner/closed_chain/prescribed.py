@@ -60,7 +60,7 @@ def prescribe(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory:
     to_bernstein = np.linalg.inv(bernstein_matrix(_DEGREE, tau))
     time = (breaks[:-1, None] + h * tau).ravel()
     s, v, a = (reference.derivative(time, order) for order in range(3))
-    poses = follow(mechanism, s, start_pose)
+    poses = follow(mechanism, s, start_pose, problem.solver.deadline)
     effort, _ = needed_effort(mechanism, poses, v, a)
 
     def coefficients(values: np.ndarray) -> np.ndarray:
@@ -99,7 +99,8 @@ def highest_frequency(problem: PlanningProblem, start_pose: np.ndarray) -> float
     """
     mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
     time = np.linspace(0.0, reference.period_s, _COARSE)
-    poses = follow(mechanism, reference.derivative(time), start_pose)  # the same at every frequency
+    # The same at every frequency.
+    poses = follow(mechanism, reference.derivative(time), start_pose, problem.solver.deadline)
     v, a = reference.derivative(time, 1), reference.derivative(time, 2)
     if not np.all((limits.position[:, 0] <= poses) & (poses <= limits.position[:, 1])):
         return None
@@ -131,10 +132,10 @@ def reference_demand(problem: PlanningProblem, start_pose: np.ndarray) -> Demand
     mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
     duration = problem.motion.duration_s or reference.period_s
     time = np.linspace(0.0, duration, 2001)
-    poses = follow(mechanism, reference.derivative(time), start_pose)
+    poses = follow(mechanism, reference.derivative(time), start_pose, problem.solver.deadline)
 
     def looked_at(t: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        q = follow(mechanism, reference.derivative(t), start)
+        q = follow(mechanism, reference.derivative(t), start, problem.solver.deadline)
         v, a = reference.derivative(t, 1), reference.derivative(t, 2)
         effort, _ = needed_effort(mechanism, q, v, a)
         return effort, q, joint_rates(mechanism, q, v)

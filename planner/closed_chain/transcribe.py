@@ -44,7 +44,7 @@ class Origin:
 def choose_scales(problem: PlanningProblem, guess: Guess) -> Scales:
     """Return units of order one: durations, spans, limits, or the guess's needs where they are far below the limits."""
     mechanism, limit = problem.mechanism, problem.limits.effort
-    times, poses = (samples[::2] for samples in even_poses(mechanism, guess))
+    times, poses = (samples[::2] for samples in even_poses(problem, guess))
     s = guess.position(times)
     need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times))
     extent = mechanism.extent_m
@@ -206,7 +206,7 @@ def _start(problem: PlanningProblem, guess: Guess, scales: Scales, formulation: 
 
     def nodes(times: np.ndarray):
         v, a = guess.velocity(times), guess.acceleration(times)
-        poses = poses_along(mechanism, guess, times)
+        poses = poses_along(mechanism, guess, times, problem.solver.deadline)
         effort = guess.effort(times) if guess.effort is not None else needed_effort(mechanism, poses, v, a)[0]
         algebraic = poses[:, mechanism.dependent]
         if is_lifted(mechanism):

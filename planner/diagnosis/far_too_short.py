@@ -64,7 +64,7 @@ def path_effort(problem: PlanningProblem, guess: Guess) -> PathEffort | None:
     """Return what a path asks of the actuator, or of the undriven joint, that it asks for most; None where loops open."""
     mechanism, limit = problem.mechanism, problem.limits.effort
     try:
-        time, q = even_poses(mechanism, guess)
+        time, q = even_poses(problem, guess)
     except AssemblyError:
         return None
     v, a = guess.velocity(time), guess.acceleration(time)

@@ -1,6 +1,5 @@
 """Which limit forbids a motion: each taken away in turn, and the least that it would have to be."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -142,10 +141,9 @@ def least_of(
     history.append(step_of(f"least {what}", transcribed, best))
     if not best.converged:
         return motion
-    endpoint = transcribed.formulation.endpoint
-    solver = build_solver(transcribed.program, problem.solver, warm=True, endpoint=endpoint)
+    solver = build_solver(transcribed.program, problem.solver, warm=True)
     for _ in range(_HALVINGS):
-        if problem.solver.deadline is not None and time.monotonic() > problem.solver.deadline:
+        if problem.solver.deadline.passed:
             break
         middle = 0.5 * (near + far)
         trial = run_solver(solver, renumbered(best.transcribed, scaled(problem, what, middle), best.x))
@@ -164,7 +162,7 @@ def _overrun(problem: PlanningProblem, motion: Trajectory, what: str) -> float |
     """Return the factor on a limit with which a motion keeps it, a little beyond; None where there is none."""
     if what == "speed":
         time = motion.dense_times(8)
-        poses = follow(problem.mechanism, motion.position_at(time), motion.start_pose)
+        poses = follow(problem.mechanism, motion.position_at(time), motion.start_pose, problem.solver.deadline)
         rates, bounds = joint_rates(problem.mechanism, poses, motion.velocity_at(time)), problem.limits.speed
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios = np.maximum(rates / bounds[:, 1], rates / bounds[:, 0])
@@ -188,7 +186,8 @@ def violated_sentence(problem: PlanningProblem, trajectory: Trajectory, what: st
     if what in ("speed", "position"):
         try:
             time = trajectory.dense_times(8)
-            poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
+            until = problem.solver.deadline
+            poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose, until)
         except AssemblyError:
             return None
         return overrun_sentence(problem, trajectory, poses, what)

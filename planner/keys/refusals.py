@@ -13,6 +13,8 @@ import msgspec
 from linkplan.planner.keys.kinds import LARGEST, Known, Place
 from linkplan.planner.keys.synonyms import meant
 
+# Keys that problem files had once, and what to do now.
+REMOVED_KEYS = {"solver.name": "linkplan solves with IPOPT, and this key is gone: delete it"}
 # What bounds a number or the length of a list.
 _BOUNDS = ("ge", "gt", "le", "lt", "max_length")
 
@@ -56,7 +58,9 @@ def unknown_key(kind: Any, value: object, where: str) -> str | None:
         return f"{what}, got {got(value)}"
     for key in value if legal is not None else ():
         if key not in legal and where:
-            return f"unknown key '{where}.{key}'{meant(key, legal)}; keys are {', '.join(legal)}"
+            path = f"{where}.{key}"
+            why = f": {REMOVED_KEYS[path]}" if path in REMOVED_KEYS else meant(key, legal)
+            return f"unknown key '{path}'{why}; keys are {', '.join(legal)}"
         if key not in legal:
             return f"unknown table or key '{key}'{meant(key, legal)}; legal are {', '.join(legal)}"
     return None

@@ -128,12 +128,11 @@ class MeshSection(Section, frozen=True):
 class SolverSection(Section, frozen=True):
     """How the program is solved."""
 
-    name: Annotated[kinds.Solver, key("the solver")] = "ipopt"
     compile: Annotated[
         kinds.Compile, key("C functions where the cache has them, made beside the second solve; or always; or never")
     ] = "auto"
     max_time_s: Annotated[
-        kinds.SolveTime, key("the longest that a whole plan may take: search, refinement, certificate", "s")
+        kinds.SolveTime, key("processor time of a whole plan at the most: search, refinement, certificate", "s")
     ] = 600.0
     starts: Annotated[kinds.Starts, key("of so many motions to start from, the best answer is kept")] = 1
 

@@ -117,7 +117,7 @@ def _in_one_go(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray,
         return rate
 
     begin = np.append(planned[0], 0.0)
-    shares, until, end = np.append(points[:-1], 1.0), problem.solver.judged_until, begin[:n_x]
+    shares, until, end = np.append(points[:-1], 1.0), problem.solver.certificate_deadline, begin[:n_x]
     for k, reached in enumerate(flows(rate_on, breaks, begin, shares, until)):
         if reached is None:
             return Integrated(
@@ -145,7 +145,7 @@ def _anew(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, poin
     inputs = np.column_stack([efforts, breaks[:-1], np.diff(breaks)])
     shares, end = np.append(points[1:-1], 1.0), planned[0]
     varied = _varied_on(problem, trajectory.effort.shape[0])
-    reached = side_by_side(varied, np.diff(breaks), inputs, begins, shares, problem.solver.judged_until)
+    reached = side_by_side(varied, np.diff(breaks), inputs, begins, shares, problem.solver.certificate_deadline)
     if reached is None:
         return None
     states, transitions = reached[:, :, : n_x + 1], reached[:, :, n_x + 1 :].reshape(n, -1, n_x, n_x + 1).swapaxes(2, 3)

@@ -5,7 +5,6 @@ problem = OdeProblem(name="double integrator", rate=lambda x, u, p, t: [x[1], u[
 plan = plan_ode(problem).require()        # plan.objective is 2, with one switch at T / 2
 """
 
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -33,12 +32,11 @@ from linkplan.planner.ode.starts import (
 )
 from linkplan.planner.ode.switches import has_arcs, switch_by_costates
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.problem.settings import CERTIFYING
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, Step, silent, step_of
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.refined import Refined
-from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
+from linkplan.planner.solvers.outcome import OF_TIME, OUT_OF_TIME, why_stopped
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import broken, uniform
 
@@ -54,8 +52,6 @@ _ALIKE = 1e-4
 _FURTHER = 3
 # What is left of an objective by one of them where it only falls and falls.
 _FALLS = 0.5
-# Where the words on time that ran out point to.
-_OF_TIME = "(solver.max_time_s)"
 # Iterations for starts tried beside others, or after others failed, and a time [s] that none needs but one that goes
 # astray: those measured took less than a second on programs of this size, or a few times what the first solve took.
 _ITERATIONS = 200
@@ -101,10 +97,10 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     contradiction = _contradiction(problem)
     if contradiction is not None:
         return OdePlan(problem=problem, status="infeasible", message=contradiction)
-    deadline = time.monotonic() + (1 - CERTIFYING) * problem.solver.max_time_s
-    plan = _planned(replace(problem, solver=replace(problem.solver, deadline=deadline)), say)
-    if plan.status in ("failed", "feasible") and time.monotonic() > deadline and _OF_TIME not in plan.message:
-        plan = replace(plan, message=f"{plan.message}; the plan ran out of its {problem.solver.max_time_s:g} s {_OF_TIME}")
+    begun = problem.solver.begun()
+    plan = _planned(replace(problem, solver=begun), say)
+    if plan.status in ("failed", "feasible") and begun.deadline.passed and OF_TIME not in plan.message:
+        plan = replace(plan, message=f"{plan.message}; the plan ran out of its {problem.solver.max_time_s:g} s {OF_TIME}")
     return replace(plan, problem=problem)
 
 
@@ -117,7 +113,8 @@ def _planned(problem: OdeProblem, say: Say) -> OdePlan:
     else:
         found = _in_turn(problem, given, history, say)
     failed, tried = None, np.zeros(0)
-    for one in sorted(found, key=lambda one: (one.found.solution.objective, one.number)):
+    best_first = sorted(found, key=lambda one: (one.found.solution.objective, one.number))
+    for one in problem.solver.certificate_deadline.take(best_first):
         objective = one.found.solution.objective
         if np.any(np.abs(tried - objective) <= _ALIKE * abs(objective)):
             continue  # the same motion, that did not pass
@@ -174,7 +171,7 @@ def _first_solutions(
 ) -> list[FirstSolution]:
     """Return the solutions that starts lead to on the first mesh, the first `enough` of them."""
     found: list[FirstSolution] = []
-    for number, guess in enumerate(starts, first):
+    for number, guess in enumerate(problem.solver.deadline.take(starts), first):
         case = OdeCase(problem, problem, units_of(problem, guess))
         mesh = uniform(problem.mesh.intervals) if problem.mesh.breaks is None else broken(problem.mesh.breaks)
         word = f"start {number + 1}" if number or problem.solver.starts > 1 else "first solve"

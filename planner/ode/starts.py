@@ -85,7 +85,9 @@ def integrated(problem: OdeProblem) -> Iterator[StateGuess]:
         def rate_under(t: float, x: np.ndarray, effort: np.ndarray = effort) -> np.ndarray:
             return np.array(rate(x, effort, problem.parameters, t)).ravel()
 
-        state = flow(rate_under, given.duration_s, start[:, 0], times / given.duration_s, problem.solver.judged_until)
+        state = flow(
+            rate_under, given.duration_s, start[:, 0], times / given.duration_s, problem.solver.certificate_deadline
+        )
         if state is not None:
             yield replace(given, state=state, effort=np.tile(effort, (_SAMPLES, 1)))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.keys.kinds import BREAKS, LEAST_SHARE, MAX_DELAY
@@ -55,28 +56,36 @@ CERTIFYING = 0.1
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SolverSettings:
-    """How a program is solved: by which solver, compiled or not, in how many starts, and how long it may take [s].
+    """How a program is solved: compiled or not, in how many starts, and how long it may take [s].
 
     `compile` is "auto" (compiled functions where the cache has them or the mesh is large), "always" or "never". Of
     `starts` motions to start from, the best answer is kept.
     """
 
-    name: str = _SOLVER.name
     compile: str = _SOLVER.compile
     max_time_s: float = _SOLVER.max_time_s
     starts: int = _SOLVER.starts
     max_iterations: int | None = None  # None: as many as a hard problem takes
-    deadline: float | None = None  # on the monotonic clock [s]: when whoever plans wants to be done; None: no such instant
+    deadline: Deadline = NO_DEADLINE  # of all solves; the certificate of what they found has a little longer
 
     def __post_init__(self) -> None:
-        _check(self, "solver", _SOLVER, ("name", "compile", "max_time_s", "starts"))
+        _check(self, "solver", _SOLVER, ("compile", "max_time_s", "starts"))
         if self.max_iterations is not None:
             _set(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, _MAX_ITERATIONS))
 
     @property
-    def judged_until(self) -> float:
-        """When certificates are to be done, on the monotonic clock [s]; infinite where there is no such instant."""
-        return np.inf if self.deadline is None else self.deadline + CERTIFYING * self.max_time_s
+    def certificate_deadline(self) -> Deadline:
+        """The deadline of integrations of motions that were found."""
+        return self.deadline.later_by(CERTIFYING * self.max_time_s)
+
+    @property
+    def judging_deadline(self) -> Deadline:
+        """The deadline of poses and contacts along motions that were found: a known one is not lost for want of time."""
+        return self.deadline.later_by(self.max_time_s)
+
+    def begun(self) -> "SolverSettings":
+        """Return these settings with a deadline: `max_time_s` from now, less what certificates are to have."""
+        return replace(self, deadline=self.deadline.within((1 - CERTIFYING) * self.max_time_s))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

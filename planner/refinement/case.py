@@ -6,12 +6,12 @@ same code.
 
 import functools
 import hashlib
-import time
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, Self, TypeVar
 
 import numpy as np
 
+from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
@@ -209,7 +209,7 @@ def attempt(
         fixed: what refinement holds along arcs; in place of `bang_efforts`.
     """
     settings = case.problem
-    if settings.solver.deadline is not None and time.monotonic() > settings.solver.deadline:
+    if settings.solver.deadline.passed:
         return None
     say(_attempted(what, settings.mesh.scheme, mesh, history))
     efforts, paths = (bang_efforts, None) if fixed is None else (fixed.efforts, fixed.paths)
@@ -217,7 +217,7 @@ def attempt(
         transcribed = case.transcribe(
             start, mesh, durations, position_rows=position_rows, bang_efforts=efforts, constrained_paths=paths
         )
-    except AssemblyError:  # a start whose loops open between the instants at which it was looked at
+    except (AssemblyError, OutOfTimeError):  # a start whose loops open between the instants at which it was looked at
         return None
     asked = _asked(transcribed, settings.solver, warm, close)
     known = next((step for step in history if step.asked == asked), None)
@@ -239,7 +239,7 @@ def _asked(transcribed: Transcribed, settings: SolverSettings, warm: bool, close
     """Return a hash of a program with its numbers, and of how it is solved."""
     formulation, mesh, linear = transcribed.formulation, transcribed.program.mesh, transcribed.program.linear
     digest = hashlib.sha256(_expressions(formulation.build_system(), formulation.endpoint))
-    how = (settings.name, settings.max_iterations, warm, close, transcribed.scheme.name, transcribed.least_limit)
+    how = (settings.max_iterations, warm, close, transcribed.scheme.name, transcribed.least_limit)
     digest.update(repr((how, transcribed.scheme.effort_at.shape, formulation.rows)).encode())
     bounds = (transcribed.lower, transcribed.upper, transcribed.row_lower, transcribed.row_upper)
     rows = (linear.rows, linear.columns, linear.values)

@@ -19,6 +19,7 @@ from linkplan.planner.search.first_mesh import PER_SWING, first_mesh, graded_mes
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.smoothing_continuation import unsmoothed
 from linkplan.planner.search.solving import Found, solve_from
+from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
 
 # An answer whose objective a finer mesh changes by more than this share is said to move.
@@ -45,7 +46,7 @@ def plan_from(
         worth: solutions whose objective is not below it are not refined.
         mended: whether a motion that does not pass is worth every repair; before the phase plane's least time it is not.
     """
-    if not closes(search.problem.mechanism, guess):
+    if not closes(search.problem, guess):
         return None
     problem = search.within(budget)
     missed = None
@@ -112,6 +113,8 @@ def certified(
     better = refine(case, found, history, say, warm=warm)
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
+        if problem.solver.judging_deadline.passed:
+            message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
         return Plan(problem=problem, status="failed", message=message, history=tuple(history))
     solved_for = better.solution
     better, change = unsmoothed(case, better, history, say)

@@ -4,13 +4,14 @@ A rung is one way of looking for a motion: a start, or a continuation. Each has 
 table of them stands in `planner.planning`. A rung returns a plan, passed or missed, or None where it found no motion.
 """
 
-import time
+import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
+from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.models.interrupts import check
 from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
 from linkplan.planner.plan import Plan
@@ -19,7 +20,7 @@ from linkplan.planner.refinement.history import Say, Step, silent
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, settled_limit
 from linkplan.planner.search.phase_plane import least_time_guess
 from linkplan.planner.search.solving import Found
-from linkplan.planner.solvers.outcome import INVALID, OUT_OF_TIME
+from linkplan.planner.solvers.outcome import INVALID, OF_TIME, OUT_OF_TIME
 
 # So little of a search's time [s] is none: a solver that stops at its limit stops a hair before or after it.
 _NO_TIME_S = 0.01
@@ -39,7 +40,7 @@ class Budget:
 class Search:
     """A search for a motion, as every rung sees it.
 
-    `problem` is as it was asked, `start_pose` (n_q,) closed. `deadline` is on the monotonic clock [s]. `history` notes every
+    `problem` is as it was asked, with the deadline of the search; `start_pose` (n_q,) is closed. `history` notes every
     solve, `plans` every plan that a rung came to, in order. What is computed once for all rungs is computed when it is first
     asked for: the phase plane's motion, the smooth path, the least factor on the effort limits.
     """
@@ -47,7 +48,6 @@ class Search:
     problem: PlanningProblem
     start_pose: np.ndarray
     say: Say
-    deadline: float
     repairs: Sequence["Repair"] = ()
     history: list[Step] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
@@ -88,16 +88,20 @@ class Search:
 
     def of_another(self, problem: PlanningProblem) -> "Search":
         """Return a search for another problem's motion from the same start, silent and with a history of its own."""
-        return Search(problem=problem, start_pose=self.start_pose, say=silent, deadline=self.deadline, repairs=self.repairs)
+        return Search(problem=problem, start_pose=self.start_pose, say=silent, repairs=self.repairs)
 
     def within(self, budget: Budget) -> PlanningProblem:
         """Return the problem with the settings that a budget allows its solves."""
-        left = self.deadline - time.monotonic()
-        ends = time.monotonic() + budget.share_of_time * left
+        ends = self.deadline.within_share(budget.share_of_time)
         fewer = self.problem.solver.max_iterations
         if budget.iterations is not None:
             fewer = min(budget.iterations, fewer or budget.iterations)
         return replace(self.problem, solver=replace(self.problem.solver, max_iterations=fewer, deadline=ends))
+
+    @property
+    def deadline(self) -> Deadline:
+        """When the search is to be done."""
+        return self.problem.solver.deadline
 
     @property
     def only_time_counts(self) -> bool:
@@ -128,7 +132,7 @@ class Search:
     @property
     def stopped(self) -> str | None:
         """The solver's word where nothing more is to be had of it: time is up, or a number is not finite; None elsewhere."""
-        if time.monotonic() > self.deadline - _NO_TIME_S:
+        if self.deadline.left_s < _NO_TIME_S:
             return OUT_OF_TIME
         if not self.plans and self.history and self.history[-1].solver_status == INVALID:
             return INVALID
@@ -170,13 +174,14 @@ def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
         check()
         if search.verdicts or search.stopped:
             break
-        if rung.tried(search):
-            plan = rung.climb(search, rung.budget)
+        with contextlib.suppress(OutOfTimeError):
+            plan = rung.climb(search, rung.budget) if rung.tried(search) else None
             if plan is not None:
                 search.plans.append(plan)
     best = search.best
     if best is None:
         return None
-    cut = best.passed and search.stopped == OUT_OF_TIME
-    said = f"; the best found within its {search.problem.solver.max_time_s:g} s (solver.max_time_s)" if cut else ""
+    cut = search.stopped == OUT_OF_TIME and OF_TIME not in best.message
+    found = "the best found within" if best.passed else "the search ran out of"
+    said = f"; {found} its {search.problem.solver.max_time_s:g} s {OF_TIME}" if cut else ""
     return replace(best, problem=search.problem, history=tuple(search.history), message=best.message + said)

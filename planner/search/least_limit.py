@@ -41,9 +41,10 @@ def least_limit_of_starts(problem: PlanningProblem, guess: Guess, history: list[
     Further starts are tried while the factor is above 1.
     """
     perturbed = itertools.islice(perturbed_guesses(problem, guess.start_pose), _MOST_TRIED)
-    others = (start for _, start in perturbed if closes(problem.mechanism, start))
+    others = (start for _, start in perturbed if closes(problem, start))
     best = None
-    for start in (guess, *itertools.islice(others, _STARTS - 1)):
+    starts = itertools.chain([guess], itertools.islice(others, _STARTS - 1))
+    for start in problem.solver.deadline.take(starts):
         known = None if best is None else best.first
         found = least_limit(problem, start, *first_mesh(problem, start), history, known=known)
         if found is not None and (best is None or found.factor < best.factor):
@@ -87,7 +88,7 @@ def least_limit(
     if not np.all(np.isfinite(limit)):
         return None
     best, bang_efforts = None, None
-    for _ in range(2):
+    for _ in problem.solver.deadline.take(range(2)):
         transcribed = transcribe(problem, guess, mesh, durations, least_limit=True, bang_efforts=bang_efforts)
         solution = solve(transcribed, problem.solver)
         history.append(step_of("least effort limit", transcribed, solution))

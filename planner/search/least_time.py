@@ -1,6 +1,5 @@
 """The motion of least time between a problem's states: looked for once, shared by rungs and diagnoses."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -35,11 +34,10 @@ def shortest_motion(search: Search) -> Plan | None:
         motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         # Efforts constant over intervals, as least work has them, would be late.
         mesh = replace(search.problem.mesh, effort="polynomial")
-        free = replace(search.within(PATIENT), objective="time", motion=motion, mesh=mesh, guess=None)
+        hurried = search.within(replace(PATIENT, share_of_time=_SHARE))
+        free = replace(hurried, objective="time", motion=motion, mesh=mesh, guess=None)
         search.say("looking for the shortest feasible duration")
-        now = time.monotonic()
-        other = replace(search.of_another(free), deadline=now + _SHARE * (search.deadline - now))
-        plan = climb(other, _RUNGS)
+        plan = climb(search.of_another(free), _RUNGS)
         search.shortest.append(plan if plan is not None and plan.passed else None)
     found += [plan for plan in search.shortest if plan is not None]
     return min(found, key=lambda plan: plan.trajectory.duration_s, default=None)

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.models.interrupts import check
+from linkplan.models.deadline import Deadline
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.leg_field import FORCE
 from linkplan.planner.search.power_legs import Leg, power_legs
@@ -47,7 +47,7 @@ def legs_motion(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory 
     if found is None:
         return None
     legs, boundaries = found
-    pieces = [_pieces(leg, boundaries) for leg in legs]
+    pieces = [_pieces(leg, boundaries, problem.solver.deadline) for leg in legs]
     if any(piece is None for piece in pieces):
         return None
     breaks, *parts = ([one for piece in pieces for one in piece[k]] for k in range(4))
@@ -69,7 +69,7 @@ def _inside(limit: np.ndarray) -> np.ndarray:
     return limit + _ROOM * share * np.array([1.0, -1.0])
 
 
-def _pieces(leg: Leg, boundaries: np.ndarray) -> tuple[list, list, list, list] | None:
+def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list, list, list, list] | None:
     """Return where a leg's intervals begin in the motion's time [s], and their coefficients; None where they get too short.
 
     Position (m + 2,), velocity (m + 1,) and effort (m, n_u) each.
@@ -85,7 +85,7 @@ def _pieces(leg: Leg, boundaries: np.ndarray) -> tuple[list, list, list, list] |
         longest = _LONGEST * (leg.end - leg.begin)
         t, h = begin, 0.25 * (end - begin)
         while t != end:
-            check()
+            deadline.require_time()
             h = np.copysign(min(abs(h), longest), h)
             h = end - t if abs(h) > 0.9 * abs(end - t) else h
             piece = _collocated(leg, held, t, h, at)

@@ -48,7 +48,7 @@ def from_margins(search: Search, budget: Budget) -> Plan | None:
     """Return a plan that keeps a margin to singular poses which was not asked for and which its message names."""
     problem = search.within(budget)
     for what, guess in search.first_starts():
-        if not closes(problem.mechanism, guess):
+        if not closes(problem, guess):
             continue
         for clear in reversed(kept_clear(problem, what, guess, search.history, search.say)):
             plan = certified(clear.problem, clear.found, search.history, search.say, warm=True)
@@ -112,6 +112,6 @@ def nears_singular(problem: PlanningProblem, guess: Guess) -> bool:
 def _singular_margin(problem: PlanningProblem, guess: Guess, times: np.ndarray) -> float:
     """Return the least |det J_z| of a kinematic loop at times (n,) [s] of a guess, as a share of home's; else infinite."""
     singularity = problem.mechanism.dynamics.block_singularity
-    poses = poses_along(problem.mechanism, guess, times)
+    poses = poses_along(problem.mechanism, guess, times, problem.solver.deadline)
     share = sampled(singularity, poses)[:, :, 0] / np.array(singularity(problem.mechanism.home)).ravel()
     return float(np.abs(share).min(initial=np.inf))

@@ -160,8 +160,8 @@ def _followed(problem: PlanningProblem, s: np.ndarray, places: np.ndarray, start
     fine = np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s)
     begin = int(np.argmin(np.abs(fine - places[0])))
     try:
-        after = follow(problem.mechanism, fine[begin:, None], start_pose)
-        before = follow(problem.mechanism, fine[begin::-1, None], start_pose)[::-1]
+        after = follow(problem.mechanism, fine[begin:, None], start_pose, problem.solver.deadline)
+        before = follow(problem.mechanism, fine[begin::-1, None], start_pose, problem.solver.deadline)[::-1]
     except AssemblyError:
         return None
     return s, np.vstack([before[:-1], after])

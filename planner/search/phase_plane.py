@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from linkplan.models.deadline import Deadline
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -103,7 +104,7 @@ def _planes(problem: PlanningProblem, start_pose: np.ndarray) -> Callable[[float
         if grid is None:
             return None
         plane = plane_of(problem, *grid, share * problem.limits.effort)
-        ways = [_legs(plane, part) for part in parts]
+        ways = [_legs(plane, part, problem.solver.deadline) for part in parts]
         return None if any(legs is None for legs in ways) else _guess(plane, parts, ways, start_pose)
 
     return guess_with
@@ -130,7 +131,7 @@ def parts_of(motion: Motion) -> list[Part]:
     ]
 
 
-def _legs(plane: Plane, part: Part):
+def _legs(plane: Plane, part: Part, deadline: Deadline):
     """Return a part's legs (indices, w, directions of the push at each), the quickest by way of a grid of turns.
 
     None where there is no way. Dijkstra over the places where a motion may rest.
@@ -141,12 +142,14 @@ def _legs(plane: Plane, part: Part):
     ends = [(goal, speeds[1]), *((place, 0.0) for place in rests)]
     arriving = {}  # braking legs by where and in which direction they arrive
     for place, v in ends:
+        deadline.require_time()
         for way in (+1, -1):
             if v * way >= 0:
                 arriving[place, way] = plane.leg(place, 0.5 * v**2, -way, -way, backwards=True)
     ticket = itertools.count(1)  # equal times are never compared further
     queue, known = [(0.0, 0, 0, start, [])], {}
     while queue:
+        deadline.require_time()
         time, _, legs_so_far, at, legs = heapq.heappop(queue)
         if legs and at == goal:
             return legs

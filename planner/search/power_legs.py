@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
@@ -122,7 +123,8 @@ def power_legs(
     legs, boundaries = [], [0.0]
     try:
         for part in parts_of(problem.motion):
-            pair = _legs(_field(problem, part, start_pose), part, boundaries[-1], *(_EXACTLY if exactly else _ROUGHLY))
+            field, how = _field(problem, part, start_pose), _EXACTLY if exactly else _ROUGHLY
+            pair = _legs(field, part, boundaries[-1], problem.solver.deadline, *how)
             if pair is None:
                 return None
             legs += pair
@@ -146,8 +148,9 @@ def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> LegF
 
     dynamics, start, goal = problem.mechanism.dynamics, part.places[0], part.places[-1]
     place = np.linspace(start, goal, _POSES)
-    there = follow(problem.mechanism, np.linspace(problem.motion.start[0], start, _POSES)[:, None], start_pose)[-1]
-    q = follow(problem.mechanism, place[:, None], there)
+    deadline, way_there = problem.solver.deadline, np.linspace(problem.motion.start[0], start, _POSES)
+    there = follow(problem.mechanism, way_there[:, None], start_pose, deadline)[-1]
+    q = follow(problem.mechanism, place[:, None], there, deadline)
     inertia, maps = sampled(dynamics.reduced_inertia, q)[:, 0, 0], sampled(dynamics.effort_map, q)[:, 0]
     none = np.zeros((_POSES, len(problem.limits.effort)))
     speeds = {v: np.full((_POSES, 1), v) for v in (0.0, 1.0, -1.0)}
@@ -184,7 +187,9 @@ def _pins(problem: PlanningProblem, place: np.ndarray, forces: np.ndarray) -> Pi
     return PinForces(curves=scipy.interpolate.CubicSpline(place, np.concatenate(columns, axis=2)), rows=tuple(rows))
 
 
-def _legs(field: LegField, part: Part, later: float, method: Any, share: float, small: float) -> list[Leg] | None:
+def _legs(
+    field: LegField, part: Part, later: float, deadline: Deadline, method: Any, share: float, small: float
+) -> list[Leg] | None:
     """Return the leg up to the switch and the one from there, the first begun `later` [s]; None where they do not meet."""
     import scipy
 
@@ -195,6 +200,7 @@ def _legs(field: LegField, part: Part, later: float, method: Any, share: float, 
 
     def leg(begin: float, v: float, end: float, *, towards: bool) -> Leg:
         def rates(_t: float, y: np.ndarray) -> list[float]:
+            deadline.require_time()
             return [y[1], float(field.at(*y, towards=towards)[2])]
 
         def there(_t: float, y: np.ndarray) -> float:

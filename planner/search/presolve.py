@@ -196,7 +196,8 @@ def _only_way(problem: PlanningProblem) -> np.ndarray | None:
     if mechanism.dof != 1 or motion.start is None or motion.goal is None or motion.goal_is_free:
         return None
     try:
-        return follow(mechanism, np.linspace(motion.start, motion.goal, _BETWEEN), close_at(mechanism, motion.start))
+        between = np.linspace(motion.start, motion.goal, _BETWEEN)
+        return follow(mechanism, between, close_at(mechanism, motion.start), problem.solver.deadline)
     except AssemblyError:  # the way is not open: said elsewhere
         return None
 

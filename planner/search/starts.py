@@ -147,7 +147,7 @@ def from_perturbed_guesses(search: Search, budget: Budget) -> Plan | None:
 def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]]) -> Plan | None:
     """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
     missed = None
-    for what, guess in starts:
+    for what, guess in search.deadline.take(starts):
         if missed is not None:
             search.plans.append(missed)
             if not search.starts_are_worth_it:
@@ -206,16 +206,16 @@ def best_of_several(search: Search, budget: Budget) -> Plan | None:
     perturbed = perturbed_guesses(problem, search.start_pose)
     few = itertools.islice(_every_start(search, budget), wanted)
     more = itertools.islice(perturbed, _PERTURBATIONS, _MOST_TRIED * wanted)
-    closed = (start for start in itertools.chain(few, more) if closes(problem.mechanism, start[1]))
+    closed = (start for start in itertools.chain(few, more) if closes(problem, start[1]))
     found = []
-    for number, (what, guess) in enumerate(itertools.islice(closed, wanted), start=1):
+    for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(closed, wanted)), start=1):
         mesh, durations = first_mesh(problem, guess)
         word = f"start {number} of {wanted}, {what}"
         solved = solve_from(problem, guess, mesh, durations, word, search.history, search.say)
         if solved is not None:
             found.append((solved.solution.objective, number, solved))
     missed = None
-    for _, number, solved in sorted(found, key=lambda item: item[:2]):
+    for _, number, solved in problem.solver.certificate_deadline.take(sorted(found, key=lambda item: item[:2])):
         search.say(f"refining start {number}")
         solved, unbounded = with_longer_durations(problem, solved, search.history, search.say)
         if unbounded is not None:

@@ -76,12 +76,13 @@ def _limit_beyond(problem: PlanningProblem, motion: Trajectory, instant: float, 
     """Return the place of the limit on the pose within `way` of where a motion is at an instant [s]; None without one."""
     mechanism = problem.mechanism
     s = motion.position_at(np.linspace(0.0, instant, 2 + int(_SAMPLES * len(motion.breaks_s))))
-    here = follow(mechanism, s, motion.start_pose)[-1]
+    deadline = problem.solver.deadline
+    here = follow(mechanism, s, motion.start_pose, deadline)[-1]
     turn = float(s[-1, 0])
 
     def kept(share: float) -> bool:
         try:
-            q = follow(mechanism, np.array([[turn], [turn + share * way]]), here)[-1:]
+            q = follow(mechanism, np.array([[turn], [turn + share * way]]), here, deadline)[-1:]
         except AssemblyError:
             return False
         return _room(problem, q) >= 0

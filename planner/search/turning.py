@@ -42,7 +42,8 @@ def check_turns(problem: PlanningProblem, start_pose: np.ndarray, can: Reach | N
     first = start_pose[mechanism.independent]
     n = int(_EACH_TURN * np.abs(motion.turns).max())
     try:
-        poses = follow(mechanism, first + np.linspace(0.0, 1.0, n)[:, None] * motion.advance, start_pose)
+        path = first + np.linspace(0.0, 1.0, n)[:, None] * motion.advance
+        poses = follow(mechanism, path, start_pose, problem.solver.deadline)
     except AssemblyError as error:
         if mechanism.dof > 1:  # another way may be open
             return

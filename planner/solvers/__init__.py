@@ -1,4 +1,4 @@
-"""IPOPT and FATROP behind one call.
+"""IPOPT behind one call.
 
 In: a `Transcribed` program and `SolverSettings`. Out: a `Solution`: unknowns, multipliers, status, iterations and times.
 """

@@ -1,4 +1,4 @@
-"""Solving a program with IPOPT, or with FATROP where that is asked for."""
+"""Solving a program with IPOPT."""
 
 import contextlib
 import io
@@ -10,10 +10,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from linkplan.models.deadline import NO_DEADLINE
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.interrupts import asked, solving
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.solvers.fatrop import FatropSolver
 from linkplan.planner.solvers.outcome import (
     ACCEPTABLE,
     INVALID,
@@ -26,7 +26,6 @@ from linkplan.planner.solvers.outcome import (
 from linkplan.planner.transcription.collocation import Transcribed, with_compiled_code
 from linkplan.planner.transcription.compiled import compiler
 from linkplan.planner.transcription.program import Program
-from linkplan.planner.transcription.system import Endpoint
 
 __all__ = ["INVALID", "OUT_OF_TIME", "Solution", "build_solver", "run_solver", "solve"]
 
@@ -43,7 +42,7 @@ _NEAR_BARRIER, _AT_BARRIER, _ON_BARRIER = 1e-4, 1e-6, 1e-9
 # Nodes times iterations that take as long interpreted as compiling takes, measured on four-bars: 0.06 ms and 0.5 s. And the
 # fewest iterations before a solve is begun again.
 _WORTH_COMPILING, _FEWEST = 8000, 20
-# What a solve is given whose deadline has passed [s]: IPOPT takes no less than nothing, and stops after an iteration.
+# IPOPT's own limit on time [s] is positive: with less it stops after an iteration.
 _LEAST_TIME_S = 1e-3
 
 
@@ -51,8 +50,8 @@ _LEAST_TIME_S = 1e-3
 class Solution:
     """A solver's result for a program: unknowns, whether a local optimum, its status in words, the time it took [s].
 
-    `multipliers` (n_rows,) are the rows', of f + multipliers g, `bound_multipliers` (n,) the unknowns' own; None from a
-    solver that does not tell.
+    `multipliers` (n_rows,) are the rows', of f + multipliers g, `bound_multipliers` (n,) the unknowns' own; None
+    without an answer.
     """
 
     transcribed: Transcribed
@@ -73,36 +72,28 @@ def build_solver(
     *,
     warm: bool = False,
     close: bool = False,
-    endpoint: Endpoint | None = None,
 ) -> Solver:
-    """Return the solver that settings ask for; a warm one begins next to the point that it is given.
+    """Return IPOPT for a program; a warm one begins next to the point that it is given.
 
     Args:
         program: what to solve.
-        settings: by which solver, and how long.
+        settings: how many iterations, and how long.
         warm: whether it begins next to an answer.
-        close: whether that is the answer itself but for another mesh; both, whether it is so nearly to the last digit. IPOPT
-            alone makes a difference.
-        endpoint: the program's, where it has one.
+        close: whether that is the answer itself but for another mesh; both, whether it is so nearly to the last digit.
 
     Raises:
         ProblemError: when the solver cannot be set up for the program.
     """
     settings = settings or SolverSettings()
     iterations = MAX_ITERATIONS if settings.max_iterations is None else settings.max_iterations
-    max_time_s = settings.max_time_s
-    if settings.deadline is not None:
-        max_time_s = max(_LEAST_TIME_S, min(max_time_s, settings.deadline - time.monotonic()))
     try:
-        if settings.name == "fatrop":
-            return FatropSolver(program, endpoint, max_iterations=iterations, max_time_s=max_time_s, warm=warm or close)
-        return _ipopt(program, iterations, max_time_s, warm=warm, close=close)
+        return _ipopt(program, iterations, settings, warm=warm, close=close)
     except RuntimeError as error:
-        raise ProblemError(f"solver '{settings.name}' cannot be set up: {one_line(error)}") from error
+        raise ProblemError(f"IPOPT cannot be set up: {one_line(error)}") from error
 
 
-def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool, close: bool) -> Solver:
-    functions = program.functions
+def _ipopt(program: Program, iterations: int, settings: SolverSettings, *, warm: bool, close: bool) -> Solver:
+    functions, left_s = program.functions, settings.deadline.within(settings.max_time_s).left_s
     options = {
         "print_time": False,
         "ipopt.print_level": 0,
@@ -114,7 +105,8 @@ def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool, 
         "ipopt.acceptable_constr_viol_tol": ACCEPTABLE,
         "ipopt.acceptable_compl_inf_tol": ACCEPTABLE,
         "ipopt.max_iter": iterations,
-        "ipopt.max_wall_time": max_time_s,
+        # IPOPT counts the time of all threads. The callback counts this one's, after each iteration.
+        "ipopt.max_cpu_time": max(_LEAST_TIME_S, left_s * threading.active_count()),
         # Limits are promises: IPOPT may not relax them by its customary 1e-8.
         "ipopt.bound_relax_factor": 0.0,
         "ipopt.honor_original_bounds": "yes",
@@ -130,21 +122,22 @@ def _ipopt(program: Program, iterations: int, max_time_s: float, *, warm: bool, 
     if program.mesh.n_intervals >= _LARGE:
         options["ipopt.mumps_permuting_scaling"] = 0
     if not (warm or close):
-        return _Ipopt(functions["nlp"], options)
+        return _Ipopt(functions["nlp"], options, settings)
     barrier = _AT_BARRIER if close else _NEAR_BARRIER
     near = options | {"ipopt.mu_init": _ON_BARRIER if warm and close else barrier}
     near |= {f"ipopt.{push}": 0.01 * barrier for push in ("bound_push", "bound_frac")}
     pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
     again = options | {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": _WARM_BARRIER}
     again |= {f"ipopt.warm_start_{push}": _WARM_PUSH for push in pushes}
-    return _WarmIpopt(functions["nlp"], near, again)
+    return _WarmIpopt(functions["nlp"], near, again, settings)
 
 
 class _Watch(ca.Callback):
-    """What IPOPT asks after every iteration: one where a signal asks this process to end, and the solve with it."""
+    """What IPOPT asks after every iteration: one where a signal asks this process to end, or the deadline has passed."""
 
     def __init__(self) -> None:
         ca.Callback.__init__(self)
+        self.deadline, self.late = NO_DEADLINE, False
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
@@ -163,31 +156,34 @@ class _Watch(ca.Callback):
     def eval(self, arg: list) -> list:
         """Return whether to stop."""
         del arg
-        return [float(asked() is not None)]
+        self.late = self.deadline.passed
+        return [float(self.late or asked() is not None)]
 
 
 class _Ipopt:
     """IPOPT with the callback that stops it, which CasADi itself does not keep alive."""
 
-    def __init__(self, nlp: ca.Function, options: dict[str, Any]) -> None:
-        self._watch = _Watch()
+    def __init__(self, nlp: ca.Function, options: dict[str, Any], settings: SolverSettings) -> None:
+        self._watch, self._settings = _Watch(), settings
         self._solver = ca.nlpsol("solver", "ipopt", nlp, options | {"iteration_callback": self._watch})
 
     def __call__(self, **numbers: Any) -> Any:
         """Return the answer, "x", "f" and multipliers."""
+        self._watch.deadline, self._watch.late = self._settings.deadline.within(self._settings.max_time_s), False
         return self._solver(**numbers)
 
     def stats(self) -> dict[str, Any]:
         """Return what there is to say of the last answer."""
-        return self._solver.stats()
+        stats = self._solver.stats()
+        return stats | {"return_status": OUT_OF_TIME} if self._watch.late else stats
 
 
 class _WarmIpopt:
     """IPOPT that begins next to the point that it is given, and from its second answer on from the last multipliers."""
 
-    def __init__(self, nlp: ca.Function, near: dict[str, Any], again: dict[str, Any]) -> None:
-        self._solver = self._near = _Ipopt(nlp, near)
-        self._build = lambda: _Ipopt(nlp, again)
+    def __init__(self, nlp: ca.Function, near: dict[str, Any], again: dict[str, Any], settings: SolverSettings) -> None:
+        self._solver = self._near = _Ipopt(nlp, near, settings)
+        self._build = lambda: _Ipopt(nlp, again, settings)
         self._again: _Ipopt | None = None
         self._multipliers: dict[str, ca.DM] = {}
 
@@ -233,8 +229,8 @@ def _patience(transcribed: Transcribed, settings: SolverSettings) -> int | None:
 
 
 def _solved(transcribed: Transcribed, settings: SolverSettings, *, warm: bool, close: bool) -> Solution:
-    begin, endpoint = time.perf_counter(), transcribed.formulation.endpoint
-    solver = build_solver(transcribed.program, settings, warm=warm, close=close, endpoint=endpoint)
+    begin = time.perf_counter()
+    solver = build_solver(transcribed.program, settings, warm=warm, close=close)
     return run_solver(solver, transcribed, build_s=time.perf_counter() - begin)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.planner.transcription.bounds import bang_coefficients, bounds, given_nodes, linear_rows, row_bounds
 from linkplan.planner.transcription.compiled import CodeT, cached, chain_key, compile_beside, compiled, node_key
 from linkplan.planner.transcription.formulation import Formulation, Start, Units, fitted
@@ -97,7 +98,7 @@ def collocate(
     start: Start,
     *,
     compile_mode: str = "auto",
-    deadline: float | None = None,
+    deadline: Deadline = NO_DEADLINE,
     least_limit: bool = False,
     bang_efforts: np.ndarray | None = None,
     constrained_paths: np.ndarray | None = None,
@@ -111,7 +112,7 @@ def collocate(
         durations: guessed durations (n_segments,) [s] of its segments.
         start: the motion to start from.
         compile_mode: "auto", "always" or "never".
-        deadline: on the monotonic clock [s], which compiling keeps.
+        deadline: of compiling.
         least_limit: seek, in place of the objective, the smallest common factor on the effort limits.
         bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
         constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower one (-1) over whole
@@ -199,7 +200,7 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
 
 
 def _interval(
-    formulation: Formulation, chosen: Scheme, n_intervals: int, mode: str, deadline: float | None
+    formulation: Formulation, chosen: Scheme, n_intervals: int, mode: str, deadline: Deadline
 ) -> IntervalFunctions:
     """Return the functions of one interval: compiled ones where they are wanted or at hand."""
     (system, _), rows = without_numbers(formulation.build_system()), formulation.rows
@@ -223,7 +224,7 @@ def _interval(
     return interval_of(system, chosen, rows, node, chain)
 
 
-def with_compiled_code(transcribed: Transcribed, deadline: float | None = None) -> Transcribed:
+def with_compiled_code(transcribed: Transcribed, deadline: Deadline = NO_DEADLINE) -> Transcribed:
     """Return a program with compiled functions in place of interpreted ones, which give the same numbers.
 
     Where compiling does not end in its share of the time until a `deadline`, they are interpreted as before.

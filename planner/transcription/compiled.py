@@ -18,7 +18,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import time
 import warnings
 from collections.abc import Callable
 from dataclasses import fields, replace
@@ -26,8 +25,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import casadi as ca
-import numpy as np
 
+from linkplan.models.deadline import NO_DEADLINE, Deadline, waiting_for_child
 from linkplan.models.errors import one_line
 from linkplan.planner.transcription.cache import (
     evict,
@@ -143,16 +142,16 @@ def _loaded(folder: Path, key: str, kind: type[CodeT], file: tuple[int, ...]) ->
     return kind(**functions, **said)
 
 
-def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: float | None = None) -> CodeT:
+def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: Deadline = NO_DEADLINE) -> CodeT:
     """Return functions from the cache, or built and compiled now, or built and interpreted where that cannot be done.
 
-    Before a `deadline` on the monotonic clock [s] the compiler has a share of what is left, and is ended then.
+    The compiler has a share of the time left until a `deadline`, and is ended then.
     """
     found = cached(key, kind)
     if found is not None:
         return found
     functions = build()
-    left = np.inf if deadline is None else _SHARE_OF_TIME * (deadline - time.monotonic())
+    left = _SHARE_OF_TIME * deadline.left_s
     if compiler() is None or left <= 0 or _is_endless(functions):
         return functions
     try:
@@ -242,4 +241,5 @@ def _run(command: list[str], work: Path, timeout_s: float) -> None:
         OSError: where it cannot be started.
         subprocess.SubprocessError: where it fails, or takes too long.
     """
-    run_with_children(command, work, timeout_s)
+    with waiting_for_child():
+        run_with_children(command, work, timeout_s)

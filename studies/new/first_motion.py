@@ -2,7 +2,6 @@
 
 import itertools
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.audit import audit
+from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError, UnassembledError, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
@@ -27,7 +27,7 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.ladder import PATIENT, Rung
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.starts import from_a_smooth_path
-from linkplan.planner.solvers.outcome import OUT_OF_TIME
+from linkplan.planner.solvers.outcome import OF_TIME
 from linkplan.studies.new.hanging import at_rest, driven_columns, hanging_columns, hung, is_equilibrium, rests_by_itself
 
 Say = Callable[[str], None]
@@ -49,8 +49,8 @@ _SLACK = 1e-8
 _EASE, _LEAST_S, _SWINGS = 2.0, 0.1, 2.0
 _GRAVITY = 9.81
 # How long motions are planned for [s of this process's own work], one after the other: each has a share of what is left,
-# and no less than a solve takes. Where others are at work too, a clock on the wall goes so many times faster at the most.
-_PATIENCE_S, _SHARE_OF_TIME, _LEAST_LEFT_S, _BUSIEST = 40.0, 0.5, 1.0, 10.0
+# and no less than a solve takes.
+_PATIENCE_S, _SHARE_OF_TIME, _LEAST_LEFT_S = 40.0, 0.5, 1.0
 # Motions of many joints are moved together by less: the whole of it is that of so many.
 _AT_ONCE = 2
 _SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_a_smooth_path, budget=PATIENT),)
@@ -110,28 +110,26 @@ def first_motion(model: str, say: Say) -> FirstMotion:
         ModelError: when the model cannot be used.
         ProblemError: when nothing drives it, or no coordinate that is driven can move, saying what to add.
     """
-    clock, worked = time.monotonic(), time.process_time()
     mechanism = _assembled(model)
     _refuse_undriven(mechanism)
     found = FirstMotion(mechanism=mechanism, tables=_tables(mechanism, *_ends(mechanism, 0.0, 1)), plan=None, why=_SHUT)
-    ends = time.process_time() + _PATIENCE_S
+    deadline = Deadline().within(_PATIENCE_S)
     tried: list[tuple[Mechanism, dict[str, dict]]] = []
     for rungs in (_SMOOTH, RUNGS):  # a smooth path leads to most motions at once; what else there is takes its time
         for moving, tables in tried if rungs is RUNGS else _of_all_homes(mechanism, say):
-            left = ends - time.process_time()
+            left = deadline.left_s
             if left < _LEAST_LEFT_S:
                 return found
             if rungs is _SMOOTH:
                 tried.append((moving, tables))
-            pace = np.clip((time.monotonic() - clock) / (time.process_time() - worked), 1.0, _BUSIEST)
-            hurried = tables | {"solver": {"max_time_s": float(pace * max(_LEAST_LEFT_S, _SHARE_OF_TIME * left))}}
+            hurried = tables | {"solver": {"max_time_s": max(_LEAST_LEFT_S, _SHARE_OF_TIME * left)}}
             try:
                 answer = plan_motion(problem_from_tables(moving.name, hurried, mechanism=moving), say, rungs)
             except LinkplanError as error:
                 found = FirstMotion(mechanism=moving, tables=tables, plan=None, why=one_line(error))
                 continue
             why = "" if answer.passed else answer.message
-            if answer.history and answer.history[-1].solver_status == OUT_OF_TIME and why:
+            if OF_TIME in why:
                 why = f"no motion was found within {_PATIENCE_S:g} s of work; planning it without that bound may find one"
             found = FirstMotion(mechanism=moving, tables=tables, plan=answer, why=why)
             if found.planned:

@@ -54,7 +54,7 @@ class Problem:
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
         mesh: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`.
-        solver: `name`, `starts`, `compile`, `max_time_s`.
+        solver: `starts`, `compile`, `max_time_s`.
         tracking: `kp`, `kd`, `period_s`, `delay_periods`, `duration_s` and the weights of LQR.
         name: of the problem in messages, tables and files; by default the mechanism's with the kind of motion.
 

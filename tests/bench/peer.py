@@ -96,7 +96,6 @@ def _first(name: str, duration: float | None, most: float, held: list[list[objec
     programs = {
         f"{_ALONE}, interpreted": load_problem(name, ["solver.compile=never"]),
         f"{_ALONE}, compiled": problem,
-        f"{_ALONE}, compiled, FATROP": replace(problem, solver=replace(problem.solver, name="fatrop")),
     }
     works |= {label: lambda asked=asked: first_solve(asked) for label, asked in programs.items()}
     times = medians_s(works)
@@ -122,11 +121,10 @@ def _again(name: str, duration: float | None, held: list[list[object]]) -> str:
     there, missing = installed()
     problem = load_problem(name, ["solver.compile=always"])
     works = {peer: _in_turn(solve(duration).again()) for peer, solve in there.items()}
-    fatrop = replace(problem, solver=replace(problem.solver, name="fatrop"))
-    for label, asked, alone in ((_PLAN, problem, False), (_ALONE, problem, True), (f"{_ALONE}, FATROP", fatrop, True)):
+    for label, alone in ((_PLAN, False), (_ALONE, True)):
         planner = Planner()
-        planner.plan(asked)
-        works[label] = _in_turn(lambda goal, planner=planner, asked=asked, alone=alone: _plan(planner, asked, goal, alone))
+        planner.plan(problem)
+        works[label] = _in_turn(lambda goal, planner=planner, alone=alone: _plan(planner, problem, goal, alone))
     times = medians_s(works, _RE_SOLVES)
     quickest = min(times[peer] for peer in there)
     rows = [[label, 1e3 * spent, spent / quickest] for label, spent in times.items()]

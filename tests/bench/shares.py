@@ -123,16 +123,15 @@ def bench_shares() -> str:
     """Return the shares of evaluation, linear algebra and Python in one plan, one solve and one re-solve of knee-reach."""
     rows = []
     with own_cache():
-        for solver in ("ipopt", "fatrop"):
-            say(f"shares of time, {solver}")
-            problem = load_problem("knee-reach", ["solver.compile=always", f"solver.name={solver}"])
-            whole_plan(problem)
-            plans = [whole_plan(problem)[1] for _ in range(_REPEATS)]
-            goals = list(itertools.islice(itertools.cycle(np.radians([55.0, 56.27])), 2 * _REPEATS))
-            again = re_solves(problem, goals)[2:]
-            rows.append([f"one plan, {solver}", *_shares(plans, ("build", "certificate", "call"))])
-            rows.append([f"its solve, {solver}", *_shares(plans, ("call",))])
-            rows.append([f"one re-solve, {solver}", *_shares(again, ("numbers", "call"))])
+        say("shares of time")
+        problem = load_problem("knee-reach", ["solver.compile=always"])
+        whole_plan(problem)
+        plans = [whole_plan(problem)[1] for _ in range(_REPEATS)]
+        goals = list(itertools.islice(itertools.cycle(np.radians([55.0, 56.27])), 2 * _REPEATS))
+        again = re_solves(problem, goals)[2:]
+        rows.append(["one plan", *_shares(plans, ("build", "certificate", "call"))])
+        rows.append(["its solve", *_shares(plans, ("call",))])
+        rows.append(["one re-solve", *_shares(again, ("numbers", "call"))])
     head = [
         "knee-reach, compiled",
         "median [ms]",

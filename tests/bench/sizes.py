@@ -98,7 +98,7 @@ def problems() -> Iterator[PlanningProblem]:
 def one_size(problem: PlanningProblem, intervals: int) -> Size:
     """Return what building and solving a problem once takes on so many intervals."""
     settings = MeshSettings(scheme=problem.mesh.scheme, intervals=intervals, effort=problem.mesh.effort)
-    solver_settings = SolverSettings(name="ipopt", compile="never", max_iterations=_ITERATIONS)
+    solver_settings = SolverSettings(compile="never", max_iterations=_ITERATIONS)
     asked = replace(problem, mesh=settings, solver=solver_settings)
     builds, solves = [], []
     for _ in range(_TIMES):

@@ -64,7 +64,7 @@ def test_a_built_problem_is_what_a_file_says(knee):
         motors={"act_O": {"torque_constant": 0.5, "resistance_ohm": 0.1}},
         guess={"path_deg": {"O": np.linspace(-49.07, 56.27, 3)}},
         mesh={"scheme": "gauss-3", "intervals": 20},
-        solver={"name": "fatrop"},
+        solver={"starts": 3},
         tracking={"kp": 50, "kd": 2},
         name="mine",
     )
@@ -92,7 +92,7 @@ def test_a_built_problem_is_what_a_file_says(knee):
         scheme = "gauss-3"
         intervals = 20
         [solver]
-        name = "fatrop"
+        starts = 3
         [tracking]
         kp = 50
         kd = 2

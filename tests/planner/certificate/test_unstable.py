@@ -152,7 +152,7 @@ def test_switch_times_that_their_windows_hold_are_freed_on_the_way():
     case = random_case(1, 46)
     tables = case.tables | {"motion": case.tables["motion"] | {"max_duration_s": 1.15 * case.shortest}}
     problem = problem_from_tables("held", tables)
-    search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent, deadline=np.inf)
+    search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent)
     quick = least_time_motion(search, PATIENT)
     reached = continued(problem, quick, 80, [], silent)
     assert reached is not None
@@ -172,7 +172,7 @@ def test_where_longer_motions_are_lost_the_last_one_on_the_way_is_returned_and_s
         return step(problem, at, allowed, history, say) if allowed < 1.5 * quick.duration_s else None
 
     monkeypatch.setattr(duration_continuation, "_step", losing)
-    search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent, deadline=np.inf)
+    search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent)
     plan = from_continuation(search, PATIENT)
     assert plan.certificate.passed
     assert plan.status == "feasible"

@@ -233,10 +233,3 @@ def test_a_turn_passes_its_waypoints_and_ends_a_turn_after_its_start():
     ).require()
     assert plan.sample(np.array([0.0, 0.1, PERIOD_S])).position["O"] == pytest.approx([180.0, 300.0, 540.0], abs=1e-6)
     assert plan.objective > turning().objective
-
-
-def test_both_solvers_plan_the_same_turn():
-    plan = linkplan.plan(
-        linkplan.Problem.periodic(damped(), turns={"O": 1}, duration_s=PERIOD_S, solver={"name": "fatrop"})
-    ).require()
-    assert plan.objective == pytest.approx(turning().objective, rel=OBJECTIVE)

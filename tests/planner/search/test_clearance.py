@@ -1,6 +1,5 @@
 """Next to singular poses: motions kept clear where none is found without, known switches where a free solve is lost."""
 
-import time
 from dataclasses import replace
 from functools import cache
 
@@ -34,8 +33,8 @@ def problem_of(number: int) -> PlanningProblem:
 
 
 def search_for(problem: PlanningProblem) -> Search:
-    deadline = time.monotonic() + problem.solver.max_time_s
-    return Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None, deadline=deadline)
+    begun = replace(problem, solver=problem.solver.begun())
+    return Search(problem=begun, start_pose=start_pose_of(problem), say=lambda _: None)
 
 
 @cache

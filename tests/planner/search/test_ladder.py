@@ -1,17 +1,16 @@
 """The ladder of attempts: rungs in order, each where its condition holds and within its budget; and continuation."""
 
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from linkplan.models.deadline import Deadline, processor_time_s
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
 from linkplan.planner.refinement.case import attempt
-from linkplan.planner.search import ladder
 from linkplan.planner.search.attempts import with_constant_efforts
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.first_mesh import first_mesh
@@ -25,9 +24,10 @@ from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
 
 
-def search_for(problem, seconds: float = 600.0) -> Search:
-    deadline = ladder.time.monotonic() + seconds
-    return Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None, deadline=deadline)
+def search_for(problem, seconds: float = 600.0, clock=processor_time_s) -> Search:
+    deadline = Deadline(clock=clock).within(seconds)
+    timed = replace(problem, solver=replace(problem.solver, deadline=deadline))
+    return Search(problem=timed, start_pose=start_pose_of(problem), say=lambda _: None)
 
 
 def noting(name: str, called: list[str], plan=None, **conditions) -> Rung:
@@ -75,10 +75,9 @@ def test_a_verdict_ends_the_search():
     assert plan.message == verdict.message
 
 
-def test_the_time_is_that_of_the_whole_plan(monkeypatch):
+def test_the_time_is_that_of_the_whole_plan():
     called, now = [], [100.0]
-    monkeypatch.setattr(ladder.time, "monotonic", lambda: now[0])
-    search = search_for(load_problem("knee-reach"), seconds=10.0)
+    search = search_for(load_problem("knee-reach"), seconds=10.0, clock=lambda: now[0])
 
     def slow(search, budget):
         del search, budget
@@ -96,17 +95,16 @@ def test_a_plan_without_time_says_so_and_looks_for_nothing_else():
     assert len(plan.history) <= 1
 
 
-def test_a_best_plan_that_the_time_cut_short_is_returned_and_says_so(monkeypatch):
+def test_a_best_plan_that_the_time_cut_short_is_returned_and_says_so():
     problem, now = load_problem("knee-reach"), [100.0]
     found = plan_motion(problem)
-    monkeypatch.setattr(ladder.time, "monotonic", lambda: now[0])
 
     def slow(search, budget):
         del search, budget
         now[0] += 11.0
         return found
 
-    plan = climb(search_for(problem, seconds=10.0), [noting("slow", [], slow), noting("after it", [])])
+    plan = climb(search_for(problem, seconds=10.0, clock=lambda: now[0]), [noting("slow", [], slow), noting("after it", [])])
     assert plan.status == "optimal"
     assert plan.message.endswith("; the best found within its 600 s (solver.max_time_s)")
 
@@ -122,18 +120,17 @@ def test_no_program_is_built_after_the_deadline():
 def test_a_certificate_ends_with_the_plans_time_and_says_so():
     plan = plan_motion(load_problem("knee-reach"))
     assert plan.certificate.passed
-    past = replace(plan.problem.solver, deadline=time.monotonic() - plan.problem.solver.max_time_s)
+    past = replace(plan.problem.solver, deadline=Deadline().within(-0.5 * plan.problem.solver.max_time_s))
     judged = certify(replace(plan.problem, solver=past), plan.trajectory)
     assert not judged.passed
     assert any("ran out of the plan's 600 s (solver.max_time_s)" in said for said in judged.failures)
 
 
 @pytest.mark.parametrize(("share", "left"), [(1.0, 8.0), (0.25, 2.0)])
-def test_a_budget_shortens_the_time_and_the_iterations_of_its_solves(monkeypatch, share, left):
-    monkeypatch.setattr(ladder.time, "monotonic", lambda: 50.0)
-    search = search_for(load_problem("knee-reach"), seconds=8.0)
+def test_a_budget_shortens_the_time_and_the_iterations_of_its_solves(share, left):
+    search = search_for(load_problem("knee-reach"), seconds=8.0, clock=lambda: 50.0)
     within = search.within(Budget(iterations=7, share_of_time=share)).solver
-    assert within.deadline == pytest.approx(50.0 + left)
+    assert within.deadline.at_s == pytest.approx(50.0 + left)
     assert within.max_iterations == 7
     fewer = replace(search.problem, solver=replace(search.problem.solver, max_iterations=3))
     assert replace(search, problem=fewer).within(Budget(iterations=7)).solver.max_iterations == 3

@@ -10,5 +10,5 @@ from tests.support.plans import problem_of
 def test_without_effort_limits_there_is_no_shortest_motion():
     """It was asked for, and a least effort of servos without a forcerange was refused for its objective 'time'."""
     problem = problem_of("knee-reach", "limits.effort.act_O=[-inf, inf]")
-    search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent, deadline=float("inf"))
+    search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent)
     assert shortest_motion(search) is None

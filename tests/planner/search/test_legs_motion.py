@@ -69,7 +69,7 @@ def test_a_limit_that_the_legs_do_not_know_forbids_them(monkeypatch):
     monkeypatch.setattr(starts, "solve_from", lambda *_, **__: None)
     for share, passes in ((1.01, True), (0.99, False)):
         problem = load_problem("knee-sprint", ["limits.power_w.act_O=100", f"limits.speed_deg_s.A={share * peak_speed()}"])
-        search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent, deadline=np.inf)
+        search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent)
         assert (starts.along_power(search, RUNGS[0].budget) is not None) == passes
 
 

@@ -4,13 +4,13 @@ import json
 import os
 import sys
 import tempfile
-import time
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from linkplan.models.deadline import Deadline
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.transcription import cache
@@ -241,11 +241,11 @@ def test_a_compiler_ends_before_the_planner_s_deadline_and_the_interpreter_serve
     script.write_text(f'#!/bin/sh\necho begun > "{tmp_path}/begun"\nsleep 600\n', encoding="utf-8")
     script.chmod(0o700)
     monkeypatch.setattr(module, "compiler", lambda: (str(script),))
-    functions = compiled("k1", NodeFunctions, built, time.monotonic() + 4.0)
+    functions = compiled("k1", NodeFunctions, built, Deadline().within(4.0))
     assert (tmp_path / "begun").exists()
     assert "External" not in functions.node_value.class_name()
     (tmp_path / "begun").unlink()
-    compiled("k1", NodeFunctions, built, time.monotonic() - 1.0)  # no time left: not even begun
+    compiled("k1", NodeFunctions, built, Deadline().within(-1.0))  # no time left: not even begun
     assert not (tmp_path / "begun").exists()
     assert not recwarn.list
     assert list(folder.iterdir()) == []

@@ -1,0 +1,119 @@
+"""A plan's deadline in every loop: wherever it passes the command has an answer, and a motion that is known is kept."""
+
+# ruff: noqa: ARG005 - the signature of a problem's functions is what the problem says it is
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.models.deadline import Deadline, OutOfTimeError
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.solve_ocp import plan_ode
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.replan import Planner
+from linkplan.planner.search import ladder
+from linkplan.planner.solvers.outcome import OF_TIME
+
+TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
+MANY = ["solver.starts=1000"]
+LEGS = ["limits.power_w={ act_O = [-300.0, 300.0] }"]
+# Looks at the clock after which there is no time: the first loops, starts, solves, refinement, diagnosis.
+LOOKS = (1, 3, 10, 30, 100, 200, 400, 800, 1600, 3200)
+
+
+class Clock:
+    """A clock that goes on by a second each time that it is read."""
+
+    reads = 0
+
+    def __call__(self) -> float:
+        self.reads += 1
+        return float(self.reads)
+
+
+def timed(problem, looks: float):
+    """Return a problem that has time for so many looks at its clock, and the clock."""
+    clock = Clock()
+    return replace(problem, solver=replace(problem.solver, max_time_s=looks, deadline=Deadline(clock=clock))), clock
+
+
+def test_a_path_is_not_followed_beyond_its_deadline():
+    mechanism = load_problem("knee-reach").mechanism
+    path = np.radians(np.linspace(-49.0, 56.0, 50))[:, None]
+    assert len(follow(mechanism, path)) == 50
+    with pytest.raises(OutOfTimeError):
+        follow(mechanism, path, deadline=Deadline().within(-1.0))
+
+
+@pytest.mark.parametrize("looks", LOOKS)
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [("knee-sprint", []), ("knee-reach", TOO_WEAK), ("knee-sprint", LEGS), ("knee-reach", MANY), ("knee-sine", [])],
+    ids=["least time", "too weak", "along a power limit", "many starts", "prescribed"],
+)
+def test_wherever_the_time_ends_there_is_a_plan_that_says_so(name, overrides, looks):
+    problem, clock = timed(load_problem(name, overrides), looks)
+    plan = plan_motion(problem)
+    assert plan.status in ("optimal", "feasible", "infeasible", "failed")
+    assert plan.problem is problem
+    if plan.status == "failed":
+        assert OF_TIME in plan.message
+    # What is left of the plan then is no loop: some looks on the way out.
+    assert clock.reads < 3 * looks + 300
+
+
+def test_a_certified_motion_is_kept_when_a_later_rung_runs_out_of_time():
+    found = plan_motion(load_problem("knee-reach"))
+
+    def late(*_):
+        raise OutOfTimeError("late")
+
+    rungs = [
+        ladder.Rung(name="finds", climb=lambda *_: found, budget=ladder.PATIENT),
+        ladder.Rung(name="late", climb=late, budget=ladder.PATIENT),
+    ]
+    plan = plan_motion(load_problem("knee-reach"), rungs=rungs)
+    assert plan.status == "optimal"
+    assert plan.trajectory is found.trajectory
+
+
+def test_starts_that_were_solved_are_judged_when_the_time_for_further_ones_is_over():
+    problem, _ = timed(load_problem("knee-reach", MANY), 1000)
+    plan = plan_motion(problem)
+    assert plan.passed
+    assert 1 <= plan.details["starts_solved"] < 100
+    assert OF_TIME in plan.message
+
+
+@pytest.mark.parametrize("looks", [1, 3, 10, 30, 100, 300, 1000])
+def test_a_differential_equations_plan_has_an_answer_wherever_its_time_ends(looks):
+    problem = OdeProblem(
+        name="oscillator",
+        rate=lambda x, u, p, t: [x[1], u[0] - x[0]],
+        start=[0, 0],
+        goal=[1, 0],
+        effort_limit=[[-2, 2]],
+        duration_s=(0.1, 10),
+        final_cost=lambda x0, xT, T, p: T,
+        solver=SolverSettings(starts=50),
+    )
+    problem, clock = timed(problem, looks)
+    plan = plan_ode(problem)
+    assert plan.status in ("optimal", "feasible", "failed")
+    if plan.status == "failed":
+        assert OF_TIME in plan.message
+    assert clock.reads < 3 * looks + 300
+
+
+def test_a_planner_gives_a_warm_solve_and_a_plan_from_the_beginning_one_budget():
+    planner, problem = Planner(), load_problem("knee-reach")
+    planner.plan(problem).require()
+    late, clock = timed(problem, 1)
+    late = replace(late, motion=replace(late.motion, goal=np.radians([40.0])))
+    assert not planner.plan(late).passed
+    assert clock.reads < 30
+    assert planner.plan(problem).passed
