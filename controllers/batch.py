@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from linkplan.controllers.divergence import divergence_expected
 from linkplan.controllers.imperfections.servos import as_motors, refuse_unfit, servo_bias, servo_ranges
 from linkplan.controllers.rollout import admit
 from linkplan.controllers.sampling import Sampling
@@ -104,6 +105,7 @@ class BatchControlLoop:
             "delay_s": self.timing.delay_s,
         }
 
+    @divergence_expected()
     def run(
         self, ids: np.ndarray, reference: np.ndarray, feedforward: np.ndarray, gain: np.ndarray | None = None
     ) -> tuple[np.ndarray, np.ndarray]:

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
+from linkplan.controllers.divergence import divergence_expected
 from linkplan.controllers.imperfections.driving import act, driving, take
 from linkplan.controllers.imperfections.gaping import gaps
 from linkplan.controllers.imperfections.imperfections import Imperfections
@@ -65,6 +66,7 @@ def bytes_each(mechanism: Mechanism, instants: int) -> int:
     return 8 * instants * (2 + mechanism.n_q + mechanism.dof + 2 * mechanism.n_u)
 
 
+@divergence_expected()
 def run_ensemble(
     mechanism: Mechanism,
     reference: SampledReference,
@@ -99,11 +101,7 @@ def run_ensemble(
         except LinkplanError as error:
             log.failure[i], log.done[i] = one_line(error), 0
             plants.append(base)
-    mujoco.set_mju_user_warning(_ignore)  # a blow-up is this function's answer, not a line in a log file
-    try:
-        _simulate(log, mechanism, reference, steps_of(tracker), loop, machines, base.model, plants, substeps, threads)
-    finally:
-        mujoco.set_mju_user_warning(None)
+    _simulate(log, mechanism, reference, steps_of(tracker), loop, machines, base.model, plants, substeps, threads)
     clocks = [one.clock for one in machines]
     start = np.array([clock.phase_periods for clock in clocks])
     period = np.array([clock.period_factor for clock in clocks]) * reference.period_s
@@ -263,7 +261,8 @@ def _asked(
 
 
 def _words(error: BaseException) -> str:
-    """Return an error in a line: the kind of one that is not linkplan's own is half of what it says."""
+    """Return an error, or its cause, in a line: the kind of one that is not linkplan's own is half of what it says."""
+    error = error.__cause__ or error
     kind, said = type(error).__name__, one_line(error)
     return said if isinstance(error, LinkplanError) else f"{kind}: {said}" if said else kind
 
@@ -280,7 +279,3 @@ def _put(array: np.ndarray, rows: np.ndarray | slice, columns: np.ndarray | slic
         array[rows, columns] = values
     else:
         array[np.ix_(rows, columns)] = values
-
-
-def _ignore(message: str) -> None:
-    del message

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from linkplan.controllers.divergence import divergence_expected
 from linkplan.controllers.imperfections.imperfections import Clock
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.prediction import runge_kutta
@@ -41,6 +42,7 @@ class RigidRuns:
     failure: tuple[str | None, ...]
 
 
+@divergence_expected()
 def run_rigid(
     mechanism: Mechanism,
     reference: SampledReference,

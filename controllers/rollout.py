@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 import mujoco
 import numpy as np
 
+from linkplan.controllers.divergence import divergence_expected
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.controllers.trackers.tracker import AnyTracker
@@ -120,6 +121,7 @@ def scaled_model(mechanism: Mechanism, factor: float) -> mujoco.MjModel:
     return model
 
 
+@divergence_expected()
 def run(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, loop: ControlLoop) -> Rollout:
     """Return the log of a tracker run in MuJoCo over the whole reference."""
     model = scaled_model(mechanism, loop.mass_factor)
@@ -141,28 +143,24 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, 
     contacts, done, finite, asked_s = 0, n, True, np.empty(n)
     law = steps_of(tracker)
     memory = law.start(1)
-    mujoco.set_mju_user_warning(_ignore)  # a blow-up is this function's answer, not a line in a log file
-    try:
-        for k in range(n):
-            check()
-            poses[k] = mechanism.q_of(data.qpos, reference.pose[k])
-            velocities[k] = mechanism.rates_of(poses[k], data.qvel)[independent]
-            begin = time.perf_counter()
-            asked, memory = law.step(k, poses[k : k + 1, independent], velocities[k : k + 1], memory)
-            asked_s[k] = time.perf_counter() - begin
-            commanded[k] = asked[0]
-            # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.
-            applied[k] = np.clip(commanded[max(0, k - loop.delay_periods)], limit[:, 0], limit[:, 1])
-            if not np.all(np.isfinite(applied[k])):  # MuJoCo would take it for zero and go on
-                done, finite = k + 1, False
-                break
-            applied[k] = _step(model, data, actuators, applied[k], substeps)
-            contacts = max(contacts, data.ncon)
-            if _blew_up(data):
-                done, finite = k + 1, False
-                break
-    finally:
-        mujoco.set_mju_user_warning(None)
+    for k in range(n):
+        check()
+        poses[k] = mechanism.q_of(data.qpos, reference.pose[k])
+        velocities[k] = mechanism.rates_of(poses[k], data.qvel)[independent]
+        begin = time.perf_counter()
+        asked, memory = law.step(k, poses[k : k + 1, independent], velocities[k : k + 1], memory)
+        asked_s[k] = time.perf_counter() - begin
+        commanded[k] = asked[0]
+        # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.
+        applied[k] = np.clip(commanded[max(0, k - loop.delay_periods)], limit[:, 0], limit[:, 1])
+        if not np.all(np.isfinite(applied[k])):  # MuJoCo would take it for zero and go on
+            done, finite = k + 1, False
+            break
+        applied[k] = _step(model, data, actuators, applied[k], substeps)
+        contacts = max(contacts, data.ncon)
+        if _blew_up(data):
+            done, finite = k + 1, False
+            break
     kept = slice(0, done)
     gap_m, gap_rad = closure_gaps(mechanism, poses[kept])
     return Rollout(
@@ -184,6 +182,7 @@ def run(mechanism: Mechanism, reference: SampledReference, tracker: AnyTracker, 
     )
 
 
+@divergence_expected()
 def run_as_it_stands(
     mechanism: Mechanism,
     law: Callable[[float, float, float], float],
@@ -322,7 +321,3 @@ def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) ->
 def _blew_up(data: mujoco.MjData) -> bool:
     bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
     return any(data.warning[int(kind)].number > 0 for kind in bad) or not np.all(np.isfinite(data.qpos))
-
-
-def _ignore(message: str) -> None:
-    del message

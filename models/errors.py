@@ -1,6 +1,7 @@
 """The errors that linkplan raises: one tree, rooted at `LinkplanError`.
 
-A message is one line that says what was asked, what is legal and what was got.
+A message is one line that says what was asked, what is legal and what was got. Errors go from one process to another: what
+they carry beside it has a default, which pickle fills in.
 """
 
 from collections.abc import Mapping
@@ -27,6 +28,14 @@ class ModelError(LinkplanError):
     """An MJCF model, a payload or a name in it that cannot be used."""
 
 
+class InertiaError(ModelError):
+    """A mechanism whose reduced inertia is singular at home: some motion of its joints moves no mass."""
+
+    def __init__(self, message: str, dof: int = 0) -> None:
+        LinkplanError.__init__(self, message)
+        self.dof = dof
+
+
 class AssemblyError(ModelError):
     """A pose that does not close the loops, or that cannot be reached on the branch."""
 
@@ -34,9 +43,9 @@ class AssemblyError(ModelError):
 class LockedError(AssemblyError):
     """A mechanism that its closures lock; carries the degrees of freedom that come with leaving each of them out."""
 
-    def __init__(self, message: str, freed: Mapping[str, int]) -> None:
+    def __init__(self, message: str, freed: Mapping[str, int] | None = None) -> None:
         LinkplanError.__init__(self, message)
-        self.freed = dict(freed)
+        self.freed = dict(freed or {})
 
 
 class UnassembledError(AssemblyError):
@@ -70,6 +79,6 @@ class CertificateError(PlanFileError):
 class InfeasibleError(LinkplanError):
     """Raised by `Plan.require()` on a plan that is not optimal; carries the plan."""
 
-    def __init__(self, message: str, plan: object) -> None:
+    def __init__(self, message: str, plan: object = None) -> None:
         LinkplanError.__init__(self, message)
         self.plan = plan

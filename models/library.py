@@ -8,13 +8,15 @@ import numpy as np
 
 from linkplan.models.catalogue import MODELS as BUILT_IN
 from linkplan.models.catalogue import built_in_text, is_file, is_folder, is_text, is_there
-from linkplan.models.compiling import bounded
 from linkplan.models.errors import ModelError, one_line
-from linkplan.models.model_door import MOST_BYTES, refuse_files, refuse_text, refuse_unusable
+from linkplan.models.model_values import refuse_unusable
 from linkplan.models.names import nearest
 from linkplan.models.payload import Payload, attach
 from linkplan.models.reading import read_file, shown
 from linkplan.models.urdf import mesh_hint
+
+# The largest model of MuJoCo Menagerie has some hundred kilobytes; more than this is no model.
+MAX_MODEL_BYTES = 32_000_000
 
 __all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
@@ -34,8 +36,7 @@ def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[s
             attach(spec, payload)
         with warnings.catch_warnings(record=True) as told:  # what MuJoCo's bindings pass on as Python's warnings
             warnings.simplefilter("always")
-            with bounded():
-                model = spec.compile()
+            model = spec.compile()
         said += [str(one.message) for one in told]
     except (ValueError, RuntimeError, mujoco.FatalError, UnicodeDecodeError) as error:
         what = "MJCF text" if is_text(str(source)) else source
@@ -72,7 +73,6 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     if text in BUILT_IN:
         return text, _parse(text, built_in_text(text))
     if is_text(text):
-        refuse_text(text, None)
         spec = _parse("MJCF text", text)
         return spec.modelname or "MJCF text", spec
     path = Path(text)
@@ -83,9 +83,11 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
             f"unknown model '{shown(text)}'{nearest(text, BUILT_IN)}: neither a built-in name ({', '.join(BUILT_IN)})"
             " nor a file"
         )
-    if not read_file(path, f"model '{text}'", MOST_BYTES, ModelError).strip():
+    content = read_file(path, f"model '{text}'", MAX_MODEL_BYTES, ModelError)
+    if not content.strip():
         raise ModelError(f"model '{text}' is empty; a model is an MJCF file")
-    refuse_files(path)
+    if b"\0" in content:
+        raise ModelError(f"model '{text}' does not parse: it holds zero bytes; a model is MJCF or URDF text")
     try:
         return shown(path.stem), mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:

@@ -28,6 +28,7 @@ from linkplan.models.library import compile_model
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.pickling import packed, unpacked
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
+from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
 from linkplan.models.source_table import source_table
 from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.coordinates import Coordinates
@@ -223,6 +224,7 @@ def load_mechanism(
 
     Raises:
         ModelError: when the model cannot be used, or the named joints cannot be its coordinates.
+        InertiaError: when a motion of its joints moves no mass at home.
         AssemblyError: when its loops do not close at, or near, the pose asked.
     """
     if independent is not None:
@@ -281,6 +283,7 @@ def load_mechanism(
     long = lengths(model, tree, actuators)
     parametric = reduce_tree(tree, closures, B, rows, free, dependent, pi, projected, long)
     dynamics = parametric if payload is None else with_numbers(parametric, payload.numbers())
+    refuse_singular_inertia(name, joints, free, dynamics, pose)
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
     passive_dofs, notes = (
         find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent) if closures else ((), [])

@@ -47,6 +47,7 @@ class Planner:
     """A planner that keeps its last program; `plan` answers as `plan_motion` does, sooner where it can.
 
     Threads that share one wait for each other: its solver works on one thing at a time. Each with its own do not.
+    A copy is a new one: programs and solvers stay where they are.
     """
 
     def __init__(self, say: Say = silent) -> None:
@@ -59,6 +60,9 @@ class Planner:
         self._program: Program | None = None
         self._conditions: Conditions | None = None
         self._optimum: Optimum | None = None  # of the last program, at its `start`; None until a solver has told
+
+    def __reduce__(self) -> tuple:
+        return Planner, ()
 
     def plan(self, problem: PlanningProblem) -> Plan:
         """Return the plan of a problem.

@@ -1,4 +1,6 @@
-"""What every test has: a cache of compiled functions of its own, so that nothing found on the machine decides a test."""
+"""What tests have of their own, so that nothing found on the machine decides one: a cache of compiled functions, signals."""
+
+import signal
 
 import pytest
 
@@ -10,3 +12,17 @@ def own_cache(tmp_path_factory):
     patch.setenv("LINKPLAN_CACHE", str(tmp_path_factory.mktemp("cache")))
     yield
     patch.undo()
+
+
+@pytest.fixture
+def default_signals():
+    """Let SIGINT, SIGTERM and SIGHUP do in this process and its children what they do by default.
+
+    A process inherits which signals are ignored: nohup ignores SIGHUP, a job in the background of a script SIGINT.
+    """
+    handlers = {"SIGINT": signal.default_int_handler, "SIGTERM": signal.SIG_DFL, "SIGHUP": signal.SIG_DFL}
+    known = {getattr(signal, name): handler for name, handler in handlers.items() if hasattr(signal, name)}
+    before = {number: signal.signal(number, handler) for number, handler in known.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)

@@ -21,8 +21,8 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_size", "model_door", "urdf",
-        "compiling", "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
+        "errors", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_values", "urdf",
+        "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
         "source_table", "mechanism", "poses",
     ),
     "planner": (
@@ -30,8 +30,8 @@ ROOMS = {
         "ode", "search", "diagnosis", "planning", "robustness", "files", "motion_step", "replan", "batch",
     ),
     "controllers": (
-        "reference", "trackers", "integrator", "sampling", "rollout", "imperfections", "rigid_loop", "ensemble", "batch",
-        "controls", "playback",
+        "reference", "trackers", "divergence", "integrator", "sampling", "rollout", "imperfections", "rigid_loop",
+        "ensemble", "batch", "controls", "playback",
     ),
     "studies": (
         "output", "check", "tasks", "compare", "batch", "sensitivity", "experiment", "decompose", "frequency", "bode",

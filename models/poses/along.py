@@ -26,6 +26,8 @@ def mapped(function: ca.Function, n: int) -> ca.Function:
 def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
     """Return a function's first output over samples: arguments (n, k), result (n, rows, columns)."""
     n = len(arguments[0])
+    if n == 0:
+        return np.empty((0, *function.size_out(0)))
     if n > _TOGETHER and function.numel_out(0) >= _MANY:
         parts = [[a[k : k + _TOGETHER] for a in arguments] for k in range(0, n, _TOGETHER)]
         return np.concatenate([sampled(function, *part) for part in parts])

@@ -15,6 +15,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at
 
 # Sites within this share of the mechanism's extent of where they are asked are there.
@@ -68,10 +69,7 @@ def _kinematics(mechanism: Mechanism) -> ca.Function:
 
 def places_of(mechanism: Mechanism, site: int, q: np.ndarray) -> np.ndarray:
     """Return the world positions (n, 3) [m] of a site at poses q (n, n_q)."""
-    q = np.atleast_2d(np.asarray(q, dtype=float))
-    n_sites = mechanism.model.nsite
-    places = np.array(mechanism.dynamics.site_places.map(len(q))(q.T))
-    return places.reshape(3, len(q), n_sites)[:, :, site].T
+    return sampled(mechanism.dynamics.site_places, np.atleast_2d(np.asarray(q, dtype=float)))[:, :, site]
 
 
 def off_m(mechanism: Mechanism, targets: SiteTargets, pose: np.ndarray) -> np.ndarray:

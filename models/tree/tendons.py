@@ -17,6 +17,8 @@ HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 PULLEY = int(mujoco.mjtWrap.mjWRAP_PULLEY)
 SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
+# Sites nearer to each other coincide [m]: MuJoCo's own least length (mjMINVAL), below which it takes the world's x axis.
+NO_LENGTH_M = 1e-15
 
 
 def tendon_label(model: mujoco.MjModel, tendon: int) -> str:
@@ -111,6 +113,7 @@ def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int
         if before is not None and int(model.site_bodyid[site]) == int(model.site_bodyid[before[0]]):
             length += float(ca.norm_2(ca.DM(model.site_pos[site] - model.site_pos[before[0]]))) / divisor
         elif before is not None:
-            length += ca.norm_2(point - before[1]) / divisor
+            # Of sites that coincide the root has no slope: kept off zero, its slope there is zero and not 0 / 0.
+            length += ca.sqrt(ca.fmax(ca.sumsqr(point - before[1]), NO_LENGTH_M**2)) / divisor
         before = (site, point)
     return length

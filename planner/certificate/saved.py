@@ -24,14 +24,12 @@ _STATE_SHARE = 1e-6
 _OBJECTIVE_SHARE, _KINKED_SHARE = 0.01, 0.05
 # A term that makes efforts smooth may stand in the objective of tracking and of work: its own integral is no less than this.
 _SMOOTHED_SHARE = 0.5
-# A distance from a reference below this share of the motion's span counts as none.
-_NO_DISTANCE = 1e-6
+# What a term integrates counts as none below this share of its natural scale: a hundred times the solver's tolerance.
+_NEGLIGIBLE_SHARE = 1e-6
 _POINTS = 10
-# The largest number that a float may be: files may hold longer integers.
-_LARGEST = float(np.finfo(float).max)
 
 
-def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: object) -> tuple[str, ...]:
+def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: float | None) -> tuple[str, ...]:
     """Return the sentences on where a motion is not what its problem asks, or not what was said of it; empty where all fits.
 
     `objective` is the value that was saved with the motion; None, as of plans that have none, is not judged.
@@ -52,10 +50,8 @@ def disagreements(problem: PlanningProblem, trajectory: Trajectory, objective: o
         asked = f"{low:.9g} s" if low == high else f"{low:.9g} to {high:.9g} s"
         found.append(f"the motion lasts {lasts:.9g} s, asked for was {asked}")
     found += _off_states(problem, trajectory)
-    if isinstance(objective, int | float) and not isinstance(objective, bool) and abs(objective) <= _LARGEST:
-        found += _off_objective(problem, trajectory, float(objective))
-    elif objective is not None:
-        found.append(f"its objective is no number, {str(objective)[:60]!r}")
+    if objective is not None:
+        found += _off_objective(problem, trajectory, objective)
     return tuple(found)
 
 
@@ -85,15 +81,41 @@ def _off_objective(problem: PlanningProblem, trajectory: Trajectory, said: float
         return []
     objective = problem.objective
     share = _KINKED_SHARE if objective.has("work") else _OBJECTIVE_SHARE
-    nothing = 0.0
-    if objective.has("tracking"):
-        span = float(np.ptp(trajectory.position))
-        nothing = objective.weight("tracking") * (_NO_DISTANCE * span) ** 2 * trajectory.duration_s
+    nothing = negligible_objective(problem, trajectory)
     smoothed = objective.has("tracking", "work") and not objective.has(*QUADRATIC)
     low = (_SMOOTHED_SHARE if smoothed else 1.0 - share) * said - nothing
     if low <= value <= (1.0 + share) * said + nothing:
         return []
     return [f"its objective is said to be {said:.6g}, and that of the motion is {value:.6g}"]
+
+
+@np.errstate(all="ignore")  # a motion that was changed on disk may last 1e200 s
+def negligible_objective(problem: PlanningProblem, trajectory: Trajectory) -> float:
+    """Return the objective [SI] that counts as none: a motion that needs no work has what the solver's rounding leaves.
+
+    It is the same share of every term's quantity on its natural scale: a radian, or the mechanism's extent, of each joint;
+    the actuator's effort limit, or where there is none the largest effort of the motion and the inertia's over its duration.
+    """
+    mechanism, T = problem.mechanism, np.float64(trajectory.duration_s)
+    unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.independent_joints])
+    pose = trajectory.start_pose
+    maps = np.abs(np.array(mechanism.dynamics.effort_map(pose)))
+    inertial = (np.abs(np.array(mechanism.dynamics.reduced_inertia(pose))) @ unit).max(initial=0.0) / T**2
+    largest = np.abs(problem.limits.effort).max(axis=1)
+    asked = np.maximum(np.abs(trajectory.effort).max(axis=(0, 1)), inertial / max(maps.max(initial=0.0), 1e-300))
+    effort = np.where(np.isfinite(largest), largest, asked)
+    loads = maps @ effort
+    losses = np.array([0.0 if motor is None else motor.loss for motor in problem.motors])
+    small = _NEGLIGIBLE_SHARE
+    floors = {
+        "effort": T * np.sum((small * effort) ** 2),
+        "copper_loss": T * losses @ (small * effort) ** 2,
+        "effort_rate": np.sum((small * effort) ** 2) / T,
+        "tracking": T * np.sum((small * unit) ** 2),
+        "work": small * float(loads @ unit),
+        "closure_force": T * (small * loads.max(initial=0.0) / mechanism.extent_m) ** 2,
+    }
+    return float(sum(weight * floors.get(term, 0.0) for term, weight in problem.objective.weights.items()))
 
 
 def objective_value(problem: PlanningProblem, trajectory: Trajectory) -> float:

@@ -6,6 +6,7 @@ A batch file is TOML: `problem`, a built-in name or a file; `set`, settings for 
 """
 
 import itertools
+import unicodedata
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -76,10 +77,19 @@ def read_batch(path: str | Path) -> Batch:
     for name in names:
         if not name.isprintable() or len(name.encode()) >= MOST_BYTES:
             raise ProblemError(f"case.name is a word that can name a folder, got {name!r}")
-    twice = sorted(name for name, times in Counter(names).items() if times > 1)
+    alike = Counter(map(_on_disk, names))
+    twice = sorted({name for name in names if alike[_on_disk(name)] > 1})
     if twice:
-        raise ProblemError(f"cases of a batch have names of their own; twice: {', '.join(twice)}")
+        raise ProblemError(
+            "cases of a batch have names of their own, which differ in more than upper and lower case; twice:"
+            f" {', '.join(twice)}"
+        )
     return Batch(problem=problem, common=tuple(asked.set), cases=cases)
+
+
+def _on_disk(name: str) -> str:
+    """Return a name as disks compare it that tell neither upper from lower case nor normal forms of Unicode."""
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def _swept(table: dict) -> list[tuple[str, list[str]]]:

@@ -1,6 +1,5 @@
 """Plans on disk: `plan.json`, `trajectory.npz` and `trajectory.csv` in a folder."""
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import replace
@@ -13,7 +12,7 @@ from linkplan.models.catalogue import is_file
 from linkplan.models.digest import part_hashes
 from linkplan.models.errors import AssemblyError, CertificateError, LinkplanError, PlanFileError
 from linkplan.models.poses.contacts import Meeting
-from linkplan.models.reading import read_file, shown, too_deep
+from linkplan.models.reading import shown
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.collisions import with_contacts
 from linkplan.planner.certificate.margins import Margin
@@ -21,18 +20,13 @@ from linkplan.planner.certificate.saved import disagreements
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.files.folders import complete, plain_record, write_json
 from linkplan.planner.files.motion_table import motion_table
+from linkplan.planner.files.plan_record import FORMAT, PlanRecord, history_of, read_plan_record
 from linkplan.planner.files.problem_file import problem_from_tables
-from linkplan.planner.files.saved_history import history_of
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
-from linkplan.planner.plan import PASSED, STATUSES, Plan, not_honoured
+from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.planning_problem import PlanningProblem
-
-FORMAT = 1
-# The largest number that a float may be: files may hold longer integers.
-_LARGEST = float(np.finfo(float).max)
-# A plan of the largest mesh has some hundred kilobytes of words; more than this is something else.
-MOST_JSON_BYTES = 64_000_000
+from linkplan.planner.trajectory import Trajectory
 
 
 def versions() -> dict[str, str]:
@@ -124,7 +118,7 @@ def _contact_record(meeting: Meeting) -> dict:
 
 
 def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bool = False, parquet: bool = False) -> None:
-    """Write a plan's files into an existing, empty folder.
+    """Write a plan's files into an existing, empty folder, and read them back as `read_plan` would.
 
     Args:
         plan: with a motion.
@@ -135,6 +129,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
 
     Raises:
         PlanFileError: when the plan has no motion.
+        CertificateError: when `read_plan` would refuse the files of a plan that passes.
     """
     if plan.trajectory is None:
         raise PlanFileError(f"nothing to save: {plan.message}")
@@ -149,6 +144,9 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     if parquet:
         about = {"linkplan": metadata.version("linkplan"), "plan": plan.problem.name}
         (folder / "trajectory.parquet").write_bytes(parquet_bytes(table.columns(), about))
+    again = _judged(folder, read_plan_record(folder), read_trajectory(folder / "trajectory.npz"), plan.problem)
+    if plan.passed and not again.passed:
+        raise CertificateError(f"the plan is not saved, since its files could not be used: {again.message}")
 
 
 def _from(place: Path, problem: PlanningProblem) -> str | None:
@@ -175,32 +173,24 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
         PlanFileError: when the folder, or a file in it, is missing, truncated or not a plan's.
     """
     folder = Path(folder)
-    if not folder.is_dir():
-        raise PlanFileError(f"'{folder}' is not a plan: a plan is a folder with plan.json and trajectory.npz")
-    complete(folder)
-    if not (folder / "plan.json").exists():
-        within = folder / "plan"
-        inside = f", as '{within}' is" if (within / "plan.json").is_file() else ""
-        raise PlanFileError(
-            f"'{folder}' is not a plan: it has no plan.json; a plan is a folder with that and trajectory.npz{inside}"
-        )
-    said = _read_json(folder / "plan.json")
-    missing = [key for key in ("format", "name", "status", "message", "problem") if key not in said]
-    if missing:
-        raise PlanFileError(f"'{folder / 'plan.json'}' is not a plan: it lacks {', '.join(missing)}")
-    if said["status"] not in STATUSES:
-        raise PlanFileError(
-            f"'{folder / 'plan.json'}' has status {said['status']!r}; a plan's is one of {', '.join(STATUSES)}"
-        )
-    details = said.get("details") or {}
-    if not isinstance(details, dict):
-        raise PlanFileError(f"'{folder / 'plan.json'}' has details that are no table")
-    if said["format"] != FORMAT:
-        raise PlanFileError(f"'{folder / 'plan.json'}' has format {said['format']!r}; this linkplan reads {FORMAT}")
+    if folder.is_dir():
+        complete(folder)
+    said = read_plan_record(folder)
     trajectory = read_trajectory(folder / "trajectory.npz")
     for override in overrides:
-        apply_override(said["problem"], override)
-    problem = _problem_again(said, folder, overrides)
+        apply_override(said.problem, override)
+    plan = _judged(folder, said, trajectory, _problem_again(said, folder, overrides))
+    if not plan.passed and not anyway:
+        raise CertificateError(f"plan '{folder}' is not used: {plan.message}")
+    return plan
+
+
+def _judged(folder: Path, said: PlanRecord, trajectory: Trajectory, problem: PlanningProblem) -> Plan:
+    """Return the plan that the files in a folder say of a problem, its certificate made anew: "failed" if it does not pass.
+
+    Raises:
+        PlanFileError: when the motion is of another mechanism.
+    """
     mechanism = problem.mechanism
     sizes = (trajectory.n_s, trajectory.velocity.shape[2], trajectory.n_u, len(trajectory.start_pose))
     if sizes != (mechanism.dof, mechanism.dof, mechanism.n_u, mechanism.n_q):
@@ -214,54 +204,46 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
         raise PlanFileError(
             f"'{folder / 'trajectory.npz'}' holds a motion that the mechanism cannot make: {error}"
         ) from error
-    status, message = str(said["status"]), str(said["message"])
-    misses = (*certificate.failures, *disagreements(problem, trajectory, said.get("objective")))
+    status, message = said.status, said.message
+    misses = (*certificate.failures, *disagreements(problem, trajectory, said.objective))
     if misses:
         certificate = replace(certificate, failures=misses)
         status, message = "failed", f"failed: the motion on disk does not pass its certificate: {'; '.join(misses)}"
-    if status not in PASSED and not anyway:
-        raise CertificateError(f"plan '{folder}' is not used: {message}")
     return Plan(
         problem=problem,
         status=status,
         message=message,
-        objective=_number(said.get("objective")),
+        objective=said.objective,
         trajectory=trajectory,
         certificate=certificate,
-        history=history_of(said.get("history")),
-        details={str(name): value for name, told in details.items() if (value := _number(told)) is not None},
+        history=history_of(said),
+        details={name: value for name, value in said.details.items() if value is not None},
     )
 
 
-def _number(value: object) -> float | None:
-    """Return a figure of a record as a number; None of anything else, which an edited file may hold."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    return float(value) if abs(value) <= _LARGEST else None
-
-
-def _problem_again(said: dict, folder: Path, overrides: Sequence[str] = ()) -> PlanningProblem:
+def _problem_again(said: PlanRecord, folder: Path, overrides: Sequence[str] = ()) -> PlanningProblem:
     """Return a saved plan's problem, its model from beside the plan or from where it was; refused where that has changed."""
-    if isinstance(said["problem"].get("limits"), dict):
-        said["problem"]["limits"] = _unbounded(said["problem"]["limits"])
-    section = said["problem"].get("mechanism")
+    tables = said.problem
+    if isinstance(tables.get("limits"), dict):
+        tables["limits"] = _unbounded(tables["limits"])
+    section = tables.get("mechanism")
     models = [section.get("model")] if isinstance(section, dict) else [None]
-    beside = said.get("model_from_here")
-    if isinstance(beside, str) and is_file(folder / beside):
+    beside = said.model_from_here
+    if beside is not None and is_file(folder / beside):
         models.insert(0, str((folder / beside).resolve()))
-    guess = said["problem"].get("guess")
+    guess = tables.get("guess")
     if (
         isinstance(guess, dict)
         and isinstance(guess.get("plan"), str)
         and not is_file(Path(guess["plan"]) / "trajectory.npz")
     ):
-        del said["problem"]["guess"]  # where the solver once began; the motion is here without it
+        del tables["guess"]  # where the solver once began; the motion is here without it
     refusal, changed = None, ""
     for model in dict.fromkeys(model for model in models if model is None or isinstance(model, str)):
         if isinstance(section, dict):
             section["model"] = model
         try:
-            problem = problem_from_tables(shown(said["name"]), said["problem"])
+            problem = problem_from_tables(shown(said.name), tables)
         except LinkplanError as error:
             refusal = refusal or error
             continue
@@ -285,21 +267,20 @@ def _unbounded(value: object) -> object:
     return [_unbounded(item) for item in value] if isinstance(value, list) else value
 
 
-def _changed(said: dict, problem: PlanningProblem) -> list[str]:
+def _changed(said: PlanRecord, problem: PlanningProblem) -> list[str]:
     """Return the parts of a model that are not as they were planned with; nothing where that cannot be told."""
-    kept, versions_then = said.get("fingerprint"), said.get("versions")
-    if not isinstance(kept, dict) or not isinstance(versions_then, dict) or versions_then.get("mujoco") != mujoco_version():
+    kept = said.fingerprint
+    if kept is None or said.versions.get("mujoco") != mujoco_version():
         return []
     return [part for part, digest in part_hashes(problem.mechanism.model).items() if kept.get(part, digest) != digest]
 
 
 def unchecked(folder: str | Path) -> str | None:
     """Return why it cannot be told whether a saved plan's model has changed since, or None where it can."""
-    said = _read_json(Path(folder) / "plan.json")
-    if not isinstance(said.get("fingerprint"), dict):
+    said = read_plan_record(Path(folder))
+    if said.fingerprint is None:
         return "plan.json has no fingerprint of its model: whether that has changed since is not known"
-    versions_then = said.get("versions")
-    then = versions_then.get("mujoco") if isinstance(versions_then, dict) else None
+    then = said.versions.get("mujoco")
     if then != mujoco_version():
         return f"planned with MuJoCo {then}, this is {mujoco_version()}: whether the model has changed since is not known"
     return None
@@ -308,17 +289,3 @@ def unchecked(folder: str | Path) -> str | None:
 def mujoco_version() -> str:
     """Return the version of MuJoCo, which compiles the models."""
     return metadata.version("mujoco")
-
-
-def _read_json(path: Path) -> dict:
-    try:
-        said = json.loads(read_file(path, f"'{path}'", MOST_JSON_BYTES, PlanFileError).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise PlanFileError(f"'{path}' is truncated or not JSON: {error}") from error
-    try:
-        json.dumps(said, ensure_ascii=False).encode("utf-8")
-    except (ValueError, RecursionError) as error:  # halves of characters, which JSON can hold and no other file can
-        raise PlanFileError(f"'{path}' holds what is no text: {str(error)[:80]}") from error
-    if not isinstance(said, dict) or not isinstance(said.get("problem", {}), dict) or too_deep(said):
-        raise PlanFileError(f"'{path}' is not a plan")
-    return said

@@ -9,11 +9,15 @@ import numpy as np
 
 from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.reading import read_file
+from linkplan.planner.files.archive import read_member
+from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.trajectory import Trajectory
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 # The largest mesh, in its highest degree, for a mechanism of forty joints: 20,000 intervals x 10 x 40 x 8 bytes.
 _MOST_BYTES = 64_000_000
+# Twice the coefficients of the highest degree, on the largest mesh: more takes gigabytes to check.
+_MAX_COEFFICIENTS = 24
 
 
 def read_trajectory(path: Path) -> Trajectory:
@@ -29,11 +33,17 @@ def read_trajectory(path: Path) -> Trajectory:
             lacking = [name for name in (*ARRAYS, "periodic") if f"{name}.npy" not in held]
             if lacking:
                 raise PlanFileError(f"'{path}' lacks an array: {lacking[0]}")
-            arrays = {name: _array(archive, name) for name in ARRAYS}
-            periodic = _array(archive, "periodic")
+            periodic = _array(archive, "periodic", bool)
             if periodic.size != 1:
                 raise ValueError(f"periodic is one word, got {periodic.size}")
-            return Trajectory(**arrays, periodic=bool(periodic.ravel()[0]))
+            arrays = {name: _array(archive, name, float) for name in ARRAYS}
+            trajectory = Trajectory(**arrays, periodic=bool(periodic.ravel()[0]))
+            n, most = len(trajectory.breaks_s) - 1, max(len(arrays[name]) for name in ("position", "velocity", "effort"))
+            if n > MAX_INTERVALS or most > _MAX_COEFFICIENTS:
+                raise ValueError(
+                    f"it has {n} intervals of {most} coefficients; at most {MAX_INTERVALS} of {_MAX_COEFFICIENTS} are read"
+                )
+            return trajectory
     except PlanFileError:
         raise
     except Exception as error:  # a zip file's and a header's parsers raise some fifteen kinds on damaged bytes
@@ -41,25 +51,22 @@ def read_trajectory(path: Path) -> Trajectory:
         raise PlanFileError(f"'{path}' is truncated or not a trajectory: {why}") from error
 
 
-def _array(archive: zipfile.ZipFile, name: str) -> np.ndarray:
-    """Return an array of an npz file, whose size is looked at before it is asked for: 8 MB can hold 8 GB of zeros.
+def _array(archive: zipfile.ZipFile, name: str, wanted: type) -> np.ndarray:
+    """Return an array of an npz file.
 
     Raises:
-        ValueError: when it is not numbers, or its header and its length do not agree.
+        ValueError: when it is of another type, or its header and its length do not agree.
     """
-    declared = archive.getinfo(f"{name}.npy").file_size
-    if declared > _MOST_BYTES:
-        raise ValueError(f"{name} would take {declared} bytes; at most {_MOST_BYTES} are read")
-    with archive.open(f"{name}.npy") as file:
-        version = np.lib.format.read_magic(file)
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
-        if read_header is None:
-            raise ValueError(f"{name} has a header of version {version}")
-        shape, fortran, kind = read_header(file)
-        if kind.kind not in "biuf" or kind.hasobject:
-            raise ValueError(f"{name} holds {kind}, not numbers")
-        wanted = math.prod(int(size) for size in shape) * kind.itemsize
-        if any(size < 0 for size in shape) or wanted != declared - file.tell():
-            raise ValueError(f"{name} is of shape {shape}, {wanted} bytes, and holds {declared - file.tell()}")
-        data = np.frombuffer(file.read(), dtype=kind)
-    return data.reshape(shape, order="F" if fortran else "C")
+    content = read_member(archive, f"{name}.npy", _MOST_BYTES)
+    file = io.BytesIO(content)
+    version = np.lib.format.read_magic(file)
+    read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}.get(version)
+    if read_header is None:
+        raise ValueError(f"{name} has a header of version {version}")
+    shape, fortran, kind = read_header(file)
+    if kind != np.dtype(wanted):
+        raise ValueError(f"{name} holds {kind}, not {np.dtype(wanted)}")
+    size = math.prod(int(length) for length in shape) * kind.itemsize
+    if any(length < 0 for length in shape) or size != len(content) - file.tell():
+        raise ValueError(f"{name} is of shape {shape}, {size} bytes, and holds {len(content) - file.tell()}")
+    return np.frombuffer(content, dtype=kind, offset=file.tell()).reshape(shape, order="F" if fortran else "C")

@@ -7,11 +7,12 @@ from msgspec import Meta
 from linkplan.planner.keys.kinds import Settings
 from linkplan.planner.keys.section import Section, key
 
-# A folder is named after each case: no separators, no wildcards, nothing that cannot be seen.
+# A folder is named after each case: no separators, no wildcards, nothing that cannot be seen, and no name of a record of
+# results, beside which it stands.
 _FOLDER_NAME = Meta(
-    pattern=r"""^[^./\\:*?"<>|\x00-\x1f\x7f][^/\\:*?"<>|\x00-\x1f\x7f]*$""",
+    pattern=r"""^(?!.*\.[jJ][sS][oO][nN]$)[^./\\:*?"<>|\x00-\x1f\x7f][^/\\:*?"<>|\x00-\x1f\x7f]*$""",
     max_length=99,
-    extra={"said": "a word that can name a folder"},
+    extra={"said": "a word that can name a folder, without .json at its end"},
 )
 _PROBLEM = Meta(min_length=1, extra={"said": "a built-in name or a TOML file"})
 _CASES = Meta(min_length=1, extra={"said": "a list of tables ([[case]])"})

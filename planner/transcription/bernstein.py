@@ -37,7 +37,7 @@ class PiecewisePolynomial:
         tau = (at - self.breaks[index]) / np.diff(self.breaks)[index]
         basis = bernstein_matrix(len(self.coefficients) - 1, tau.ravel())
         values = np.einsum("mp,pmk->mk", basis, self.coefficients[:, index.ravel()])
-        return values.reshape(*at.shape, -1)
+        return values.reshape(*at.shape, self.coefficients.shape[2])
 
     def derivative(self, order: int = 1) -> "PiecewisePolynomial":
         """Return the derivative of an order; zero of a constant."""

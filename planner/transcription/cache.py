@@ -65,10 +65,10 @@ def cache_folder() -> Path:
 
 
 def trusted_folder(*, make: bool) -> Path:
-    """Return the cache's folder, in which nobody else can write; made where that is wanted and it was not there.
+    """Return the cache's folder, in which nobody else can write, nor where it lies; made where that is wanted.
 
     Raises:
-        OSError: when it is not there or cannot be made, or somebody else owns it or may write there.
+        OSError: when it is not there or cannot be made, or somebody else owns it or a folder above it, or may write there.
     """
     given = cache_folder()
     if make:
@@ -81,7 +81,8 @@ def trusted_folder(*, make: bool) -> Path:
     if found.st_uid == os.geteuid() and found.st_mode & _OTHERS and not os.environ.get("LINKPLAN_CACHE"):
         folder.chmod(0o700)  # made by an earlier version under a generous umask
         found = folder.stat()
-    why = _whose(found) or next((why for above in folder.parents if (why := _replaceable(above))), None)
+    above = dict.fromkeys([*Path(os.path.abspath(given)).parents, *folder.parents])  # links on the way lie in folders, too
+    why = _whose(found) or next((why for one in above if (why := _replaceable(one))), None)
     if why is not None:
         raise PermissionError(
             f"the cache '{folder}' {why}, and what is in it is run: name one of your own in LINKPLAN_CACHE"
@@ -97,9 +98,16 @@ def _whose(found: os.stat_result) -> str | None:
 
 
 def _replaceable(above: Path) -> str | None:
-    """Return in words that anybody may put another folder in the place of one in here; None where not."""
-    mode = above.stat().st_mode
-    return f"lies in '{above}', which all may write" if mode & stat.S_IWOTH and not mode & stat.S_ISVTX else None
+    """Return in words that somebody else may put another folder in the place of one in here; None where not.
+
+    A group counts where the cache is named in LINKPLAN_CACHE: in home folders it is often the user's own.
+    """
+    found = above.stat()
+    if found.st_uid not in (0, os.geteuid()):
+        return f"lies in '{above}', which belongs to somebody else"
+    others = _OTHERS if os.environ.get("LINKPLAN_CACHE") else stat.S_IWOTH
+    kept = not found.st_mode & others or found.st_mode & stat.S_ISVTX
+    return None if kept else f"lies in '{above}', which others may write"
 
 
 def find(folder: Path, key: str) -> tuple[Path, dict] | None:

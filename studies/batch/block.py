@@ -7,13 +7,21 @@ import io
 import json
 import tempfile
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import msgspec
+from msgspec import Struct
+
+from linkplan.models.errors import PlanFileError, one_line
 from linkplan.planner.batch import plan_cases
-from linkplan.planner.files.batch_file import Batch
+from linkplan.planner.files.archive import read_member
+from linkplan.planner.files.batch_file import Batch, Case
 from linkplan.planner.files.plan_folder import write_plan
+from linkplan.planner.files.plan_record import read_plan_record
+from linkplan.planner.files.trajectory_file import read_trajectory
 from linkplan.planner.refinement.history import Say
 from linkplan.studies.output.batch_table import case_record, case_row
 
@@ -21,6 +29,9 @@ from linkplan.studies.output.batch_table import case_record, case_row
 # begin from nothing.
 _SHARES, _FEWEST, _MOST = 16, 8, 64
 _CASES = "cases.json"
+_FILES = ("plan.json", "trajectory.npz", "trajectory.csv", "trajectory.parquet")
+# A file of a plan on the largest mesh has some ten megabytes.
+_MAX_BYTES = 64_000_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -83,13 +94,51 @@ def packed(answers: list[Planned]) -> bytes:
     return room.getvalue()
 
 
-def unpacked(path: Path, place: Path | None) -> list[Planned]:
-    """Return the answers of a block from its archive, without their files: those go into folders at a place."""
-    with zipfile.ZipFile(path) as archive:
-        said = json.loads(archive.read(_CASES))
-        if place is not None:
-            for name in archive.namelist():
-                if name != _CASES:
-                    (place / name).parent.mkdir(exist_ok=True)
-                    (place / name).write_bytes(archive.read(name))
-    return [Planned(**one, files={}) for one in said]
+class _Answer(Struct, frozen=True):
+    """A case's answer as it stands in the archive of its block."""
+
+    name: str
+    row: list[str | None]
+    record: dict[str, Any]
+    failure: str | None
+
+
+def unpacked(path: Path, cases: Sequence[Case], place: Path | None) -> list[Planned]:
+    """Return the answers of a block from its archive, without their files: those go into folders at a place.
+
+    Raises:
+        PlanFileError: when the archive is damaged, of other cases, or has a plan that could not be read where it stands.
+    """
+    if not path.is_file():
+        raise PlanFileError(f"'{path}' is no file; remove it, and the same command plans its cases again")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            said = msgspec.json.decode(read_member(archive, _CASES, _MAX_BYTES), type=list[_Answer])
+            if [one.name for one in said] != [case.name for case in cases]:
+                raise ValueError("its cases are not those of the batch")
+            if place is not None:
+                _unpack(archive, said, place)
+    except Exception as error:  # a zip file's parser raises a dozen kinds on damaged bytes
+        why = one_line(error) or type(error).__name__
+        raise PlanFileError(f"'{path}' is damaged: {why}; remove it, and the same command plans its cases again") from error
+    return [Planned(name=one.name, row=one.row, record=one.record, failure=one.failure, files={}) for one in said]
+
+
+def _unpack(archive: zipfile.ZipFile, said: Sequence[_Answer], place: Path) -> None:
+    """Write the files of plans into a folder for each case, and read those back that are read again.
+
+    Raises:
+        ValueError: when a member is no file of a case's plan, or too large.
+        PlanFileError: when a plan's files are damaged.
+    """
+    planned = [one.name for one in said if one.failure is None]
+    legal = {f"{name}/{file}" for name in planned for file in _FILES}
+    if others := sorted(set(archive.namelist()) - legal - {_CASES}):
+        raise ValueError(f"'{others[0][:100]}' is no file of its plans")
+    for name in archive.namelist():
+        if name != _CASES:
+            (place / name).parent.mkdir(exist_ok=True)
+            (place / name).write_bytes(read_member(archive, name, _MAX_BYTES))
+    for name in planned:
+        read_plan_record(place / name)
+        read_trajectory(place / name / "trajectory.npz")

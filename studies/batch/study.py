@@ -106,7 +106,8 @@ def _work(batch: Batch, target: Path | None, parquet: bool, say: Say | None, blo
 def _outcome(folder: Path, batch: Batch, place: Path | None, keep_records: bool) -> Outcome:
     rows, failures, cases = [], [], {}
     for block in range(block_count(len(batch.cases))):
-        for answer in unpacked(part(folder, block, "zip"), place):
+        cases_here = [batch.cases[i] for i in cases_of(block, len(batch.cases))]
+        for answer in unpacked(part(folder, block, "zip"), cases_here, place):
             rows.append(answer.row)
             failures += [] if answer.failure is None else [answer.failure]
             if keep_records:

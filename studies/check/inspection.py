@@ -18,7 +18,7 @@ from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import AT_THE_END, NO_ARM, feeble_drives, pressed_stops, pushed_one_way, undriven
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 from linkplan.studies.check.softness import softness_note
-from linkplan.studies.check.tendon_ranges import tendon_findings
+from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
 
 # A loop that stands open by more than this at the model's own reference pose is a fault of the file; less is its rounding.
 OPEN_M = 1e-6
@@ -207,7 +207,7 @@ def _findings(mechanism: Mechanism, reaches) -> tuple[list[str], list[str]]:
         notes += _toggle_notes(mechanism, can) if index not in mechanism.passive_dofs else []
     notes += feeble_drives(mechanism)
     beyond, ends = tendon_findings(mechanism, reaches)
-    problems += beyond
+    problems += [*beyond, *coincident_sites(mechanism)]
     notes += ends
     for item in audit(mechanism.model):
         (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)

@@ -21,6 +21,7 @@ from linkplan.models.poses.along import least_effort, sampled, sampled_where_mov
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics
+from linkplan.models.reduction.regular_inertia import is_regular, singular_inertia_text
 from linkplan.planner.closed_chain.guess import first_guess, poses_along
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import start_pose_of
@@ -55,7 +56,7 @@ class KinematicLoopPath:
     reduced_inertia: np.ndarray  # (n, n_s, n_s)
     reflected_inertia: (
         np.ndarray
-    )  # (n, n_u) felt by an actuator, the other coordinates free; infinite where it moves nothing
+    )  # (n, n_u) felt by an actuator, the other coordinates free; infinite where it moves nothing, nan where M_r is singular
     gravity_effort: np.ndarray  # (n, n_s) that holds the weight
     holding_effort: np.ndarray  # (n, n_u) of the actuators, the least that holds weight and springs
     unheld_effort: np.ndarray  # (n, n_s) what the actuators cannot hold, in whichever strength
@@ -190,6 +191,20 @@ def motion_path(problem: PlanningProblem) -> KinematicLoopPath:
     return measure(mechanism, poses, title, time_s=time, limit=problem.limits.effort)
 
 
+def inertia_notes(path: KinematicLoopPath) -> list[str]:
+    """Return a sentence on the poses of a path at which the reduced inertia is singular, if there are any."""
+    singular = np.flatnonzero(~is_regular(path.reduced_inertia))
+    if not len(singular):
+        return []
+    k, joints = int(singular[0]), path.mechanism.independent_joints
+    of = range(len(joints)) if path.coordinate is None else [path.coordinate]
+    at = ", ".join(f"{joints[i].name} = {joints[i].said(path.positions[k, i], 4)} {joints[i].unit}" for i in of)
+    return [
+        f"singular inertia at {at}, in {len(singular)} of {len(path.poses)} poses along {path.title}:"
+        f" {singular_inertia_text(joints, path.reduced_inertia[k])} there, and no effort fixes their acceleration"
+    ]
+
+
 def acts(path: KinematicLoopPath) -> np.ndarray:
     """Return whether an actuator acts on a coordinate anywhere along a path (n_s, n_u), rounding apart."""
     most = np.abs(path.ratio).max(axis=0)
@@ -197,9 +212,12 @@ def acts(path: KinematicLoopPath) -> np.ndarray:
 
 
 def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
-    """Return 1 / (r_j^T M^-1 r_j) (n, n_u), infinite where r_j vanishes."""
-    mobility = np.einsum("ksu,ksu->ku", ratio, np.linalg.solve(inertia, ratio))
-    return np.divide(1.0, mobility, out=np.full_like(mobility, np.inf), where=mobility > 0)
+    """Return 1 / (r_j^T M^-1 r_j) (n, n_u), infinite where r_j vanishes, not a number where M is singular."""
+    regular = is_regular(inertia)
+    found = np.full((len(ratio), ratio.shape[2]), np.nan)
+    mobility = np.einsum("ksu,ksu->ku", ratio[regular], np.linalg.solve(inertia[regular], ratio[regular]))
+    found[regular] = np.divide(1.0, mobility, out=np.full_like(mobility, np.inf), where=mobility > 0)
+    return found
 
 
 def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
@@ -223,7 +241,7 @@ def _singularity(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
 
 
 def path_record(path: KinematicLoopPath) -> dict:
-    """Return what `linkplan check --json` says of a path: lists over its samples; what is infinite is null."""
+    """Return what `linkplan check --json` says of a path: lists over its samples; what is infinite or no number is null."""
     mechanism = path.mechanism
     joints = list(enumerate(mechanism.joints))
     independent = [joint.name for joint in mechanism.independent_joints]

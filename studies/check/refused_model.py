@@ -1,9 +1,12 @@
-"""What `linkplan check` says of a model that is no mechanism as it stands: locked, or not assembled at its own pose."""
+"""What `linkplan check` says of a model that is no mechanism as it stands: locked, not assembled, or without inertia."""
 
 from dataclasses import dataclass
 
 from linkplan.models.closure.closed_pose import home_text
-from linkplan.models.errors import LockedError, UnassembledError
+from linkplan.models.errors import InertiaError, LockedError, UnassembledError
+
+# What a model is refused for that `check` reports on as a problem found, and not as bad input.
+REFUSED = (InertiaError, LockedError, UnassembledError)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -11,7 +14,7 @@ class RefusedModel:
     """A report on a model that cannot be loaded, with what there is to write into it."""
 
     name: str
-    error: LockedError | UnassembledError
+    error: InertiaError | LockedError | UnassembledError
 
     @property
     def problems(self) -> tuple[str, ...]:
@@ -28,6 +31,8 @@ class RefusedModel:
         said: dict = {"name": self.name, "problems": list(self.problems)}
         if isinstance(self.error, LockedError):
             return said | {"locked": True, "dof": 0, "dof_gained_without": self.error.freed}
+        if isinstance(self.error, InertiaError):
+            return said | {"locked": False, "dof": self.error.dof}
         return said | {
             "locked": False,
             "dof": None,
@@ -40,7 +45,7 @@ class RefusedModel:
         lines = [f"{self.name}: no mechanism as it stands", "", f"PROBLEM: {self.error}"]
         if isinstance(self.error, LockedError):
             lines += [f"locked by: {part} (+{more} without it)" for part, more in self.error.freed.items()]
-        elif self.error.keyframe:
+        elif isinstance(self.error, UnassembledError) and self.error.keyframe:
             lines += [
                 "",
                 "into the model, in place of a keyframe home:",

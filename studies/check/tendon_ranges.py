@@ -1,12 +1,20 @@
-"""Where tendons reach the ends of their ranges."""
+"""Where tendons reach the ends of their ranges, and where one has no length: its force has no direction there."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 
+import mujoco
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.reach import Reach
+from linkplan.models.tree.tendons import SITE, is_fixed, path_of, tendon_label, wraps
+
+# Sites nearer to each other than this share of the mechanism's size coincide: ten digits of a file.
+_COINCIDENT = 1e-10
+# What makes a tendon pull: fields of MuJoCo's model.
+_PULLS = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature", "frictionloss", "limited")
 
 
 def tendon_findings(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[list[str], list[str]]:
@@ -31,6 +39,33 @@ def tendon_findings(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[lis
                 at = ", ".join(joint.said(x, 4) for x in sorted(stops))
                 notes.append(f"tendon {tendon.name} is at the end of its range {said} at {joint.name} = {at} {joint.unit}")
     return problems, notes
+
+
+def coincident_sites(mechanism: Mechanism) -> list[str]:
+    """Return a sentence on each tendon that pulls between two sites which coincide at home."""
+    model, said = mechanism.model, []
+    places = np.array(mechanism.dynamics.site_places(mechanism.home))
+    for tendon in filter(lambda tendon: _pulls(model, tendon), range(model.ntendon)):
+        path = [int(model.wrap_objid[k]) if int(model.wrap_type[k]) == SITE else None for k in path_of(model, tendon)]
+        for one, other in pairwise(path):
+            if one is None or other is None or model.site_bodyid[one] == model.site_bodyid[other]:
+                continue
+            if np.linalg.norm(places[:, one] - places[:, other]) <= _COINCIDENT * mechanism.extent_m:
+                names = " and ".join(model.site(site).name or f"site {site}" for site in (one, other))
+                said.append(
+                    f"tendon {tendon_label(model, tendon)} has no length between {names}, which coincide at home: its force"
+                    " has no direction there (a plan takes none, the simulator the world's x axis); choose another home"
+                    " pose, or move one of the sites"
+                )
+    return said
+
+
+def _pulls(model: mujoco.MjModel, tendon: int) -> bool:
+    """Return whether a tendon through sites exerts a force."""
+    kinds, on = model.actuator_trntype, model.actuator_trnid[:, 0]
+    driven = np.any((kinds == int(mujoco.mjtTrn.mjTRN_TENDON)) & (on == tendon))
+    pulls = driven or any(np.any(getattr(model, f"tendon_{field}")[tendon]) for field in _PULLS)
+    return bool(pulls) and not is_fixed(model, tendon) and not wraps(model, tendon)
 
 
 def _crossings(x: np.ndarray, values: np.ndarray) -> list[float]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from linkplan.models.errors import LinkplanError, LockedError, UnassembledError
+from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
 from linkplan.planner.files.tables import Tables
@@ -12,7 +12,14 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.studies.check.check_report import path_text
 from linkplan.studies.check.inspection import Inspection, inspect, inspection_record
 from linkplan.studies.check.inspection_text import inspection_text
-from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, motion_path, path_record, reach_paths
+from linkplan.studies.check.kinematic_loop_report import (
+    KinematicLoopPath,
+    inertia_notes,
+    motion_path,
+    path_record,
+    reach_paths,
+)
+from linkplan.studies.check.refused_model import REFUSED
 
 # Tables of more coordinates than this, each with the quantities of all of them, are read by nobody: half a megabyte of 42.
 _MANY = 6
@@ -61,13 +68,13 @@ def mechanism_and_problem(
     """Return a problem file's mechanism, its problem where there is one, and why a problem that there is cannot be planned.
 
     Raises:
-        LinkplanError: when the mechanism itself cannot be, or is locked or not assembled.
+        LinkplanError: when the mechanism itself cannot be, or is one of REFUSED.
     """
     if "motion" not in tables:
         return mechanism_from_tables(tables, folder), None, ()
     try:
         problem = problem_from_tables(name, tables, folder)
-    except (LockedError, UnassembledError):
+    except REFUSED:
         raise
     except LinkplanError as error:
         return mechanism_from_tables(tables, folder), None, (f"the problem cannot be planned: {error}",)
@@ -95,7 +102,8 @@ def check_whole(
     found = inspect(mechanism, list(poses), motion=motion, contacts="refuse" if problem is None else problem.contacts)
     paths = reach_paths(mechanism, found.reaches) if motion is None else (motion,)
     chosen = () if problem is None else problem.notes
-    return WholeCheck(found=replace(found, notes=(*found.notes, *notes, *chosen, *off_path)), paths=paths)
+    singular = [note for path in paths for note in inertia_notes(path)]
+    return WholeCheck(found=replace(found, notes=(*found.notes, *singular, *notes, *chosen, *off_path)), paths=paths)
 
 
 def _motion(problem: PlanningProblem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:

@@ -3,9 +3,8 @@
 import argparse
 from pathlib import Path
 
-from linkplan.models.errors import LockedError, UnassembledError
 from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.studies.check.refused_model import RefusedModel
+from linkplan.studies.check.refused_model import REFUSED, RefusedModel
 from linkplan.studies.cli.common import output_folder, poses_asked, tables_of
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import show
@@ -20,7 +19,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     try:
         sections = tables if is_problem else {"mechanism": tables["mechanism"]}
         mechanism, problem, notes = mechanism_and_problem(name, sections, folder)
-    except (LockedError, UnassembledError) as error:
+    except REFUSED as error:
         return _refused(arguments, target, RefusedModel(name=Path(name).stem, error=error))
     whole = check_whole(mechanism, problem, poses_asked(arguments, mechanism), notes)
     found, said = whole.found, whole.record()

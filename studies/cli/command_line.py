@@ -2,7 +2,8 @@
 
 import argparse
 
-from linkplan.studies.cli.parser import NoParser, Parser
+from linkplan.controllers.controls import keys_said
+from linkplan.studies.cli.parser import Parser
 from linkplan.studies.cli.shells import SHELLS
 from linkplan.studies.export.formats import FORMATS
 from linkplan.studies.output.tables import folded
@@ -13,12 +14,8 @@ full disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 the
 reader of stdout left before the result, which no -o has saved"""
 
 
-def build_parser(only: str | None = None) -> Parser:
-    """Return the command line's parser.
-
-    Args:
-        only: the command whose words are to be parsed, where it is known already; the others are then left out.
-    """
+def build_parser() -> Parser:
+    """Return the command line's parser."""
     parser = Parser(
         prog="linkplan",
         description="Optimal-control motion planning for closed-chain mechanisms.",
@@ -31,11 +28,8 @@ def build_parser(only: str | None = None) -> Parser:
     def command(
         name: str, text: str, *, output: bool = True, settings: bool = True, report: bool = False
     ) -> argparse.ArgumentParser:
-        if only not in (None, name):
-            return NoParser()
         sentence = folded(f"{text[0].upper()}{text[1:]}.", below="")
         sub = commands.add_parser(name, help=text, description=sentence, epilog=EPILOG)
-        parser.commands[name] = sub
         sub.formatter_class = argparse.RawDescriptionHelpFormatter
         sub.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
         if output:
@@ -136,10 +130,7 @@ def build_parser(only: str | None = None) -> Parser:
     tune.add_argument("--sensitivity-peak", type=float, metavar="M", help="largest |S| allowed (default: any)")
 
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
-    if only in (None, "view"):
-        from linkplan.controllers.controls import keys_said
-
-        view.epilog = f"keys in the window: {keys_said()}\n\n{EPILOG}"
+    view.epilog = f"keys in the window: {keys_said()}\n\n{EPILOG}"
     view.add_argument("plan", metavar="PLAN", help="a saved plan's folder, a built-in problem or a TOML file")
     _anyway(view)
     _tracker(view)

@@ -63,7 +63,8 @@ def completion_script(shell: str) -> str:
     from linkplan.studies.cli.command_line import build_parser
 
     parser = build_parser()
-    for command in (parser, *parser.commands.values()):
+    commands = next(action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))
+    for command in (parser, *commands.values()):
         for action in command._actions:
             takes = _completed(str(action.metavar))
             if takes is not None:

@@ -19,7 +19,7 @@ from linkplan.models.errors import CertificateError, LinkplanError, one_line
 from linkplan.models.interrupts import check, ended_by, listening
 from linkplan.studies.cli.command_line import build_parser
 from linkplan.studies.cli.exit_codes import BAD_INPUT, BY_SIGNAL, DONE, NO
-from linkplan.studies.cli.faults import is_of_memory, refuse_little_memory, refuse_own_rights, told_to_the_makers
+from linkplan.studies.cli.faults import is_of_memory, told_to_the_makers
 from linkplan.studies.cli.printing import delivered, keep_closed_streams_closed, let_go, quiet, refuse
 from linkplan.studies.cli.streams import put
 
@@ -99,13 +99,9 @@ def _warned(message: Warning | str, category: type[Warning], *_: object) -> None
 
 def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
     """Return a command's arguments, or the exit code where there is nothing to run."""
-    words = sys.argv[1:] if argv is None else argv
-    parser = build_parser(words[0] if words and words[0] in _MODULES else None)
+    parser = build_parser()
     try:
-        parser.refuse_misspelled(words)
-        arguments, extra = parser.parse_known_args(argv)
-        if extra and arguments.command is not None:
-            parser.refuse_extra(arguments.command, extra, sets=bool(getattr(arguments, "set", None)))
+        arguments = parser.parse_args(argv)
     except SystemExit as leave:
         return int(leave.code or 0)
     if arguments.version:
@@ -126,8 +122,6 @@ def _with_own_figures() -> None:
 
 def _run(arguments: argparse.Namespace) -> int:
     try:
-        refuse_little_memory(arguments.command)
-        refuse_own_rights(arguments.command)
         module = importlib.import_module(f"linkplan.studies.cli.{_MODULES[arguments.command]}")
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
         try:
@@ -148,7 +142,7 @@ def _run(arguments: argparse.Namespace) -> int:
         what = "the result cannot be written" if error.filename is None else f"'{error.filename}' cannot be read or written"
         refuse(arguments.command, one_line(f"{what}: {error.strerror or error}"))
         return BAD_INPUT
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a library that ends the process would leave neither result nor word
         check()  # libraries make other errors of an interrupt that comes while they are loaded
         return unforeseen(arguments.command, error)
 

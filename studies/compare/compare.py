@@ -209,6 +209,7 @@ def _loop(plan: Plan, mismatch: Mismatch | None) -> ControlLoop:
     )
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a run that diverged has errors without end
 def rollout_record(plan: Plan, rollout: Rollout) -> dict:
     """Return a run's figures by name, their units in the names."""
     mechanism = plan.problem.mechanism

@@ -1,9 +1,11 @@
 """A user's own tracker beside the built-in ones: what it may be, and a check of what it gives at every instant."""
 
+import contextlib
 import functools
 import importlib
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
@@ -13,7 +15,7 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.tracker import AnyTracker, Tracker, TrackerWithMemory
-from linkplan.models.errors import LinkplanError, ProblemError, one_line
+from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
 from linkplan.studies.compare.tracker_source import ENTRY_POINTS, look_here, module_of, source_files
@@ -21,6 +23,10 @@ from linkplan.studies.compare.tracker_source import ENTRY_POINTS, look_here, mod
 # A built-in name, a law, or what makes a law of the reference that it is to follow.
 Asked = str | AnyTracker | Callable[[SampledReference], AnyTracker]
 
+# Characters of a user's object or error that a refusal quotes.
+_QUOTED_CHARACTERS = 300
+# A name stands in those of files, which have 255 bytes at the most.
+_LONGEST_NAME = 50
 # What the modules of trackers held when they were loaded: in a process that lives on their files may change.
 _loaded_from: dict[str, bytes] = {}
 
@@ -53,12 +59,39 @@ def known_tracker(text: str) -> str:
     return choose("tracker", text, (*TRACKERS, *sorted(entry_points(group=ENTRY_POINTS).names)), ProblemError)
 
 
-def _loaded(text: str, load: Callable[[], Any]) -> Asked:
+@contextlib.contextmanager
+def users_code(name: str, doing: str) -> Iterator[None]:
+    """Turn whatever a user's code raises into a refusal that names the tracker.
+
+    SystemExit among it: the command would end with the tracker's exit code, its result lost.
+
+    Raises:
+        ProblemError: "tracker 'name' does this: KindOfError: its text"
+    """
     try:
+        yield
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        what = ": ".join(part for part in (type(error).__name__, _text_of(error)) if part)
+        raise ProblemError(f"tracker '{name}' {doing}: {what}") from error
+
+
+def _text_of(thing: object) -> str:
+    """Return the beginning of a user's object as one line; its kind where its own text raises."""
+    try:
+        said = one_line(thing)
+    except KeyboardInterrupt:
+        raise
+    except BaseException:
+        said = f"<{type(thing).__name__}>"
+    return said if len(said) <= _QUOTED_CHARACTERS else f"{said[:_QUOTED_CHARACTERS]} ..."
+
+
+def _loaded(text: str, load: Callable[[], Any]) -> Asked:
+    with users_code(text, "cannot be loaded"):
         _forget_older(text)
         return load()
-    except (Exception, SystemExit) as error:  # whatever a module of somebody else's does when it is loaded
-        raise ProblemError(f"tracker '{text}' cannot be loaded: {type(error).__name__}: {one_line(error)}") from error
 
 
 def _forget_older(text: str) -> None:
@@ -101,9 +134,11 @@ class CheckedTracker:
         """Return efforts (..., n_u) [N.m or N].
 
         Raises:
-            ProblemError: when the law gives anything but one number for each actuator.
+            ProblemError: when the law raises, or gives anything but one number for each actuator.
         """
-        return _checked(self.law.effort(k, position, velocity), self.name, position.shape[:-1], self.actuators)
+        with users_code(self.name, f"fails at control instant {k}"):
+            given = self.law.effort(k, position, velocity)
+        return _checked(given, self.name, position.shape[:-1], self.actuators)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -116,7 +151,8 @@ class CheckedMemory:
 
     def start(self, n: int) -> np.ndarray:
         """Return the memory (n, n_m) before the first control instant of n simulations."""
-        memory = np.asarray(self.law.start(n))
+        with users_code(self.name, "cannot start"):
+            memory = np.asarray(self.law.start(n))
         if memory.ndim != 2 or len(memory) != n:
             raise ProblemError(f"tracker '{self.name}' starts with a memory of shape ({n}, any), got {memory.shape}")
         return memory
@@ -125,20 +161,24 @@ class CheckedMemory:
         """Return efforts (n, n_u) [N.m or N] and the next memory (n, n_m).
 
         Raises:
-            ProblemError: when the law gives anything but one number for each actuator.
+            ProblemError: when the law raises, gives anything but one number for each actuator, or another memory.
         """
-        given, after = self.law.step(k, position, velocity, memory)
-        return _checked(given, self.name, position.shape[:-1], self.actuators), np.asarray(after)
+        with users_code(self.name, f"fails at control instant {k}"):
+            given, after = self.law.step(k, position, velocity, memory)
+            after = np.asarray(after)
+        if after.shape != memory.shape:
+            raise ProblemError(f"tracker '{self.name}' returns a memory of shape {memory.shape}, got {after.shape}")
+        return _checked(given, self.name, position.shape[:-1], self.actuators), after
 
 
 def _checked(given: object, name: str, states: tuple[int, ...], actuators: tuple[str, ...]) -> np.ndarray:
-    try:
+    effort = None
+    with contextlib.suppress(ProblemError), users_code(name, "gives no numbers"), warnings.catch_warnings():
+        warnings.simplefilter("error")  # of complex numbers numpy drops the imaginary part
         effort = np.array(given, dtype=float)
-    except (TypeError, ValueError):
-        effort = np.zeros((0, 0))
     wanted = (*states, len(actuators))
-    if effort.shape != wanted:
-        got = repr(given) if effort.ndim == 2 and not effort.size else f"shape {effort.shape}"
+    if effort is None or effort.shape != wanted:
+        got = _text_of(given) if effort is None else f"shape {effort.shape}"
         raise ProblemError(
             f"tracker '{name}' gives an array of one effort for each actuator ({', '.join(actuators)}),"
             f" shape {wanted}, got {got}"
@@ -147,8 +187,13 @@ def _checked(given: object, name: str, states: tuple[int, ...], actuators: tuple
 
 
 def _is_law(thing: object) -> bool:
-    """Return whether a thing is a law: it has effort, or start and step."""
-    return any(all(callable(getattr(thing, name, None)) for name in names) for names in (("effort",), ("start", "step")))
+    """Return whether a thing is a law: it has effort, or start and step. Attributes are the user's code, too."""
+    with users_code(type(thing).__name__, "cannot be used"):
+        return _has(thing, "effort") or _has(thing, "start", "step")
+
+
+def _has(thing: object, *methods: str) -> bool:
+    return all(callable(getattr(thing, name, None)) for name in methods)
 
 
 def knows_batches(law: AnyTracker) -> bool:
@@ -163,28 +208,28 @@ def users_tracker(asked: object, mechanism: Mechanism, reference: SampledReferen
         ProblemError: when it is no tracker: a name and `effort(k, position, velocity)`, or `start` and `step`.
     """
     law: Any = asked
+    made_by = _text_of(getattr(asked, "__name__", type(asked).__name__))
     if isinstance(asked, type) or not _is_law(asked):
         if not callable(asked):
             raise ProblemError(
                 f"a tracker is one of {', '.join(TRACKERS)}, an object with a name and effort(k, position, velocity), or a"
-                f" function of the sampled reference that returns one; got {asked!r}"
+                f" function of the sampled reference that returns one; got {_text_of(asked)}"
             )
-        try:
+        with users_code(made_by, "cannot be made"):
             law = asked(reference)
-        except LinkplanError:
-            raise
-        except Exception as error:  # the user's own code, whatever it raises
-            made_by = getattr(asked, "__name__", asked)
-            raise ProblemError(f"tracker '{made_by}' cannot be made: {type(error).__name__}: {one_line(error)}") from error
         if not _is_law(law):
             raise ProblemError(
-                "a function that is given as a tracker returns an object with a name and effort(k, position, velocity),"
-                f" got {law!r}"
+                f"a function that is given as a tracker returns an object with a name and effort(k, position, velocity),"
+                f" '{made_by}' returned {_text_of(law)}"
             )
-    name = getattr(law, "name", None)
-    if not isinstance(name, str) or not name.strip():
-        raise ProblemError(f"a tracker's name is a word for tables and figures, got {name!r}")
+    with users_code(made_by, "cannot be used"):
+        name, batched, remembers = getattr(law, "name", None), bool(getattr(law, "batched", False)), not _has(law, "effort")
+    if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > _LONGEST_NAME:
+        raise ProblemError(
+            f"a tracker's name is a word of {_LONGEST_NAME} characters at the most, for tables, figures and files; tracker"
+            f" '{made_by}' has {_text_of(name)!r}"
+        )
     actuators = tuple(actuator.name for actuator in mechanism.actuators)
-    if not callable(getattr(law, "effort", None)):
+    if remembers:
         return CheckedMemory(law=law, name=name, actuators=actuators)
-    return CheckedTracker(law=law, name=name, actuators=actuators, batched=bool(getattr(law, "batched", False)))
+    return CheckedTracker(law=law, name=name, actuators=actuators, batched=batched)

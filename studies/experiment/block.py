@@ -1,7 +1,5 @@
 """The unit of an experiment's work: a block of samples under every tracker, as columns."""
 
-import numpy as np
-
 from linkplan.controllers.ensemble import bytes_each, run_ensemble
 from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.laws import law_of
@@ -52,7 +50,6 @@ def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int |
     columns: dict[str, list] = {"sample": [key[0] for key in keys], "tracker": [key[1] for key in keys]}
     for name in ("success", "failure", *metrics_of(mechanism)):
         columns[name] = [found[key][name] for key in keys]
-    for factor, values in zip(experiment.section.factors, experiment.values.T, strict=True):
-        if np.ptp(values) > 0:
-            columns[f"imperfection.{factor.label}"] = [float(values[key[0]]) for key in keys]
+    for name, values in experiment.varied_values().items():
+        columns[name] = [float(values[key[0]]) for key in keys]
     return columns

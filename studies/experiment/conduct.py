@@ -7,7 +7,8 @@ import socket
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from linkplan.models.errors import LinkplanError
+from linkplan.models.errors import LinkplanError, PlanFileError
+from linkplan.models.reading import read_file
 from linkplan.planner.files.plan_folder import read_plan
 from linkplan.planner.plan import Plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources
@@ -19,6 +20,9 @@ from linkplan.studies.tasks.engine import Engine, Say
 from linkplan.studies.tasks.progress import Progress
 from linkplan.studies.tasks.streaming import streamed
 from linkplan.studies.tasks.unfinished import PLAN, done
+
+# A plan's files have less, as their own readers ask.
+_MAX_BYTES = 64_000_000
 
 
 def conduct(
@@ -60,7 +64,7 @@ def conduct(
     todo = [block for block in range(block_count(experiment.n)) if block not in there]
     with contextlib.closing(streamed(engine, work, todo, say)) as results:
         for block, columns in results:
-            write_part(folder, block, columns)
+            write_part(folder, block, columns, experiment)
             progress.more(len(samples_of(block, experiment.n)))
     return experiment
 
@@ -75,7 +79,7 @@ def _opened(folder: Path, settings: Settings, written: str) -> Experiment:
 def _hash_of(folder: Path) -> str:
     digest = hashlib.sha256()
     for name in ("plan.json", "trajectory.npz"):
-        digest.update((folder / name).read_bytes())
+        digest.update(read_file(folder / name, f"'{folder / name}'", _MAX_BYTES, PlanFileError))
     return digest.hexdigest()
 
 

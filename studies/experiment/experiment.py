@@ -4,8 +4,10 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any, Literal
 
 import numpy as np
+from msgspec import Struct
 
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import plant
@@ -30,7 +32,6 @@ from linkplan.studies.experiment.metrics import Yardstick
 from linkplan.studies.sensitivity.salib import salib_version
 from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme
 
-FORMAT = 1
 # A motion that ends is held for this share of its duration after it, where the problem does not say: errors settle there.
 _REST = 0.25
 
@@ -65,6 +66,23 @@ class Settings:
         number(self.tube_m, "tube_m", positive=True)
 
 
+class AskedRecord(Struct, frozen=True, omit_defaults=True):
+    """What an experiment's results depend on, as `asked_record` makes it and `experiment.json` keeps it."""
+
+    format: Literal[1]
+    problem: dict[str, Any]
+    plan: str | None
+    settings: Settings
+    versions: dict[str, str]
+    tracker_sources: dict[str, str] = {}
+
+
+class ExperimentRecord(Struct, frozen=True):
+    """What is read of `experiment.json`: its figures follow from the results."""
+
+    asked: AskedRecord
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Experiment:
     """Trackers of one plan on many machines: `values` (n, d) of the section's factors, in a problem file's units.
@@ -86,6 +104,11 @@ class Experiment:
     def n(self) -> int:
         """The number of samples."""
         return len(self.values)
+
+    def varied_values(self) -> dict[str, np.ndarray]:
+        """Return the values (n,) of the imperfections that differ from machine to machine, by their column's name."""
+        factors = zip(self.section.factors, self.values.T, strict=True)
+        return {f"imperfection.{factor.label}": values for factor, values in factors if np.ptp(values) > 0}
 
     def machine(self, sample: int) -> Imperfections:
         """Return a sample's machine: the same for every tracker, in any experiment with these settings."""
@@ -177,18 +200,13 @@ def settings_record(settings: Settings) -> dict:
     return {name: getattr(settings, name) for name in Settings.__slots__}
 
 
-def settings_from(record: Mapping) -> Settings:
-    """Return settings of their record."""
-    return Settings(**{**record, "trackers": tuple(record["trackers"])})
-
-
 def asked_record(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> dict:
     """Return all that an experiment's results depend on: the problem's tables, or a saved plan's digest, and versions.
 
     `trackers` has the hashes of what the user's own are written in.
     """
     said = {
-        "format": FORMAT,
+        "format": 1,
         "problem": source,
         "plan": digest,
         "settings": settings_record(settings),

@@ -12,9 +12,8 @@ import numpy as np
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.tracker import AnyTracker, Tracker, TrackerWithMemory
-from linkplan.models.errors import LinkplanError, ProblemError, one_line
 from linkplan.studies.compare.compare import build_tracker
-from linkplan.studies.compare.user_tracker import CheckedMemory, knows_batches, tracker_named, users_tracker
+from linkplan.studies.compare.user_tracker import CheckedMemory, knows_batches, tracker_named, users_code, users_tracker
 from linkplan.studies.experiment.experiment import Experiment
 
 
@@ -51,20 +50,21 @@ def law_of(name: str, experiment: Experiment) -> AnyTracker:
     asked, mechanism = tracker_named(name), plan.problem.mechanism
 
     def made() -> Tracker | TrackerWithMemory:
-        try:
-            law = users_tracker(asked, mechanism, reference)
-            if isinstance(law, CheckedMemory):
-                law.start(1)
-            return law
-        except LinkplanError:
-            raise
-        except (Exception, SystemExit) as error:  # whatever a law of somebody else's does when it is made
-            raise ProblemError(f"tracker '{name}' cannot be made: {type(error).__name__}: {one_line(error)}") from error
+        law = users_tracker(asked, mechanism, reference)
+        if isinstance(law, CheckedMemory):
+            law.start(1)
+        return law
+
+    def copied() -> Tracker | TrackerWithMemory:
+        law = made()
+        with users_code(name, "cannot be copied, one for each machine"):
+            return copy.deepcopy(law)
 
     first = made()
     if knows_batches(first):
         return first
-    return OneByOne(name=name, make=lambda: copy.deepcopy(made()))
+    copied()
+    return OneByOne(name=name, make=copied)
 
 
 def laws_said(experiment: Experiment) -> list[str]:

@@ -67,6 +67,7 @@ def _of_unit(mechanism: Mechanism, unit: str) -> np.ndarray:
     return steered & (hinge if unit == "deg" else ~hinge)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # the square of a large effort
 def measured(ensemble: Ensemble, i: int, yardstick: Yardstick) -> dict[str, float]:
     """Return the metrics of simulation i by name; NaN where it was frozen, or there is nothing to measure."""
     mechanism, reference = yardstick.mechanism, yardstick.reference

@@ -3,12 +3,21 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import write_whole
+from linkplan.planner.files.parquet_table import Kind, read_table, schema_of
 from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.plan import Plan
+from linkplan.studies.experiment.block import block_count, samples_of
+from linkplan.studies.experiment.experiment import Experiment
+from linkplan.studies.experiment.metrics import metrics_of
 from linkplan.studies.tasks.unfinished import PLAN, part
+
+# Values of imperfections are drawn again by other versions of scipy to this share of their size.
+_SAME_VALUE_SHARE = 1e-9
 
 
 def keep_plan(folder: Path, plan: Plan) -> None:
@@ -17,43 +26,77 @@ def keep_plan(folder: Path, plan: Plan) -> None:
         write_whole(folder / PLAN, lambda place: write_plan(plan, place))
 
 
-def write_part(folder: Path, block: int, columns: Mapping[str, list]) -> None:
+def column_kinds(experiment: Experiment) -> dict[str, Kind]:
+    """Return the kinds of the columns of an experiment's results, by name and in their order."""
+    kinds: dict[str, Kind] = {"sample": "count", "tracker": "word", "success": "flag", "failure": "word"}
+    for name in (*metrics_of(experiment.plan.problem.mechanism), *experiment.varied_values()):
+        kinds[name] = "number"
+    return kinds
+
+
+def write_part(folder: Path, block: int, columns: Mapping[str, list], experiment: Experiment) -> None:
     """Write a block's results as its part: complete, or not at all."""
+    import pyarrow as pa
     import pyarrow.parquet as parquet
 
-    table = _table(columns)
+    table = pa.table(dict(columns), schema=schema_of(column_kinds(experiment)))
     replace_file(part(folder, block, "parquet"), lambda place: parquet.write_table(table, place))
 
 
-def write_results(folder: Path, path: Path, blocks: int) -> None:
-    """Write all parts as one file, in their order."""
-    import pyarrow.parquet as parquet
-
-    names = [part(folder, block, "parquet") for block in range(blocks)]
-    with parquet.ParquetWriter(path, parquet.read_schema(names[0])) as writer:
-        for name in names:
-            writer.write_table(parquet.read_table(name))
-
-
-def read_results(path: Path) -> dict:
-    """Return the columns of a results file by name, as arrays (objects for words).
+def write_results(folder: Path, path: Path, experiment: Experiment) -> None:
+    """Write all parts as one file, in their order, each read and checked.
 
     Raises:
-        PlanFileError: when it is none.
+        PlanFileError: when a part is damaged, or is not of this experiment.
     """
     import pyarrow as pa
     import pyarrow.parquet as parquet
 
-    try:
-        table = parquet.read_table(path)
-    except (OSError, pa.ArrowException) as error:
-        raise PlanFileError(f"'{path}' holds no results: {str(error).splitlines()[0]}") from error
-    return {name: table[name].to_numpy(zero_copy_only=False) for name in table.column_names}
+    schema = schema_of(column_kinds(experiment))
+    with parquet.ParquetWriter(path, schema) as writer:
+        for block in range(block_count(experiment.n)):
+            columns = read_results(part(folder, block, "parquet"), experiment, samples_of(block, experiment.n))
+            writer.write_table(pa.table(columns, schema=schema))
 
 
-def _table(columns: Mapping[str, list]):
-    import pyarrow as pa
+def read_results(path: Path, experiment: Experiment, samples: range | None = None) -> dict[str, np.ndarray]:
+    """Return the columns of a results file by name, as arrays (objects for words).
 
-    kinds = {"sample": pa.int64(), "tracker": pa.string(), "success": pa.bool_(), "failure": pa.string()}
-    arrays = {name: pa.array(values, kinds.get(name, pa.float64())) for name, values in columns.items()}
-    return pa.table(arrays)
+    Args:
+        path: of the file.
+        experiment: that it has the results of.
+        samples: that are in it; all of them where none are named.
+
+    Raises:
+        PlanFileError: when the file is damaged, or its rows are not those of the experiment's samples and trackers.
+    """
+    samples, trackers = range(experiment.n) if samples is None else samples, experiment.settings.trackers
+    results = read_table(path, column_kinds(experiment), len(samples) * len(trackers))
+    wrong = _wrong_value(results, experiment, np.repeat(samples, len(trackers)))
+    if wrong is not None:
+        raise PlanFileError(f"'{path}' holds no results of this experiment: {wrong}")
+    return results
+
+
+def _wrong_value(results: Mapping[str, np.ndarray], experiment: Experiment, samples: np.ndarray) -> str | None:
+    """Return what is wrong with the first value that cannot be a result of samples (n,), None where all can be."""
+    n, names = len(samples) // len(experiment.settings.trackers), np.array(experiment.settings.trackers, dtype=object)
+    ran = np.equal(results["failure"], None)
+    checks: list[tuple[str, np.ndarray, str]] = [
+        ("sample", results["sample"] == samples, "the experiment's samples in their order"),
+        ("tracker", results["tracker"] == np.tile(names, n), f"{', '.join(names)} in turn"),
+        ("success", ran | ~results["success"], "false where a run failed"),
+    ]
+    for name in metrics_of(experiment.plan.problem.mechanism):
+        values = results[name]
+        is_needed = "_error_" in name  # other figures may be none of a run that went on to its end
+        legal = (values >= 0) | (name == "energy_j") | (np.isnan(values) & ~(ran & is_needed))
+        checks.append((name, legal, "a number of at least 0" if is_needed else "0, more, or none"))
+    for name, values in experiment.varied_values().items():
+        alike = np.isclose(results[name], values[samples], rtol=_SAME_VALUE_SHARE, atol=0.0)
+        checks.append((name, alike, "what the experiment's seed gives that machine"))
+    for name, legal, what in checks:
+        if not np.all(legal):
+            row = int(np.argmin(legal))
+            return f"column {name} is {what}; row {row} has {results[name][row]!s:.60}"
+    return None

@@ -30,6 +30,7 @@ class Estimate:
 _NOTHING = Estimate(value=float("nan"), low=float("nan"), high=float("nan"), n=0)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # efforts of feedback loops that diverge: the interval is then infinite
 def mean_of(values: np.ndarray, confidence: float = CONFIDENCE) -> Estimate:
     """Return the mean of the values (n,) that are numbers."""
     from scipy.stats import t

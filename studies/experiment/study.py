@@ -1,29 +1,30 @@
 """The whole of an experiment: from a plan to a folder with its results, or to a summary alone."""
 
-import json
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from linkplan.controllers.trackers.names import TRACKERS
-from linkplan.models.errors import PlanFileError
+from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.planner.files.folders import check_target, plain_record, write_json
+from linkplan.planner.files.json_record import read_record
 from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.plan import Plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources, source_hash
-from linkplan.studies.experiment.block import block_count
 from linkplan.studies.experiment.conduct import conduct
 from linkplan.studies.experiment.experiment import (
+    AskedRecord,
     Experiment,
+    ExperimentRecord,
     Settings,
     asked_record,
     experiment_of,
     fall_note,
     imperfections_asked,
-    settings_from,
 )
 from linkplan.studies.experiment.metrics import metrics_of
 from linkplan.studies.experiment.parts import read_results, write_results
@@ -96,12 +97,11 @@ def run_experiment(
     def carried_out(folder: Path) -> Outcome:
         with working(folder, asked, "an experiment"):
             experiment = conduct(folder, settings, sources, plan, engine, say, threads, batch)
-            blocks = block_count(experiment.n)
-            write_results(folder, folder / RESULTS, blocks)
-            outcome = _outcome(experiment, read_results(folder / RESULTS), asked)
+            write_results(folder, folder / RESULTS, experiment)
+            outcome = _outcome(experiment, read_results(folder / RESULTS, experiment), asked)
             (folder / RESULTS).unlink()
             if target is not None:
-                finish(folder, target, lambda place: _save(outcome, folder, place, blocks), RECORD)
+                finish(folder, target, lambda place: _save(outcome, folder, place), RECORD)
         return outcome
 
     if target is None:
@@ -116,12 +116,15 @@ def run_experiment(
     return carried_out(unfinished(target))
 
 
-def _save(outcome: Outcome, folder: Path, place: Path, blocks: int) -> None:
+def _save(outcome: Outcome, folder: Path, place: Path) -> None:
+    """Write an outcome's files into an empty folder, and read back those that are read again."""
     from linkplan.studies.experiment.draw_experiment import experiment_figure
     from linkplan.studies.experiment.draw_tornado import save_tornados
 
-    write_results(folder, place / RESULTS, blocks)
+    write_results(folder, place / RESULTS, outcome.experiment)
+    read_results(place / RESULTS, outcome.experiment)
     write_json(place / RECORD, outcome.record)
+    read_asked(place)
     (place / PLAN).mkdir()
     write_plan(outcome.experiment.plan, place / PLAN)
     settings, summary, sensitivity = outcome.experiment.settings, outcome.summary, outcome.sensitivity
@@ -172,9 +175,8 @@ def saved_experiment(folder: Path) -> Experiment:
     """
     from linkplan.planner.files.plan_folder import read_plan
 
-    if not (folder / RECORD).is_file():
-        raise PlanFileError(f"'{folder}' holds no experiment: it has no {RECORD}")
-    return experiment_of(read_plan(folder / PLAN, anyway=True), settings_from(_asked(folder)["settings"]))
+    asked = read_asked(folder)
+    return experiment_of(read_plan(folder / PLAN, anyway=True), asked.settings)
 
 
 def refuse_changed_tracker(folder: Path, tracker: str) -> None:
@@ -183,7 +185,7 @@ def refuse_changed_tracker(folder: Path, tracker: str) -> None:
     Raises:
         LinkplanError: when it is not.
     """
-    sources = _asked(folder).get("tracker_sources", {})
+    sources = read_asked(folder).tracker_sources
     refuse_other_sources({name: known for name, known in sources.items() if name == tracker.strip()})
 
 
@@ -191,13 +193,23 @@ def saved_outcome(folder: Path) -> Outcome:
     """Return the outcome of a folder with results.
 
     Raises:
-        PlanFileError: when the folder is none.
+        PlanFileError: when the folder is none, or its results are not what its record asked.
     """
-    return _outcome(saved_experiment(folder), read_results(folder / RESULTS), _asked(folder))
+    experiment = saved_experiment(folder)
+    asked = msgspec.to_builtins(read_asked(folder))
+    return _outcome(experiment, read_results(folder / RESULTS, experiment), asked)
 
 
-def _asked(folder: Path) -> dict:
+def read_asked(folder: Path) -> AskedRecord:
+    """Return what was asked in the experiment of a folder.
+
+    Raises:
+        PlanFileError: when the folder is none, or its record is damaged.
+    """
+    path = folder / RECORD
+    if not path.is_file():
+        raise PlanFileError(f"'{folder}' holds no experiment: it has no {RECORD}")
     try:
-        return json.loads((folder / RECORD).read_text(encoding="utf-8"))["asked"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise PlanFileError(f"'{folder}' is no experiment: a folder with {RECORD}, {RESULTS} and its plan") from error
+        return read_record(path, ExperimentRecord).asked
+    except ProblemError as error:  # of a setting
+        raise PlanFileError(f"'{path}' is not a record that linkplan wrote: {error}") from error

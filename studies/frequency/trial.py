@@ -58,9 +58,8 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
         history.append(speed)
         shape = np.log(np.maximum(np.array(history)[:, active], 1e-300))
         half = len(history) // 2
-        with np.errstate(invalid="ignore"):
-            rate = shape[-1] - shape[half]
-        change = shape[-1] - shape[0]
+        with np.errstate(invalid="ignore"):  # infinity less infinity, of what blew up
+            rate, change = shape[-1] - shape[half], shape[-1] - shape[0]
         plain = np.abs(change) > np.log(_PLAIN)
         over = plain | ~np.isfinite(change) | (batch.k >= most_periods)
         # Where all is over within the first stretch, the kick itself is the measure.

@@ -136,7 +136,7 @@ def hanging_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, floa
     found = scipy.optimize.minimize(
         energy, start, method="SLSQP", bounds=bounds, constraints=closed, options={"maxiter": _STEPS, "ftol": _ENERGY}
     )
-    if not np.all(np.isfinite(found.x)) or (closed and np.abs(gaps(found.x)).max() > _CLOSED):
+    if not np.all(np.isfinite(found.x)) or (closed and np.abs(gaps(found.x)).max(initial=0.0) > _CLOSED):
         return None
     try:
         pose = close_at(mechanism, found.x[mechanism.independent], found.x)

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import matplotlib
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter
@@ -45,16 +46,23 @@ _STYLE = {
 }
 
 
+# Beyond such values, those of a run that diverged, matplotlib places no ticks: its steps overflow.
+_LARGEST_DRAWN = 1e100
+
+
 @contextmanager
 def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **layout) -> Iterator:
     """Yield a figure's axes (rows, columns); when the block ends, save the figure at `path` where one is given."""
-    with matplotlib.rc_context():
+    with matplotlib.rc_context(), np.errstate(over="ignore", invalid="ignore"):  # the ticks of a run that diverged
         matplotlib.rcdefaults()  # not the reader's own settings: TeX that is not there, pictures of any size
         matplotlib.rcParams.update(_STYLE)
         # A figure of its own, without pyplot: no screen is needed and nothing is left open.
         figure = Figure(figsize=size, layout="constrained")
         yield figure.subplots(rows, columns, squeeze=False, **layout)
         for axes in figure.axes:
+            low, high = axes.get_ylim()
+            if max(-low, high) > _LARGEST_DRAWN:
+                axes.set_ylim(max(low, -_LARGEST_DRAWN), min(high, _LARGEST_DRAWN))
             _few_ticks(axes)
         for text in figure.findobj(Text):
             if "$" in text.get_text() and "\\math" not in text.get_text():

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.models.errors import LinkplanError, LockedError, UnassembledError
+from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
 from linkplan.plain import plain
@@ -76,7 +76,7 @@ def check(
     Raises:
         LinkplanError: for a pose that is beyond reach, or a subject that cannot be read.
     """
-    from linkplan.studies.check.refused_model import RefusedModel
+    from linkplan.studies.check.refused_model import REFUSED, RefusedModel
     from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem
 
     notes: tuple[str, ...] = ()
@@ -86,7 +86,7 @@ def check(
         else:
             mechanism, problem = subject_of(subject)
             planning = None if problem is None else problem.planning
-    except (LockedError, UnassembledError) as error:
+    except REFUSED as error:
         text = str(subject)
         return CheckResult(found=RefusedModel(name="the model" if "<" in text else Path(text).stem, error=error))
     return CheckResult(found=check_whole(mechanism, planning, poses_of(mechanism, at_deg, at_m), notes))

@@ -85,7 +85,8 @@ class Planner:
     """A planner for many problems that differ in numbers: each is solved from the last one's solution where that serves.
 
     Payload, start, goal, duration, limits, waypoints, weights and references are such numbers. Mutable: it keeps its last
-    program; threads that share a planner wait for each other.
+    program; threads that share a planner wait for each other. A copy, or one that a pickle brings to another process, is a
+    new one, without `progress`.
 
     Args:
         progress: called with a line of text now and then.
@@ -93,6 +94,9 @@ class Planner:
 
     def __init__(self, progress: Progress | None = None) -> None:
         self._planner = Replanner(listener(progress))
+
+    def __reduce__(self) -> tuple:
+        return Planner, ()  # solvers and locks are this process's own
 
     def plan(self, problem: Problem | str | Path) -> Plan:
         """Return the plan of a problem, as `linkplan.plan` does, sooner where it can.

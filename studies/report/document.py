@@ -38,7 +38,7 @@ class Table:
 
     title: str
     columns: Sequence[tuple[str, str]]
-    rows: Sequence[Sequence[object]]
+    rows: Sequence[Sequence[bool | int | float | str | None]]
     kind: str = field(default="table", init=False)
 
     def __post_init__(self) -> None:

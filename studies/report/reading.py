@@ -1,16 +1,18 @@
 """The report of a folder that linkplan wrote: its own document, a plan made anew, or what its record says."""
 
 import functools
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from linkplan.models.errors import PlanFileError
-from linkplan.models.reading import read_file, too_deep
-from linkplan.planner.files.folders import RECORDS, complete, plain_record
-from linkplan.planner.files.plan_folder import MOST_JSON_BYTES, read_plan, unchecked
+from linkplan.planner.files.folders import RECORDS, complete
+from linkplan.planner.files.json_record import read_record
+from linkplan.planner.files.plan_folder import read_plan, unchecked
 from linkplan.planner.plan import Plan
+from linkplan.studies.batch.saved import read_batch_record
+from linkplan.studies.batch.study import RECORD as BATCH
 from linkplan.studies.experiment.study import RECORD as EXPERIMENT
 from linkplan.studies.experiment.study import saved_outcome
 from linkplan.studies.report.document import Block, Facts, Report, Section, Table, Text
@@ -21,7 +23,7 @@ from linkplan.studies.report.saving import DOCUMENT, read_document
 _ROWS, _LETTERS = 500, 300
 
 
-def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = None) -> Report | Mapping:
+def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = None) -> Report:
     """Return the report of a saved folder: of a plan, a check, a comparison, an experiment, a feedback loop, gains, a batch.
 
     Args:
@@ -56,19 +58,9 @@ def saved_plan(folder: Path) -> Plan:
     return plan if note is None else replace(plan, problem=replace(plan.problem, notes=(*plan.problem.notes, note)))
 
 
-def _read(path: Path) -> dict:
-    try:
-        said = json.loads(read_file(path, f"'{path}'", MOST_JSON_BYTES, PlanFileError).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise PlanFileError(f"'{path}' cannot be read: {str(error)[:80]}") from error
-    if not isinstance(said, dict) or too_deep(said):
-        raise PlanFileError(f"'{path}' is no record")
-    return plain_record(said)  # JSON may hold NaN and 1e999, and a page may not
-
-
 def _record_report(path: Path) -> Report:
     """Return what a record's figures say, of a folder without a document: written by an earlier version, or a batch's."""
-    said = _read(path)
+    said = read_batch_record(path) if path.name == BATCH else read_record(path, dict[str, Any])
     lacks = Text(
         text=f"This folder has no {DOCUMENT}: shown are the figures of {path.name}; animation and curves need the command"
         " to be run again.",

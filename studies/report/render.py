@@ -36,8 +36,8 @@ def as_record(value: object) -> object:
     return value
 
 
-def report_html(report: Report | Mapping) -> str:
-    """Return the HTML of a report, or of its record as it was saved.
+def report_html(report: Report) -> str:
+    """Return the HTML of a report.
 
     What the document says stands in it as JSON whose "<" are escaped, so that no name ends a script, and is shown as text.
     """
@@ -67,7 +67,7 @@ def _hash(text: str) -> str:
     return base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
 
 
-def write_report(report: Report | Mapping, path: Path) -> None:
+def write_report(report: Report, path: Path) -> None:
     """Write a report's HTML file; an earlier report in its place is replaced, and nothing else.
 
     Raises:

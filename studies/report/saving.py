@@ -1,54 +1,76 @@
 """Reports on disk: the document, `report.json`, in every result's folder but a plan's, and the page if it is asked for."""
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, get_args
+
+import msgspec
+from msgspec import Struct
 
 from linkplan.models.errors import PlanFileError
-from linkplan.models.reading import read_file, too_deep
-from linkplan.planner.files.folders import plain_record
-from linkplan.studies.report.document import Report
+from linkplan.planner.files.json_record import read_record
+from linkplan.studies.report.document import Block, Report, Section
 from linkplan.studies.report.render import as_record, write_report
 
 DOCUMENT, PAGE = "report.json", "report.html"
-# A document has some hundred kilobytes; more than this is something else.
-_MOST_BYTES = 64_000_000
+_BLOCKS: dict[str, type[Block]] = {kind.__dataclass_fields__["kind"].default: kind for kind in get_args(Block)}
 
 
 def save_report(report: Report, place: Path, *, page: bool) -> None:
-    """Write a report's document into a folder, and its page where it is asked for."""
+    """Write a report's document into a folder and read it back; write its page where it is asked for."""
     said = json.dumps(as_record(report), allow_nan=False, separators=(",", ":"))
     (place / DOCUMENT).write_text(f"{said}\n", encoding="utf-8")
+    read_document(place / DOCUMENT)
     if page:
         write_report(report, place / PAGE)
 
 
-def read_document(path: Path) -> dict:
-    """Return the record of a saved document.
+class _SavedSection(Struct):
+    """A section whose blocks are not told apart yet."""
+
+    title: str
+    blocks: list[dict[str, Any]]
+    depth: int = 1
+    folded: bool = False
+
+
+class _SavedReport(Struct):
+    """A document whose blocks are not told apart yet."""
+
+    title: str
+    verdict: str
+    passed: bool | None
+    versions: dict[str, str]
+    sections: list[_SavedSection]
+
+
+def read_document(path: Path) -> Report:
+    """Return a saved document.
 
     Raises:
-        PlanFileError: when it is none.
+        PlanFileError: when the file is none, or a block of it lacks a value or has one of another type.
     """
+    said = read_record(path, _SavedReport)
     try:
-        said = json.loads(read_file(path, f"'{path}'", _MOST_BYTES, PlanFileError).decode("utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise PlanFileError(f"'{path}' is no report: {str(error)[:80]}") from error
-    if not _is_document(said) or too_deep(said):
-        raise PlanFileError(f"'{path}' is no report: it lacks a title, a verdict, versions, or sections of blocks")
-    return plain_record(said)  # JSON may hold NaN and 1e999, and a page may not
+        sections = [
+            Section(title=one.title, blocks=[_block(block) for block in one.blocks], depth=one.depth, folded=one.folded)
+            for one in said.sections
+        ]
+    except ValueError as error:
+        raise PlanFileError(f"'{path}' is not a report that linkplan wrote: {error}") from error
+    return Report(title=said.title, verdict=said.verdict, passed=said.passed, versions=said.versions, sections=sections)
 
 
-def _is_document(said: object) -> bool:
-    if not isinstance(said, Mapping) or not all(isinstance(said.get(key), str) for key in ("title", "verdict")):
-        return False
-    sections = said.get("sections")
-    if not isinstance(said.get("versions"), Mapping) or not isinstance(sections, list):
-        return False
-    return said.get("passed") in (True, False, None) and all(_is_section(section) for section in sections)
+def _block(said: dict[str, Any]) -> Block:
+    """Return a block of a saved document.
 
-
-def _is_section(section: object) -> bool:
-    if not isinstance(section, Mapping) or not isinstance(section.get("title"), str):
-        return False
-    blocks = section.get("blocks")
-    return isinstance(blocks, list) and all(isinstance(b, Mapping) and isinstance(b.get("kind"), str) for b in blocks)
+    Raises:
+        ValueError: when it is none, or its values do not fit together.
+    """
+    kind = said.get("kind")
+    if not isinstance(kind, str) or kind not in _BLOCKS:
+        raise ValueError(f"a block's kind is one of {', '.join(_BLOCKS)}, got {kind!r}")
+    try:
+        return msgspec.convert(said, _BLOCKS[kind])
+    except ValueError as error:
+        raise ValueError(f"a block of kind '{kind}': {error}") from error

@@ -10,10 +10,12 @@ import json
 import os
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from linkplan.models.errors import PlanFileError
 from linkplan.models.interrupts import shielded
 from linkplan.planner.files.folders import plain_record, remove_result, write_json, write_whole
+from linkplan.planner.files.json_record import read_record
 from linkplan.planner.files.manifest import identity_at
 from linkplan.planner.files.work_folders import replace_file, sweep
 
@@ -84,10 +86,10 @@ def refuse_other(path: Path, asked: Mapping, what: str) -> None:
         PlanFileError: when something was asked otherwise.
     """
     try:
-        held = json.loads(path.read_text(encoding="utf-8"))
-        held = held.get("asked", held)
-    except (OSError, ValueError, AttributeError) as error:
-        raise PlanFileError(f"'{path}' cannot be read: {error}; name a new folder") from error
+        held = read_record(path, dict[str, Any])
+    except PlanFileError as error:
+        raise PlanFileError(f"{error}; name a new folder") from error
+    held = held.get("asked", held)
     if held == json.loads(json.dumps(plain_record(asked))):
         return
     differs = next(iter(_differences(held, asked)), "something")
@@ -104,7 +106,8 @@ def _differences(held: object, asked: object, name: str = "") -> Iterator[str]:
 
 def done(folder: Path) -> set[int]:
     """Return the tasks whose parts are there."""
-    return {int(path.stem.removeprefix("part-")) for path in (folder / PARTS).glob("part-*.*")}
+    parts = (folder / PARTS).glob("part-[0-9][0-9][0-9][0-9][0-9].*")
+    return {int(path.stem.removeprefix("part-")) for path in parts}
 
 
 def part(folder: Path, task: int, suffix: str) -> Path:

@@ -33,7 +33,8 @@ class Case:
     `files` are written first, then `make` is called with the folder; a word "planned" stands for a saved plan of the knee.
     `env` goes over the environment (None takes a variable away), `limits` are resource limits, `closed` are descriptors that
     are closed, `during` is called with the folder and the process's number once it runs, `after` says what is wrong with the
-    folder in the end, `says` is to be found in what is said, `changes` are files that may change.
+    folder in the end, `says` is to be found in what is said, `changes` are files that may change, `most_bytes` may be
+    resident.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Case:
     lines: int = 1
     program: tuple[str, ...] = ("-m", "linkplan")
     stdout: str | None = None
+    most_bytes: int = LIMIT_BYTES
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -146,7 +148,7 @@ def _judged(case: Case, planned: Path, folder: Path) -> Outcome:
         wrong.append("a fault of its own")
     if seconds > LIMIT_S or waited > 2 * LIMIT_S - 1:
         wrong.append(f"{seconds:.0f} s of processor time, {waited:.0f} s")
-    if resident > LIMIT_BYTES:
+    if resident > case.most_bytes:
         wrong.append(f"{resident / 1e9:.2f} GB")
     refusals = [line for line in said.splitlines() if not re.match(r"  \w+ +\d+\.\d s: ", line)]
     if code == 2 and 2 not in case.closed and resource.RLIMIT_FSIZE not in case.limits and len(refusals) != case.lines:

@@ -8,7 +8,10 @@ import pytest
 from linkplan.planner.files.folders import MANIFEST, write_json, write_whole
 from tests.bench import kills
 
-pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="commands are run in forked processes")
+pytestmark = [
+    pytest.mark.skipif(not hasattr(os, "fork"), reason="commands are run in forked processes"),
+    pytest.mark.usefixtures("default_signals"),
+]
 
 
 @pytest.mark.slow

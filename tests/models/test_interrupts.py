@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 
@@ -14,7 +16,10 @@ from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.solvers import solve
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX has them")
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX has them"),
+    pytest.mark.usefixtures("default_signals"),
+]
 
 
 def send(number: int = signal.SIGINT) -> None:
@@ -39,6 +44,20 @@ def test_a_signal_that_is_listened_to_is_raised_and_remembered_and_then_over(num
     assert signal.getsignal(number) == before
     assert asked() is None
     check()
+
+
+def test_these_tests_hear_signals_that_the_process_was_begun_without():
+    ignored = "signal.signal(signal.SIGINT, signal.SIG_IGN), signal.signal(signal.SIGHUP, signal.SIG_IGN)"
+    these = f"{__file__}::test_a_signal_that_is_listened_to_is_raised_and_remembered_and_then_over"
+    words = [
+        sys.executable,
+        "-c",
+        f"import signal, sys, pytest; {ignored}; sys.exit(pytest.main(sys.argv[1:]))",
+        "-p",
+        "no:xdist",
+        these,
+    ]
+    assert subprocess.run(words, capture_output=True, text=True, check=False).returncode == 0
 
 
 def test_a_signal_is_held_back_by_a_shield_and_raised_behind_it():

@@ -1,13 +1,11 @@
 """The door for files and texts of others: no more room than they take, no more depth than is meant."""
 
 import os
-import struct
 import tracemalloc
 
 import pytest
 
-from linkplan.models.errors import ModelError, ProblemError
-from linkplan.models.mechanism import load_mechanism
+from linkplan.models.errors import ProblemError
 from linkplan.models.reading import parse_toml, read_file, read_head
 from tests.support.refusals import refusal
 
@@ -44,12 +42,3 @@ def test_a_key_of_thousands_of_parts_is_refused_before_the_parser_sees_it(key):
 @pytest.mark.parametrize("text", ['x = "' + "1.5, " * 500 + '"', "x = [" + "1.5," * 500 + "]", 'x = "' + "." * 500 + '"'])
 def test_points_in_values_are_no_depth(text):
     assert parse_toml(text, "it")["x"]
-
-
-def test_a_picture_that_unfolds_to_gigabytes_is_refused_under_any_name(tmp_path):
-    head = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sIIBBBBB", 13, b"IHDR", 30_000, 30_000, 8, 2, 0, 0, 0)
-    (tmp_path / "sky.bin").write_bytes(head)
-    texture = '<texture name="sky" type="2d" file="sky.bin" content_type="image/png"/>'
-    (tmp_path / "m.xml").write_text(f"<mujoco><asset>{texture}</asset><worldbody><body><joint/></body></worldbody></mujoco>")
-    with pytest.raises(ModelError, match="30000 x 30000 pixels"):
-        load_mechanism(tmp_path / "m.xml")

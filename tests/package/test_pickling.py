@@ -1,11 +1,16 @@
 """Mechanisms, problems and plans go to other processes and come back: what they say is the same there."""
 
+import copy
 import pickle
 
 import numpy as np
 import pytest
 
 import linkplan
+from linkplan.models.errors import InertiaError, InfeasibleError, LockedError
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.inverse_kinematics import places_of
+from tests.support.plans import optimal
 
 
 @pytest.fixture(scope="module")
@@ -37,3 +42,33 @@ def test_a_mechanisms_loops_close_elsewhere_too(plan):
     pose = knee.home + np.array([0.1, 0.0, 0.0])
     np.testing.assert_array_equal(np.array(again.dynamics.closure(pose)), np.array(knee.dynamics.closure(pose)))
     np.testing.assert_array_equal(again.qpos_of(pose), knee.qpos_of(pose))
+
+
+@pytest.mark.parametrize("another", [copy.copy, copy.deepcopy, sent], ids=["copy", "deep copy", "pickle"])
+def test_a_planner_s_copy_is_a_new_planner_that_plans_the_same(plan, another):
+    planner = linkplan.Planner(progress=lambda _: None)
+    assert planner.plan(plan.problem).objective == plan.objective
+    again = another(planner)
+    assert again is not planner
+    assert again.step(plan.problem) is None  # it has no last plan
+    assert again.plan(plan.problem).objective == plan.objective
+
+
+@pytest.mark.parametrize(
+    "error", [InfeasibleError("no motion", {"a": 1}), LockedError("locked", {"pin": 1}), InertiaError("no mass", 2)]
+)
+def test_an_error_keeps_what_it_carries(error):
+    assert (str(sent(error)), vars(sent(error))) == (str(error), vars(error))
+
+
+def test_at_no_times_a_motion_has_no_rows(plan):
+    table = plan.sample(np.zeros(0))
+    assert {len(column) for column in table.columns().values()} == {0}
+    assert table.columns().keys() == plan.sample(np.zeros(2)).columns().keys()
+
+
+def test_at_no_times_sites_have_no_places():
+    trajectory, mechanism = optimal("five-bar-reach").trajectory, load_mechanism("five-bar")
+    assert places_of(mechanism, 0, np.zeros((0, mechanism.n_q))).shape == (0, 3)
+    for values in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at, trajectory.effort_at):
+        assert values(np.zeros(0)).shape == (0, 2)

@@ -4,17 +4,19 @@ import csv
 import json
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from linkplan.models.errors import PlanFileError
+from linkplan.models.errors import CertificateError, PlanFileError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import MANIFEST, plain, write_json, write_whole
 from linkplan.planner.files.motion_table import motion_table
-from linkplan.planner.files.plan_folder import FORMAT, read_plan, record, write_plan
+from linkplan.planner.files.plan_folder import read_plan, record, write_plan
+from linkplan.planner.files.plan_record import FORMAT
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.plans import optimal, planned, saved_plan
 from tests.support.tolerances_planner import CERTIFIED_AGAIN, CSV, PRINTED_NM, ROUNDING
@@ -242,13 +244,13 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "plan.json cut short": (cut("plan.json", 0.5), "truncated or not JSON"),
     "plan.json empty": (content("plan.json", b""), "truncated or not JSON"),
     "plan.json not text": (content("plan.json", b"\xff\xfe\x00\x01"), "truncated or not JSON"),
-    "plan.json a list": (content("plan.json", b"[1, 2]"), "not a plan"),
+    "plan.json a list": (content("plan.json", b"[1, 2]"), "Expected `object`, got `array`"),
     "plan.json nested without end": (content("plan.json", b"[" * 100_000), "plan.json"),
     "plan.json with a number too long": (content("plan.json", b'{"format": ' + b"1" * 5000 + b"}"), "plan.json"),
-    "plan.json of something else": (content("plan.json", b'{"name": "x"}'), "it lacks format"),
+    "plan.json of something else": (content("plan.json", b'{"name": "x"}'), "missing required field `format`"),
     "another format": (with_record(lambda said: said.update(format=99)), "has format 99"),
-    "no format": (with_record(lambda said: said.pop("format") and None), "it lacks format"),
-    "no problem": (with_record(lambda said: said.update(problem="x")), "not a plan"),
+    "no format": (with_record(lambda said: said.pop("format") and None), "missing required field `format`"),
+    "no problem": (with_record(lambda said: said.update(problem="x")), "Expected `object`, got `str` - at `$.problem`"),
     "a problem that is malformed": (
         with_record(lambda said: said["problem"]["motion"].update(kind="reech")),
         "cannot be built again: unknown motion.kind",
@@ -257,7 +259,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
         with_record(lambda said: said["problem"]["mechanism"].update(model="gone.xml")),
         "cannot be built again: unknown model 'gone.xml'",
     ),
-    "details that are a list": (with_record(lambda said: said.update(details=[1])), "plan.json"),
+    "details that are a list": (with_record(lambda said: said.update(details=[1])), "at `$.details`"),
     "a status that is none": (with_record(lambda said: said.update(status="perfect")), "perfect"),
     "no trajectory": (lambda folder: (folder / "trajectory.npz").unlink(), "trajectory.npz"),
     "a trajectory that is a folder": (as_folder, "trajectory.npz"),
@@ -313,11 +315,24 @@ def test_what_is_no_plan_is_refused(what, tmp_path):
 
 
 @pytest.mark.parametrize("value", ["x", True, [1], 10**400, np.nan], ids=["text", "bool", "list", "huge", "nan"])
-def test_a_figure_of_the_record_that_is_no_number_is_none_of_the_plan_s(value, saved):
-    said = json.loads((saved / "plan.json").read_text())
-    (saved / "plan.json").write_text(json.dumps(said | {"objective": value, "details": {"price": value, "kept_s": 2}}))
-    plan = read_plan(saved, anyway=True)
-    assert (plan.objective, plan.details, plan.status) == (None, {"kept_s": 2.0}, "failed")
+@pytest.mark.parametrize("place", ["objective", "details"])
+def test_a_figure_of_the_record_that_is_no_number_is_refused(place, value, saved):
+    with_record(lambda said: said.update({place: value if place == "objective" else {"price": value}}))(saved)
+    with pytest.raises(PlanFileError, match=r"plan\.json' is (not a record that linkplan wrote|truncated or not JSON)"):
+        read_plan(saved, anyway=True)
+
+
+def test_a_solve_of_the_history_without_its_time_is_refused(saved):
+    with_record(lambda said: said["history"][0].pop("solve_s") and None)(saved)
+    with pytest.raises(PlanFileError, match=r"missing required field `solve_s` - at `\$\.history"):
+        read_plan(saved)
+
+
+def test_a_plan_that_could_not_be_used_once_it_is_saved_is_not_saved(tmp_path):
+    plan = replace(optimal("knee-reach"), objective=2 * optimal("knee-reach").objective)
+    with pytest.raises(CertificateError, match=r"not saved.*objective is said to be"):
+        write_whole(tmp_path / "plan", lambda new: write_plan(plan, new))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_motion_that_was_changed_on_disk_no_longer_counts_as_optimal(saved):
@@ -328,3 +343,11 @@ def test_a_motion_that_was_changed_on_disk_no_longer_counts_as_optimal(saved):
         return
     assert not plan.certificate.passed
     assert plan.status != "optimal"
+
+
+@pytest.mark.parametrize(("n", "coefficients"), [(20_001, 4), (40, 25)], ids=["intervals", "coefficients"])
+def test_a_motion_larger_than_any_that_is_planned_is_refused_before_it_is_checked(n, coefficients, saved):
+    many = np.ones((coefficients, n, 1))
+    with_arrays(breaks_s=np.linspace(0, 0.16, n + 1), position=many, velocity=many, effort=many)(saved)
+    with pytest.raises(PlanFileError, match=rf"it has {n} intervals of {coefficients} coefficients; at most 20000 of 24"):
+        read_plan(saved, anyway=True)

@@ -114,7 +114,7 @@ def changed(folder: Path, **values: object) -> None:
 
 def test_half_a_character_in_a_record_is_refused(saved):
     changed(saved, name="\ud800")
-    with pytest.raises(PlanFileError, match="no text"):
+    with pytest.raises(PlanFileError, match="surrogate"):
         read_plan(saved)
 
 

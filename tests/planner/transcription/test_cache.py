@@ -183,9 +183,39 @@ def test_a_folder_that_others_may_write_is_not_used_and_left_as_it_is(mode, fold
 
 
 @needs_owners
-def test_a_folder_that_anybody_can_replace_is_not_used(folder):
-    folder.parent.chmod(0o777)
-    with pytest.raises(PermissionError, match="which all may write"):
+@pytest.mark.parametrize("mode", [0o777, 0o775, 0o770, 0o757])
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_folder_that_others_can_replace_is_not_used(folder, levels, mode, monkeypatch):
+    inner = folder.joinpath(*["inner"] * (levels - 1), "cache")
+    monkeypatch.setenv("LINKPLAN_CACHE", str(inner))
+    assert trusted_folder(make=True) == inner
+    folder.chmod(mode)
+    with pytest.raises(PermissionError, match=f"lies in '{folder}', which others may write"):
+        trusted_folder(make=True)
+    folder.chmod(0o1000 | mode)  # in a sticky folder only its owner and theirs move things
+    assert trusted_folder(make=True) == inner
+
+
+@needs_owners
+def test_a_folder_behind_a_link_that_others_can_replace_is_not_used(folder, tmp_path, monkeypatch):
+    (tmp_path / "open").mkdir()
+    (tmp_path / "open" / "link").symlink_to(folder)
+    for named in ("open/link", "open/link/cache"):
+        (tmp_path / "open").chmod(0o700)
+        monkeypatch.setenv("LINKPLAN_CACHE", str(tmp_path / named))
+        assert trusted_folder(make=True).is_relative_to(folder)
+        (tmp_path / "open").chmod(0o777)
+        with pytest.raises(PermissionError, match="open', which others may write"):
+            trusted_folder(make=True)
+
+
+@needs_owners
+@pytest.mark.skipif(os.name == "posix" and os.geteuid() != 0, reason="only the superuser gives folders away")
+def test_a_folder_in_somebody_else_s_is_not_used(folder, monkeypatch):
+    monkeypatch.setenv("LINKPLAN_CACHE", str(folder / "cache"))
+    trusted_folder(make=True)
+    os.chown(folder, 65534, -1)
+    with pytest.raises(PermissionError, match="which belongs to somebody else"):
         trusted_folder(make=True)
 
 

@@ -1,10 +1,15 @@
 """Batches: the same plans whatever ran them and however often they were killed; refused when something else is asked."""
 
+import re
+import tempfile
 import time
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
 from linkplan.models.errors import PlanFileError
+from linkplan.planner.files.plan_folder import write_plan
 from linkplan.planner.planning import silent
 from linkplan.studies.batch import study
 from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, unpacked
@@ -12,6 +17,7 @@ from linkplan.studies.batch.study import run_batch
 from linkplan.studies.tasks.engine import processes
 from linkplan.studies.tasks.unfinished import PARTS, unfinished
 from tests.support.batches import same_plans, swept
+from tests.support.plans import optimal
 
 
 @pytest.mark.parametrize("n", [1, 8, 9, 160, 500, 10_000])
@@ -53,9 +59,60 @@ def test_what_is_planned_is_not_planned_again_and_another_batch_is_refused(tmp_p
     assert not unfinished(tmp_path / "x").exists()
 
 
-def test_a_block_is_kept_whatever_year_its_clock_stands_in(tmp_path, monkeypatch):
-    answer = Planned(name="a", row=(), record={}, failure=None, files={"plan.json": b"{}"})
+CASES = swept(3).cases[:1]
+
+
+@pytest.fixture
+def answer():
+    """Return the answer of the first case, with a plan's files."""
+    with tempfile.TemporaryDirectory() as place:
+        write_plan(optimal("knee-reach"), Path(place))
+        files = {path.name: path.read_bytes() for path in Path(place).iterdir()}
+    return Planned(name="0", row=["0"], record={}, failure=None, files=files)
+
+
+def test_a_block_is_kept_whatever_year_its_clock_stands_in(answer, tmp_path, monkeypatch):
     monkeypatch.setattr(time, "time", lambda: 0.0)  # archives know no date before 1980
     (tmp_path / "part.zip").write_bytes(packed([answer]))
-    assert [one.name for one in unpacked(tmp_path / "part.zip", tmp_path)] == ["a"]
-    assert (tmp_path / "a" / "plan.json").read_bytes() == b"{}"
+    assert [one.name for one in unpacked(tmp_path / "part.zip", CASES, tmp_path)] == ["0"]
+    assert (tmp_path / "0" / "plan.json").read_bytes() == answer.files["plan.json"]
+
+
+def without(name):
+    return lambda answer: replace(answer, files={key: data for key, data in answer.files.items() if key != name})
+
+
+def with_file(name, data):
+    return lambda answer: replace(answer, files={**answer.files, name: data})
+
+
+DAMAGED = {
+    "of another case": (lambda answer: replace(answer, name="1"), "its cases are not those of the batch"),
+    "with a row of numbers": (lambda answer: replace(answer, row=[1]), "Expected `str | null`, got `int`"),
+    "with a record of lists": (lambda answer: replace(answer, record=[]), "got `array`"),
+    "without a plan": (without("plan.json"), "it has no plan.json"),
+    "without a motion": (without("trajectory.npz"), "trajectory.npz"),
+    "with a plan cut short": (with_file("plan.json", b"{"), "truncated or not JSON"),
+    "with a motion cut short": (with_file("trajectory.npz", b"PK"), "truncated or not a trajectory"),
+    "with a file of somebody's": (with_file("mine.txt", b"mine"), "'0/mine.txt' is no file of its plans"),
+    "with a file above it": (with_file("../../mine.txt", b"mine"), "is no file of its plans"),
+    "with a file of gigabytes": (with_file("trajectory.csv", bytes(65_000_000)), "would take 65000000 bytes"),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_a_damaged_block_is_refused(case, answer, tmp_path):
+    change, words = DAMAGED[case]
+    (tmp_path / "part.zip").write_bytes(packed([change(answer)]))
+    (tmp_path / "new").mkdir()
+    with pytest.raises(PlanFileError, match=re.escape(words)) as raised:
+        unpacked(tmp_path / "part.zip", CASES, tmp_path / "new")
+    assert "part.zip' is damaged" in str(raised.value)
+    assert not (tmp_path / "mine.txt").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"no archive"])
+def test_a_block_that_is_no_archive_is_refused(content, tmp_path):
+    (tmp_path / "part.zip").write_bytes(content)
+    with pytest.raises(PlanFileError, match=r"part\.zip' is damaged: .* remove it, and the same command plans"):
+        unpacked(tmp_path / "part.zip", CASES, None)

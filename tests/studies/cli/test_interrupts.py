@@ -16,7 +16,10 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.studies.cli import plan_commands
 from tests.support.plans import optimal
 
-pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX has them")
+pytestmark = [
+    pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX has them"),
+    pytest.mark.usefixtures("default_signals"),
+]
 CODES = {signal.SIGINT: 130, signal.SIGTERM: 143}
 
 

@@ -86,6 +86,7 @@ def test_pictures_of_one_instant_and_of_several_differ(flat, ask):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX has them")
+@pytest.mark.usefixtures("default_signals")
 def test_an_interrupt_ends_a_film_within_a_frame_and_leaves_nothing(flat, ask, monkeypatch, tmp_path):
     drawn = []
 

@@ -1,10 +1,12 @@
 """Trackers by name: built-in, installed, and a module's own."""
 
+import numpy as np
 import pytest
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
-from linkplan.studies.compare.compare import compare
+from linkplan.studies.cli.main import main
+from linkplan.studies.compare.compare import compare, track
 from linkplan.studies.compare.user_tracker import tracker_named, trackers_named, users_tracker
 from tests.support.plans import optimal
 
@@ -72,3 +74,88 @@ def test_a_tracker_of_an_installed_package_is_found_by_its_name(monkeypatch, tmp
 def test_a_function_that_cannot_take_a_reference_is_refused_with_what_it_raised(asked):
     with pytest.raises(ProblemError, match="cannot be made: TypeError"):
         users_tracker(asked, None, object())
+
+
+class _Odd(BaseException):
+    pass
+
+
+def _raises(error: BaseException):
+    def raising(*_):
+        raise error
+
+    return raising
+
+
+class _Unspeakable:
+    """A thing without a text and without numbers."""
+
+    __repr__ = __str__ = __array__ = _raises(_Odd())
+
+
+def _law(**members):
+    """Return what makes a law that is at fault in one member."""
+    return type("Faulty", (), {"name": "faulty", "effort": lambda *_: [0.0], "__init__": lambda *_: None} | members)
+
+
+def _with_memory(**members):
+    step = {"start": lambda _, n: np.zeros((n, 1)), "step": lambda *given: ([[0.0]], given[-1])}
+    return _law(effort=None, **step | members)
+
+
+FAULTY = {
+    "exit": (_law(effort=_raises(SystemExit(0))), "'faulty' fails at control instant 0: SystemExit: 0"),
+    "raise": (_law(effort=_raises(ZeroDivisionError("by\nzero"))), "'faulty' fails at .* 0: ZeroDivisionError: by zero"),
+    "base": (_law(effort=_raises(_Odd())), "'faulty' fails at control instant 0: _Odd$"),
+    "generator": (_law(effort=_raises(GeneratorExit())), "'faulty' fails at control instant 0: GeneratorExit"),
+    "stop": (_law(effort=_raises(StopIteration())), "'faulty' fails at control instant 0: StopIteration"),
+    "disk": (_law(effort=_raises(OSError(28, "full"))), "'faulty' fails at control instant 0: OSError: .* full"),
+    "made": (_law(__init__=_raises(SystemExit(0))), "'Faulty' cannot be made: SystemExit: 0"),
+    "function": (_raises(_Odd("x")), "'raising' cannot be made: _Odd: x"),
+    "name": (_law(name=property(_raises(SystemExit(0)))), "'Faulty' cannot be used: SystemExit: 0"),
+    "effort": (_law(effort=property(_raises(SystemExit(0)))), "'Faulty' cannot be used: SystemExit: 0"),
+    "long": (_law(name="n" * 300), "'Faulty' has 'nnnn"),
+    "lines": (_law(name="a\nb"), "a word of 50 characters .* 'Faulty' has 'a b'"),
+    "nothing": (_law(effort=lambda *_: None), "'faulty' gives an array .* got shape"),
+    "complex": (_law(effort=lambda *_: np.array([1j])), r"'faulty' gives an array .* got \[0"),
+    "ragged": (_law(effort=lambda *_: [[1], [2, 3]]), r"'faulty' gives an array .* got \[\[1\], \[2, 3\]\]"),
+    "unspeakable": (_law(effort=lambda *_: _Unspeakable()), "'faulty' gives an array .* got <_Unspeakable>"),
+    "no law": (_Unspeakable(), "a tracker is one of .* got <_Unspeakable>"),
+    "start": (_with_memory(start=_raises(SystemExit(0))), "'faulty' cannot start: SystemExit: 0"),
+    "step": (_with_memory(step=_raises(SystemExit(0))), "'faulty' fails at control instant 0: SystemExit: 0"),
+    "pair": (_with_memory(step=lambda *_: None), "'faulty' fails at control instant 0: TypeError"),
+    "memory": (_with_memory(step=lambda *_: ([[0.0]], np.zeros((1, 2)))), r"'faulty' returns .* \(1, 1\), got \(1, 2\)"),
+}
+
+
+@pytest.mark.parametrize(("asked", "said"), FAULTY.values(), ids=FAULTY)
+def test_whatever_a_tracker_does_the_refusal_is_one_line_that_names_it(asked, said):
+    with pytest.raises(ProblemError, match=said) as refused:
+        track(optimal("knee-reach", "tracking.duration_s=0.005"), asked, None)
+    assert "\n" not in str(refused.value)
+
+
+def test_an_interrupt_inside_a_tracker_stays_one():
+    with pytest.raises(KeyboardInterrupt):
+        track(optimal("knee-reach", "tracking.duration_s=0.005"), _law(effort=_raises(KeyboardInterrupt())), None)
+
+
+@pytest.mark.parametrize("command", ["track --tracker", "compare --trackers", "decompose --samples 2 --trackers"])
+@pytest.mark.parametrize("law", ["Exits", "Raises", "ExitsLater"])
+def test_a_command_whose_tracker_ends_or_raises_names_it_and_exits_with_2(command, law, tmp_path, monkeypatch, capsys):
+    laws = [
+        f"class {name}:\n    name = 'mine'\n    def __init__(self, reference): self.n = 0\n"
+        f"    def effort(self, k, position, velocity):\n        {does}\n        return [0.0]\n"
+        for name, does in (
+            ("Exits", "raise SystemExit(0)"),
+            ("Raises", "raise RuntimeError('lost')"),
+            ("ExitsLater", "k > 5 and exit(0)"),
+        )
+    ]
+    (tmp_path / "laws_that_end.py").write_text("\n".join(laws))
+    monkeypatch.chdir(tmp_path)
+    word, *options = command.split()
+    assert main([word, "knee-reach", *options, f"laws_that_end:{law}", "--set", "tracking.duration_s=0.005"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "tracker 'mine' fails at control instant" in err.splitlines()[-1]

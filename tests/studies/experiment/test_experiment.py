@@ -131,7 +131,9 @@ def test_what_is_done_is_not_run_again(tmp_path, monkeypatch):
         done(tmp_path / "x")
     assert ran == [0, 1]
     assert not (tmp_path / "x").exists()
-    (parts.unfinished(tmp_path / "x") / parts.PARTS / ".part-00002.parquet.1").write_text("cut off")
+    left = parts.unfinished(tmp_path / "x") / parts.PARTS / ".linkplan-work-0123456789abcdef"
+    left.mkdir()
+    (left / "part-00002.parquet").write_text("cut off")
     monkeypatch.setattr(conducting, "run_block", lambda *given: (ran.append(given[1]), real(*given))[1])
     done(tmp_path / "x")
     assert ran == [0, 1, 2]

@@ -90,3 +90,15 @@ def test_an_arm_whose_outer_links_nothing_drives_has_a_first_motion(tmp_path):
     assert found.planned, found.why
     assert found.plan.certificate.passed
     assert "least change of effort" in found.description
+
+
+def test_a_closure_that_takes_no_freedom_does_not_hinder_hanging():
+    bodies = "".join(
+        f'<body name="{name}"><joint name="{name}_hinge" axis="0 1 0"/><geom size=".03" pos="{at}" contype="0"/></body>'
+        for name, at in (("p", ".1 0 0"), ("q", "0 0 .1"))
+    )
+    pin = '<equality><connect body1="p" body2="q" anchor="0 0 0"/></equality>'
+    mechanism = load_mechanism(f"<mujoco><worldbody>{bodies}</worldbody>{pin}</mujoco>")
+    assert len(mechanism.dependent) == 0
+    pose = hanging_pose(mechanism, mechanism.home + 0.1, {})
+    assert pose == pytest.approx([np.pi / 2, np.pi], abs=1e-3)

@@ -1,14 +1,15 @@
 """Reports of folders: what was saved is read, what is lacking is said, what is no result is refused."""
 
 import json
+import re
 
 import pytest
 
 from linkplan.models.errors import PlanFileError
 from linkplan.studies.cli.main import main
-from linkplan.studies.report.document import Checklist, Table, Text
+from linkplan.studies.report.document import Checklist, Report, Table, Text
 from linkplan.studies.report.reading import folder_report
-from linkplan.studies.report.render import write_report
+from linkplan.studies.report.render import as_record, write_report
 from linkplan.studies.report.reports import plan_report
 from linkplan.studies.report.saving import DOCUMENT, save_report
 from tests.support.plans import optimal, saved_plan
@@ -28,7 +29,9 @@ def test_a_saved_document_is_read_again(tmp_path):
     report = plan_report(optimal("knee-reach"))
     save_report(report, tmp_path, page=True)
     assert (tmp_path / "report.html").is_file()
-    assert folder_report(tmp_path)["title"] == report.title
+    again = folder_report(tmp_path)
+    assert isinstance(again, Report)
+    assert json.loads(json.dumps(as_record(again))) == json.loads(json.dumps(as_record(report)))
 
 
 def test_a_folder_of_an_earlier_version_shows_its_figures_and_says_what_lacks(tmp_path):
@@ -46,12 +49,34 @@ def test_a_folder_of_something_else_is_refused_in_one_line(tmp_path):
         folder_report(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "text", ["{", "[]", '{"title": 1}', '{"title": "t", "verdict": "v", "versions": {}, "sections": [1]}']
-)
-def test_a_damaged_document_is_refused(tmp_path, text):
+WITH_SECTIONS = '{"title": "t", "verdict": "v", "versions": {}, "passed": null, "sections": %s}'
+WITH_BLOCK = WITH_SECTIONS % '[{"title": "s", "blocks": [%s]}]'
+LONG_LINE = '{"kind": "plane", "title": "", "x_axis": %s, "y_axis": %s, "curves": [{"name": "", "x": [1], "y": [1, 2]}]}'
+AXIS = '{"label": "", "unit": "1"}'
+DAMAGED = {
+    "cut off": ("{", "truncated or not JSON"),
+    "a list": ("[]", "Expected `object`, got `array`"),
+    "a title that is a number": ('{"title": 1}', "at `$.title`"),
+    "a section that is a number": (WITH_SECTIONS % "[1]", "at `$.sections[0]`"),
+    "a block without a kind": (WITH_BLOCK % "{}", "kind is one of text, facts, table"),
+    "a block of another kind": (WITH_BLOCK % '{"kind": "film"}', "got 'film'"),
+    "a text that is a number": (WITH_BLOCK % '{"kind": "text", "text": 1}', "Expected `str`, got `int` - at `$.text`"),
+    "a cell that is a list": (WITH_BLOCK % '{"kind": "table", "title": "", "columns": [], "rows": [[[]]]}', "kind 'table'"),
+    "a row that is too short": (
+        WITH_BLOCK % '{"kind": "table", "title": "", "columns": [["a", ""]], "rows": [[]]}',
+        "0 values",
+    ),
+    "a line that is too long": (WITH_BLOCK % (LONG_LINE % (AXIS, AXIS)), "2 values for 1 places"),
+    "nested without end": (WITH_SECTIONS % ("[" * 900 + "]" * 900), "Expected `object`, got `array`"),
+    "a number that is none": (WITH_BLOCK % '{"kind": "text", "text": NaN}', "truncated or not JSON"),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_a_damaged_document_is_refused(case, tmp_path):
+    text, words = DAMAGED[case]
     (tmp_path / DOCUMENT).write_text(text)
-    with pytest.raises(PlanFileError, match="is no report"):
+    with pytest.raises(PlanFileError, match=re.escape(words)):
         folder_report(tmp_path)
 
 
@@ -88,20 +113,28 @@ def test_check_writes_the_page_that_is_asked_for(tmp_path, capsys):
     assert {path.name for path in (tmp_path / "checked").iterdir()} >= {"check.json", "report.html", "report.json"}
 
 
-WITH_MORE = '{"title": "a", "verdict": "b", "versions": {}, "passed": null, "sections": [], "more": %s}'
+@pytest.mark.parametrize("value", ["NaN", "1e999", "-Infinity", "[" * 900 + "]" * 900], ids=["nan", "huge", "inf", "deep"])
+def test_a_record_with_what_is_no_number_or_nested_without_end_is_refused(value, tmp_path):
+    (tmp_path / "bode.json").write_text(f'{{"points": [{{"gain": {value}}}]}}')
+    with pytest.raises(PlanFileError, match=r"bode\.json' is"):
+        folder_report(tmp_path)
 
 
-@pytest.mark.parametrize("value", ["NaN", "1e999", "-Infinity"])
-def test_numbers_that_are_none_in_a_record_or_a_document_are_no_fault(value, tmp_path):
-    for name, text in (("bode.json", f'{{"points": [{{"gain": {value}}}]}}'), ("report.json", WITH_MORE % value)):
-        folder = tmp_path / name.partition(".")[0]
-        folder.mkdir()
-        (folder / name).write_text(text)
-        write_report(folder_report(folder), tmp_path / "report.html")
-        assert (tmp_path / "report.html").is_file()
+@pytest.mark.parametrize("name", ["batch.json", "bode.json", "plan.json", "report.json", "experiment.json"])
+def test_a_record_that_is_too_large_is_refused_before_it_is_decoded(name, tmp_path):
+    (tmp_path / name).write_text("{}" + " " * 65_000_000)
+    with pytest.raises(PlanFileError, match=r"has 65000002 bytes; at most \d+ are read"):
+        folder_report(tmp_path)
 
 
-def test_a_document_nested_deeper_than_anything_meant_is_refused(tmp_path):
-    (tmp_path / "report.json").write_text(WITH_MORE % ("[" * 900 + "]" * 900))
-    with pytest.raises(PlanFileError, match="no report"):
+def test_a_record_of_too_many_tables_is_refused_before_it_is_decoded(tmp_path):
+    """Each takes thirty times its bytes."""
+    (tmp_path / "bode.json").write_text('{"points": [' + '{"":0},' * 500_000 + "0]}")
+    with pytest.raises(PlanFileError, match="has 500002 tables and lists; at most 400000 are read"):
+        folder_report(tmp_path)
+
+
+def test_a_batch_without_its_cases_is_refused(tmp_path):
+    (tmp_path / "batch.json").write_text('{"cases": {"a": {"settings": 5}}}')
+    with pytest.raises(PlanFileError, match=r"got `int` - at `\$\.cases\[\.\.\.\]\.settings`"):
         folder_report(tmp_path)

@@ -1,0 +1,66 @@
+"""Whether the reduced inertia M_r is positive definite: a motion without kinetic energy has no acceleration.
+
+Two hinges on one axis turn against each other and leave the body at rest; so do three hinges of a wrist in gimbal lock.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from linkplan.models.errors import InertiaError
+from linkplan.models.tree.joints import Joint
+
+# M_r counts as singular where its least eigenvalue, its diagonal scaled to one, is below this: rounding of a sum of terms
+# leaves 1e-16, and accelerations would keep less than four digits.
+SINGULAR_INERTIA = 1e-12
+# The coordinates named are those that have at least this share of the largest part in the motion without kinetic energy.
+_NAMED_SHARE = 0.1
+
+
+def is_regular(inertia: np.ndarray) -> np.ndarray:
+    """Return whether each reduced inertia (..., n_s, n_s) can be inverted: finite, and positive definite beyond rounding."""
+    diagonal = np.diagonal(inertia, axis1=-2, axis2=-1)
+    usable = np.isfinite(inertia).all(axis=(-2, -1)) & (diagonal > 0).all(axis=-1)
+    scale = np.sqrt(np.where(usable[..., None], diagonal, 1.0))
+    scaled = np.where(usable[..., None, None], inertia, np.eye(inertia.shape[-1])) / (
+        scale[..., :, None] * scale[..., None, :]
+    )
+    return usable & (np.linalg.eigvalsh(scaled)[..., 0] > SINGULAR_INERTIA)
+
+
+def without_inertia(inertia: np.ndarray) -> list[int]:
+    """Return the coordinates that move together without kinetic energy, by a singular reduced inertia (n_s, n_s)."""
+    diagonal = inertia.diagonal()
+    bad = ~np.isfinite(inertia).all(axis=1) | ~(diagonal > 0)
+    if bad.any():
+        return np.flatnonzero(bad).tolist()
+    scale = np.sqrt(diagonal)
+    share = np.abs(np.linalg.eigh(inertia / np.outer(scale, scale))[1][:, 0])
+    return np.flatnonzero(share >= _NAMED_SHARE * share.max()).tolist()
+
+
+def singular_inertia_text(joints: Sequence[Joint], inertia: np.ndarray) -> str:
+    """Return which of the independent joints (n_s,) move without kinetic energy, by a singular reduced inertia."""
+    names = [joints[column].name for column in without_inertia(inertia)]
+    if len(names) == 1:
+        return f"joint {names[0]} moves without moving any mass"
+    return f"joints {', '.join(names[:-1])} and {names[-1]} move together without moving any mass"
+
+
+def refuse_singular_inertia(name: str, joints: Sequence[Joint], independent: np.ndarray, dynamics, pose: np.ndarray) -> None:
+    """Refuse a mechanism whose reduced inertia is singular at its home pose (n_q,).
+
+    Raises:
+        InertiaError: naming the coordinates that move without kinetic energy.
+    """
+    inertia = np.array(dynamics.reduced_inertia(pose))
+    if len(inertia) == 0 or is_regular(inertia):
+        return
+    of = [joints[index] for index in independent]
+    at = ", ".join(f"{joint.name} = {joint.said(x, 4)} {joint.unit}" for joint, x in zip(of, pose[independent], strict=True))
+    raise InertiaError(
+        f"mechanism '{name}' has a singular inertia at home ({at}): {singular_inertia_text(of, inertia)}, so that no effort"
+        " fixes their acceleration. Give a joint an armature or its bodies mass off its axis; of joints on one axis keep"
+        " one; or choose another home pose, where axes coincide at this one only",
+        len(inertia),
+    )

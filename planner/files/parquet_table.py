@@ -1,0 +1,97 @@
+"""Parquet tables that linkplan wrote, read back against the schema and the number of rows that they were written with.
+
+Run-length and dictionary encodings turn 3 MB into 30 million rows. So the file's own account of itself (schema, rows, bytes,
+encodings) is compared before a column is decoded, and texts stay as dictionaries until their rows share them.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from linkplan.models.errors import PlanFileError, one_line
+from linkplan.models.reading import read_file
+
+Kind = Literal["number", "count", "flag", "word"]
+# A row's numbers take eight bytes each, its texts some hundred; metadata of a block of rows some kilobytes.
+_BYTES_A_VALUE, _BYTES_A_ROW, _BYTES_OF_METADATA = 16, 1000, 4_000_000
+# What pyarrow writes unasked; other encodings can expand without a bound that the metadata state.
+_ENCODINGS, _COMPRESSIONS = {"PLAIN", "RLE", "RLE_DICTIONARY", "PLAIN_DICTIONARY"}, {"SNAPPY", "UNCOMPRESSED"}
+
+
+def schema_of(kinds: Mapping[str, Kind]) -> Any:
+    """Return the Arrow schema of columns by name and kind."""
+    import pyarrow as pa
+
+    types = {"number": pa.float64(), "count": pa.int64(), "flag": pa.bool_(), "word": pa.string()}
+    return pa.schema([(name, types[kind]) for name, kind in kinds.items()])
+
+
+def read_table(path: Path, kinds: Mapping[str, Kind], rows: int) -> dict[str, np.ndarray]:
+    """Return the columns of a Parquet file by name, as arrays (n,): texts as objects, None where there is none.
+
+    Args:
+        path: of the file.
+        kinds: of its columns by name, in their order.
+        rows: that it has.
+
+    Raises:
+        PlanFileError: when the file is missing, truncated, too large, or has other columns, types or rows.
+    """
+    import pyarrow.parquet as parquet
+    from pyarrow import BufferReader
+
+    max_bytes = rows * (_BYTES_A_VALUE * len(kinds) + _BYTES_A_ROW) + _BYTES_OF_METADATA
+    content = read_file(path, f"'{path}'", max_bytes, PlanFileError)
+    words = [name for name, kind in kinds.items() if kind == "word"]
+    try:
+        _refuse_other(parquet.ParquetFile(BufferReader(content)), path, kinds, rows, max_bytes)
+        table = parquet.ParquetFile(BufferReader(content), read_dictionary=words).read()
+        table.validate(full=True)
+        return {name: _values(table[name], name, kind) for name, kind in kinds.items()}
+    except PlanFileError:
+        raise
+    except Exception as error:  # Arrow's parsers raise a dozen kinds on damaged bytes
+        why = one_line(error) or type(error).__name__
+        raise PlanFileError(f"'{path}' is truncated or not a Parquet table: {why[:200]}") from error
+
+
+def _refuse_other(file: Any, path: Path, kinds: Mapping[str, Kind], rows: int, max_bytes: int) -> None:
+    """Refuse a file whose metadata are not those of the table that is asked for, before a column is decoded."""
+    said, wanted = file.metadata, schema_of(kinds)
+    if said.num_columns != len(kinds) or file.schema_arrow.names != wanted.names:
+        other = sorted(set(wanted.names) ^ set(file.schema_arrow.names))[:3]
+        raise PlanFileError(
+            f"'{path}' has other columns than the {len(kinds)} of this table: {', '.join(other) or 'their order'}"
+        )
+    for field, have in zip(wanted, file.schema_arrow, strict=True):
+        if have.type != field.type:
+            raise PlanFileError(f"'{path}' has a column {field.name} of type {have.type}; it is of type {field.type}")
+    groups = [said.row_group(k) for k in range(said.num_row_groups)]
+    if said.num_rows != rows or sum(group.num_rows for group in groups) != rows:
+        raise PlanFileError(f"'{path}' has {said.num_rows} rows; {rows} were asked for")
+    chunks = [group.column(k) for group in groups for k in range(len(kinds))]
+    size = sum(chunk.total_uncompressed_size for chunk in chunks)
+    if size > max_bytes:
+        raise PlanFileError(f"'{path}' would take {size} bytes; at most {max_bytes} are read")
+    used = {one for chunk in chunks for one in (chunk.compression, *chunk.encodings)} - _ENCODINGS - _COMPRESSIONS
+    if used:
+        raise PlanFileError(f"'{path}' is encoded by {', '.join(sorted(used))}, which linkplan does not write")
+
+
+def _values(column: Any, name: str, kind: Kind) -> np.ndarray:
+    """Return a column's values.
+
+    Raises:
+        ValueError: when values are missing other than texts.
+    """
+    if kind == "word":
+        parts = []
+        for chunk in column.chunks:
+            texts = np.array([*chunk.dictionary.to_pylist(), None], dtype=object)
+            parts.append(texts[chunk.indices.fill_null(len(texts) - 1).to_numpy(zero_copy_only=False)])
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=object)
+    if column.null_count:
+        raise ValueError(f"column {name} lacks {column.null_count} values")
+    return column.to_numpy()

@@ -1,0 +1,77 @@
+"""The record of a saved plan, `plan.json`, as far as it is read back."""
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct, structs
+
+from linkplan.models.errors import PlanFileError
+from linkplan.planner.files.json_record import read_record
+from linkplan.planner.plan import STATUSES
+from linkplan.planner.refinement.history import Step
+
+FORMAT = 1
+_Count = Annotated[int, Meta(ge=0)]
+_Seconds = Annotated[float, Meta(ge=0)]
+
+
+class StepRecord(Struct, frozen=True):
+    """A solve on the way to a plan: the fields of `Step` that are saved; an objective that is no number is null."""
+
+    what: str
+    scheme: str
+    intervals: _Count
+    segments: _Count
+    converged: bool
+    solver_status: str
+    objective: float | None
+    integration_error_deg: float | None
+    build_s: _Seconds
+    solve_s: _Seconds
+    integration_error: float | None = None
+
+
+class PlanRecord(Struct, frozen=True):
+    """What is read of `plan.json`; what else it says is for people, or follows from the motion."""
+
+    format: int
+    name: str
+    status: str
+    message: str
+    problem: dict[str, Any]
+    objective: float | None = None
+    details: dict[str, float | None] = {}
+    history: list[StepRecord] = []
+    versions: dict[str, str] = {}
+    fingerprint: dict[str, str] | None = None
+    model_from_here: str | None = None
+
+
+def read_plan_record(folder: Path) -> PlanRecord:
+    """Return the record of a saved plan.
+
+    Raises:
+        PlanFileError: when the folder is none of a plan, or the record is damaged or of another format.
+    """
+    path = folder / "plan.json"
+    if not folder.is_dir():
+        raise PlanFileError(f"'{folder}' is not a plan: a plan is a folder with plan.json and trajectory.npz")
+    if not path.exists():
+        within = folder / "plan"
+        inside = f", as '{within}' is" if (within / "plan.json").is_file() else ""
+        raise PlanFileError(
+            f"'{folder}' is not a plan: it has no plan.json; a plan is a folder with that and trajectory.npz{inside}"
+        )
+    said = read_record(path, PlanRecord)
+    if said.status not in STATUSES:
+        raise PlanFileError(f"'{path}' has status '{said.status}'; a plan's is one of {', '.join(STATUSES)}")
+    if said.format != FORMAT:
+        raise PlanFileError(f"'{path}' has format {said.format}; this linkplan reads {FORMAT}")
+    return said
+
+
+def history_of(said: PlanRecord) -> tuple[Step, ...]:
+    """Return the solves that led to a saved plan."""
+    rows = (structs.asdict(row) for row in said.history)
+    return tuple(Step(**{**row, "objective": math.nan if row["objective"] is None else row["objective"]}) for row in rows)

@@ -1,0 +1,99 @@
+"""Runs that diverge say so in their figures: no warning of numpy's or MuJoCo's, which would reach stderr or a log file."""
+
+import numpy as np
+import pytest
+
+from linkplan.controllers.ensemble import run_ensemble
+from linkplan.controllers.imperfections.imperfections import Clock, Imperfections
+from linkplan.controllers.rigid_loop import run_rigid
+from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.planning import plan_motion
+from linkplan.studies.cli.main import main
+from linkplan.studies.compare.compare import Comparison, _loop, rollout_record, track, tracking_reference
+from linkplan.studies.compare.draw_tracking import comparison_figure
+from linkplan.studies.experiment.statistics import mean_of
+
+pytestmark = pytest.mark.filterwarnings("error")
+# Two links on motors without limits: what a law asks for acts.
+ARM = """<mujoco><option timestep="0.001"/><worldbody>
+<body name="upper"><joint name="a" axis="0 1 0"/><geom size=".03" pos=".1 0 0" contype="0"/>
+<body name="lower" pos=".2 0 0"><joint name="b" axis="0 1 0"/><geom size=".03" pos=".1 0 0" contype="0"/></body></body>
+</worldbody><actuator><motor name="ma" joint="a"/><motor name="mb" joint="b"/></actuator></mujoco>"""
+MOTION = {
+    "motion": {"kind": "reach", "start_deg": {"a": 0, "b": 0}, "goal_deg": {"a": 30, "b": 20}, "duration_s": 0.5},
+    "objective": {"minimize": "effort"},
+    "tracking": {"period_s": 0.001},
+}
+# Far too fast for its period.
+MOTION_TEXT = """[motion]
+kind = "reach"
+start_deg = { a = 0, b = 0 }
+goal_deg = { a = 30, b = 20 }
+duration_s = 0.5
+[objective]
+minimize = "effort"
+[tracking]
+bandwidth_hz = 50
+period_s = 0.03
+"""
+GAINS = [1e9, 1e100, 1e200, 1e308]
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return plan_motion(problem_from_tables("arm", MOTION, mechanism=load_mechanism(ARM)))
+
+
+def runaway(gain: float):
+    """Return a law that pushes away from the reference, and what it asks for overflows in the end."""
+
+    class Runaway:
+        name = "runaway"
+
+        def __init__(self, reference):
+            self.reference = reference
+
+        def effort(self, k, position, velocity):
+            return gain * (position - self.reference.position[k] + 0.001) * (1.0 + np.abs(velocity)) ** 2
+
+    return Runaway
+
+
+@pytest.mark.parametrize("gain", GAINS)
+def test_a_run_that_diverges_is_measured_and_drawn_without_a_warning(plan, gain, tmp_path):
+    run = track(plan, runaway(gain), None)
+    assert np.abs(run.commanded).max() > 1e6
+    assert rollout_record(plan, run)["peak_effort"]["ma"] > 1e6
+    runs = {"runaway": run}
+    comparison_figure(
+        Comparison(plan=plan, nominal=runs, mismatch=None, mismatched={}, title="nominal", stem="nominal"),
+        tmp_path / "compare.png",
+    )
+
+
+@pytest.mark.parametrize("gain", GAINS)
+def test_machines_and_rigid_loops_that_diverge_are_logged_without_a_warning(plan, gain):
+    mechanism, reference, loop = plan.problem.mechanism, tracking_reference(plan), _loop(plan, None)
+    law = runaway(gain)(reference)
+    ensemble = run_ensemble(mechanism, reference, law, loop, [Imperfections(), Imperfections()])
+    assert np.nanmax(np.abs(ensemble.commanded)) > 1e6
+    rigid = run_rigid(mechanism, reference, law, [Clock()], (reference.pose[:1], reference.velocity[:1]))
+    assert all(rigid.failure)
+
+
+def test_a_mean_of_values_beyond_all_squares_has_no_bounds():
+    found = mean_of(np.array([1e200, -1e200, 3e200]))
+    assert found.value == pytest.approx(1e200)
+    assert (found.low, found.high) == (-np.inf, np.inf)
+
+
+def test_a_feedback_loop_that_diverges_is_said_to_be_unstable_and_nothing_else_is_said(tmp_path, monkeypatch, capfd):
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "arm.toml").write_text('[mechanism]\nmodel = "arm.xml"\n' + MOTION_TEXT)
+    monkeypatch.chdir(tmp_path)
+    assert main(["bode", "arm.toml", "--tracker", "pd"]) == 1
+    out, err = capfd.readouterr()
+    assert "unstable" in out
+    assert "warning" not in err.lower()
+    assert not (tmp_path / "MUJOCO_LOG.TXT").exists()

@@ -1,0 +1,218 @@
+"""Experiments' folders whose files were changed: each is refused in one line that names the file, before it is decoded."""
+
+import json
+import re
+import shutil
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as parquet
+import pytest
+
+from linkplan.models.errors import PlanFileError
+from linkplan.planner.planning import silent
+from linkplan.studies.experiment.conduct import conduct
+from linkplan.studies.experiment.experiment import Settings, asked_record
+from linkplan.studies.experiment.parts import keep_plan
+from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment, saved_outcome
+from linkplan.studies.tasks import unfinished as parts
+from linkplan.studies.tasks.engine import here
+from tests.support.plans import optimal
+
+SETTINGS = Settings(trackers=("pd", "pd+ff"), samples=6)
+ROWS = 12
+
+
+def plan():
+    return optimal("knee-reach", "tracking.duration_s=0.01")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Return the folder of an experiment on the first hundredth of a second of the knee's reach."""
+    target = tmp_path_factory.mktemp("experiment") / "tried"
+    run_experiment({"name": "knee-reach"}, None, plan, SETTINGS, target, silent)
+    return target
+
+
+@pytest.fixture
+def folder(whole, tmp_path):
+    """Return a copy of the folder that may be changed."""
+    return shutil.copytree(whole, tmp_path / "tried")
+
+
+def column(name, change):
+    """Return what changes the values of a column."""
+
+    def act(table):
+        place = table.schema.get_field_index(name)
+        values = change(table[name].to_pylist())
+        kind = table.schema.field(name).type
+        return table.set_column(place, name, pa.array(values, kind))
+
+    return act
+
+
+def first(value):
+    return lambda values: [value, *values[1:]]
+
+
+def retyped(name, kind):
+    return lambda table: table.set_column(table.schema.get_field_index(name), name, table[name].cast(kind))
+
+
+def renamed(table):
+    return table.rename_columns([name.replace("rms_error", "mean_error") for name in table.column_names])
+
+
+DAMAGED = {
+    "a column renamed": (renamed, "has other columns than the 26 of this table: mean_error_deg, rms_error_deg"),
+    "a column left out": (lambda table: table.drop_columns(["chatter"]), "chatter"),
+    "a column more": (lambda table: table.append_column("more", table["chatter"]), "more"),
+    "a column twice": (lambda table: table.append_column("chatter", table["chatter"]), "other columns"),
+    "columns in another order": (lambda table: table.select(table.column_names[::-1]), "their order"),
+    "numbers in single precision": (retyped("chatter", pa.float32()), "chatter of type float; it is of type double"),
+    "numbers as texts": (retyped("rms_error_deg", pa.string()), "rms_error_deg of type string"),
+    "samples as numbers": (retyped("sample", pa.float64()), "sample of type double; it is of type int64"),
+    "texts as bytes": (retyped("tracker", pa.binary()), "tracker of type binary"),
+    "no rows": (lambda table: table.slice(0, 0), "has 0 rows; 12 were asked for"),
+    "a row less": (lambda table: table.slice(1), "has 11 rows; 12 were asked for"),
+    "all rows twice": (lambda table: pa.concat_tables([table, table]), "has 24 rows; 12 were asked for"),
+    "rows in another order": (lambda table: table.take(list(range(ROWS))[::-1]), "column sample is the experiment's"),
+    "a sample outside the design": (column("sample", first(10**9)), "row 0 has 1000000000"),
+    "a negative sample": (column("sample", first(-1)), "row 0 has -1"),
+    "an unknown tracker": (column("tracker", first("lqr")), "column tracker is pd, pd+ff in turn; row 0 has lqr"),
+    "no tracker": (column("tracker", first(None)), "row 0 has None"),
+    "a number that is none": (column("rms_error_deg", first(np.nan)), "column rms_error_deg is a number of at least 0"),
+    "a number that is missing": (column("rms_error_deg", first(None)), "column rms_error_deg lacks 1 values"),
+    "a negative error": (column("max_error_deg", first(-1.0)), "row 0 has -1.0"),
+    "a negative effort": (column("peak_effort", first(-1.0)), "column peak_effort is 0, more, or none"),
+    "a success that failed": (column("failure", first("it fell")), "column success is false where a run failed"),
+    "another machine": (column("imperfection.delay_periods", first(1.1)), "what the experiment's seed gives that machine"),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_results_that_are_not_those_of_the_experiment_are_refused(case, folder):
+    change, words = DAMAGED[case]
+    parquet.write_table(change(parquet.read_table(folder / RESULTS)), folder / RESULTS)
+    with pytest.raises(PlanFileError, match=re.escape(words)) as raised:
+        saved_outcome(folder)
+    assert str(folder / RESULTS) in str(raised.value)
+
+
+def test_rows_beyond_those_asked_for_are_refused_before_a_column_is_decoded(folder, monkeypatch):
+    """Run-length encoding makes 30 million rows of 3 MB."""
+    table = parquet.read_table(folder / RESULTS).slice(0, 1).take([0] * 100_000)
+    parquet.write_table(table, folder / RESULTS)
+    assert (folder / RESULTS).stat().st_size < 100_000
+    monkeypatch.setattr(parquet.ParquetFile, "read", lambda *_, **__: pytest.fail("a column was decoded"))
+    with pytest.raises(PlanFileError, match="has 100000 rows; 12 were asked for"):
+        saved_outcome(folder)
+
+
+@pytest.mark.parametrize(
+    ("how", "words"),
+    [
+        ({"compression": "zstd"}, "encoded by ZSTD"),
+        ({"compression": "gzip"}, "encoded by GZIP"),
+        ({"use_dictionary": False, "column_encoding": {"failure": "DELTA_BYTE_ARRAY"}}, "encoded by DELTA_BYTE_ARRAY"),
+    ],
+)
+def test_encodings_that_expand_without_a_stated_bound_are_refused(how, words, folder):
+    parquet.write_table(parquet.read_table(folder / RESULTS), folder / RESULTS, **how)
+    with pytest.raises(PlanFileError, match=words):
+        saved_outcome(folder)
+
+
+def test_texts_larger_than_rows_may_be_are_refused(folder):
+    table = column("failure", lambda values: ["x" * 5_000_000 for _ in values])(parquet.read_table(folder / RESULTS))
+    parquet.write_table(table, folder / RESULTS)
+    with pytest.raises(PlanFileError, match=r"would take \d+ bytes; at most \d+ are read"):
+        saved_outcome(folder)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.99])
+def test_results_cut_short_are_refused(share, folder):
+    content = (folder / RESULTS).read_bytes()
+    (folder / RESULTS).write_bytes(content[: int(share * len(content))])
+    with pytest.raises(PlanFileError, match="is truncated or not a Parquet table"):
+        saved_outcome(folder)
+
+
+def test_a_byte_of_the_results_that_was_flipped_is_refused_or_changes_nothing(folder, whole):
+    content = (folder / RESULTS).read_bytes()
+    before = saved_outcome(whole).results
+    for place in range(4, len(content), len(content) // 40):
+        (folder / RESULTS).write_bytes(content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :])
+        try:
+            now = saved_outcome(folder).results
+        except PlanFileError:
+            continue
+        assert list(now) == list(before)
+        assert all(len(now[name]) == ROWS for name in now)
+
+
+def asked(change):
+    def act(said):
+        change(said["asked"])
+
+    return act
+
+
+RECORDS = {
+    "nothing asked": (lambda said: said.pop("asked"), "missing required field `asked`"),
+    "no settings": (asked(lambda said: said.pop("settings")), "missing required field `settings`"),
+    "another format": (asked(lambda said: said.update(format=2)), "at `$.asked.format`"),
+    "trackers as a word": (asked(lambda said: said["settings"].update(trackers="pd")), "at `$.asked.settings.trackers`"),
+    "an unknown tracker": (asked(lambda said: said["settings"].update(trackers=["pid"])), "'pid'"),
+    "no trackers": (asked(lambda said: said["settings"].update(trackers=[])), "one or more"),
+    "samples of a fraction": (asked(lambda said: said["settings"].update(samples=1.5)), "at `$.asked.settings.samples`"),
+    "negative samples": (asked(lambda said: said["settings"].update(samples=-1)), "samples"),
+    "other samples": (asked(lambda said: said["settings"].update(samples=7)), "has 12 rows; 14 were asked for"),
+    "another seed": (asked(lambda said: said["settings"].update(seed=1)), "what the experiment's seed gives"),
+    "another design": (asked(lambda said: said["settings"].update(design="random")), "design"),
+    "another tracker": (asked(lambda said: said["settings"].update(trackers=["pd", "lqr"])), "column tracker is pd, lqr"),
+    "trackers in another order": (asked(lambda said: said["settings"].update(trackers=["pd+ff", "pd"])), "in turn"),
+    "hashes as a list": (asked(lambda said: said.update(tracker_sources=[])), "at `$.asked.tracker_sources`"),
+}
+
+
+@pytest.mark.parametrize("case", RECORDS)
+def test_a_record_that_is_not_that_of_the_results_is_refused(case, folder):
+    change, words = RECORDS[case]
+    said = json.loads((folder / RECORD).read_text())
+    change(said)
+    (folder / RECORD).write_text(json.dumps(said))
+    with pytest.raises(PlanFileError, match=re.escape(words)) as raised:
+        saved_outcome(folder)
+    assert str(folder) in str(raised.value)
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"asked": NaN}', "[" * 100_000])
+def test_a_damaged_record_is_refused_and_nothing_is_lost(text, folder):
+    (folder / RECORD).write_text(text)
+    with pytest.raises(PlanFileError, match=r"experiment\.json' is"):
+        saved_experiment(folder)
+    with pytest.raises(PlanFileError, match=r"'experiment\.json', which has changed since"):
+        run_experiment({"name": "knee-reach"}, None, plan, SETTINGS, folder, silent)
+    assert (folder / RECORD).read_text() == text
+    assert (folder / RESULTS).is_file()
+
+
+def test_a_part_of_other_machines_is_refused_and_the_parts_are_kept(whole, tmp_path):
+    target = tmp_path / "new"
+    left = parts.unfinished(target)
+    source = {"name": "knee-reach"}
+    with parts.working(left, asked_record(source, None, SETTINGS, {}), "an experiment"):
+        keep_plan(left, plan())
+        conduct(left, SETTINGS, {}, plan, here, silent)
+    one = parts.part(left, 0, "parquet")
+    parquet.write_table(column("sample", first(5))(parquet.read_table(one)), one)
+    with pytest.raises(PlanFileError, match=r"part-00000\.parquet' holds no results of this experiment"):
+        run_experiment(source, None, plan, SETTINGS, target, silent)
+    assert one.is_file()
+    assert not target.exists()
+    one.unlink()
+    run_experiment(source, None, plan, SETTINGS, target, silent)
+    assert (target / RESULTS).read_bytes() == (whole / RESULTS).read_bytes()
