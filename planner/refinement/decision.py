@@ -69,14 +69,16 @@ def _towards_a_certificate(state: RefinementState) -> Action | None:
         return Tighten() if not at.passed and at.overruns and state.tightenings < TIGHTENINGS_BETWEEN else None
     if state.finished:
         return ReadSwitches() if _may_read_better(state) else None
-    over, higher = overrunning(at), _higher_scheme(state)
+    over = overrunning(at)
     if over.any() and _switches_are_open(state) and state.rounds % 2 == 0 and state.rounds > 0 and state.readings < 2:
         return ReadSwitches()
     if report is not None and report.leaves_positions and not (state.position_rows or state.rows_lost):
         return ImposeRanges()
+    inexact, uneven = _inexact(state, over)
+    higher = _higher_scheme(state, inexact if state.aims.enclosed else inexact | uneven, over)
     if higher is not None:
         return RaiseDegree(higher)
-    marked, uneven = _marked(state, over)
+    marked = _marked(state, uneven if state.aims.enclosed and uneven.any() else inexact | uneven, over)
     if not marked.any() and at.overruns:
         return Tighten()
     if not marked.any():
@@ -122,40 +124,41 @@ def _may_read_better(state: RefinementState) -> bool:
     return may and is_bang_bang(state.case, state.at.found.solution.transcribed)
 
 
-def _marked(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the intervals (n,) to halve, and those of them that the objective alone asks for."""
-    at, fixed, none = state.at, state.at.found.fixed, np.zeros(state.at.n_intervals, dtype=bool)
+def _inexact(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the intervals (n,) on which the motion is not exact, and those that the objective alone asks for."""
+    at, fixed = state.at, state.at.found.fixed
+    inexact, uneven = marked_for(at, state.aims.strictness), np.zeros(at.n_intervals, dtype=bool)
     if state.aims.enclosed:
-        needed = marked_for(at, 1.0)
-        if needed.any() or at.findings is None:
-            return needed, none
-        if state.settled:
-            return marked_for(at, state.aims.strictness), none
-        return uneven_of(at) | state.kept_off, none
-    marked = marked_for(at, state.aims.strictness) | state.kept_off
-    uneven = none
-    if at.passed and not state.settled and (fixed is None or not (marked | over).any()):
+        return inexact, uneven if state.settled else uneven_of(at) | state.kept_off
+    inexact |= state.kept_off
+    if at.passed and not state.settled and (fixed is None or not (inexact | over).any()):
         # With arcs held between switch times, limits begin and cease to bind there and not inside intervals.
         uneven = uneven_of(at) if fixed is None else rough_of(at.found.motion)
-    marked = marked | uneven
+    return inexact, uneven
+
+
+def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np.ndarray:
+    """Return the intervals (n,) to halve, of those that are inexact and those on which limits are overrun."""
+    at, fixed = state.at, state.at.found.fixed
+    if state.aims.enclosed:  # efforts jump inside intervals: what the certificate needs comes first
+        needed = marked_for(at, 1.0)
+        return needed if needed.any() or at.findings is None else inexact
     if over.any() and _switches_are_open(state):
-        marked = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
+        inexact = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
     # Held throughout, limits are overrun by what the mesh errs by: tightened by that, the motion would be late.
     held = fixed is not None and fixed.everything and bool(fixed.paths.any())
-    if grown(at.found.mesh, marked | over) <= (_most_intervals(state, held=held) if held else _comfortable(state)):
-        marked = marked | over
-    return marked, uneven
+    fits = grown(at.found.mesh, inexact | over) <= (_most_intervals(state, held=held) if held else _comfortable(state))
+    return inexact | over if fits else inexact
 
 
-def _higher_scheme(state: RefinementState) -> str | None:
+def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> str | None:
     """Return the scheme of higher degree that is worth more than a finer mesh, or None."""
     at, report = state.at, state.at.findings
     if report is not None and report.unseen:
         return None
-    over, marked = overrunning(at), marked_for(at, 1.0 if state.aims.enclosed else state.aims.strictness)
     higher = None if state.aims.enclosed else higher_on_arcs(state.case, at, over)
     if higher is None and not (over.any() and _switches_are_open(state)):
-        higher = higher_for(state.case, at.certificate, marked)
+        higher = higher_for(state.case, at.certificate, inexact)
     rough = state.aims.enclosed or (state.warm and report is not None and report.unstable)
     return None if higher is not None and rough and degree_of(higher) > MAX_ROUGH_DEGREE else higher
 

@@ -31,7 +31,7 @@ def solution(objective: float = 1.0, *, n: int = 10, tightened: bool = False) ->
     """Return a solution that the solver converged to, without held arcs."""
     mesh = uniform(n)
     layout = SimpleNamespace(n_u=1, durations=lambda: np.array([0]), effort=lambda: np.zeros((n, 1), dtype=int))
-    program = SimpleNamespace(mesh=mesh, layout=layout, interval=SimpleNamespace(n_path=0, own_kinds=()))
+    program = SimpleNamespace(mesh=mesh, layout=layout, interval=SimpleNamespace(n_path=0, own_kinds=(), own_items=()))
     formulation = SimpleNamespace(tightening=object() if tightened else None)
     transcribed = SimpleNamespace(
         program=program,
