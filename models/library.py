@@ -9,14 +9,12 @@ import numpy as np
 from linkplan.models.catalogue import MODELS as BUILT_IN
 from linkplan.models.catalogue import built_in_text, is_file, is_folder, is_text, is_there
 from linkplan.models.errors import ModelError, one_line
+from linkplan.models.model_text import MAX_MODEL_BYTES, refuse_oversized
 from linkplan.models.model_values import refuse_unusable
 from linkplan.models.names import nearest
 from linkplan.models.payload import Payload, attach
 from linkplan.models.reading import read_file, shown
 from linkplan.models.urdf import mesh_hint
-
-# The largest model of MuJoCo Menagerie has some hundred kilobytes; more than this is no model.
-MAX_MODEL_BYTES = 32_000_000
 
 __all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
@@ -73,6 +71,7 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     if text in BUILT_IN:
         return text, _parse(text, built_in_text(text))
     if is_text(text):
+        refuse_oversized(text.encode("utf-8", "replace"), "MJCF text")
         spec = _parse("MJCF text", text)
         return spec.modelname or "MJCF text", spec
     path = Path(text)
@@ -86,8 +85,7 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec]:
     content = read_file(path, f"model '{text}'", MAX_MODEL_BYTES, ModelError)
     if not content.strip():
         raise ModelError(f"model '{text}' is empty; a model is an MJCF file")
-    if b"\0" in content:
-        raise ModelError(f"model '{text}' does not parse: it holds zero bytes; a model is MJCF or URDF text")
+    refuse_oversized(content, f"model '{text}'")
     try:
         return shown(path.stem), mujoco.MjSpec.from_file(str(path))
     except (ValueError, mujoco.FatalError) as error:
