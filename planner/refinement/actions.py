@@ -193,7 +193,7 @@ def _solved_on(
         finer = tried(word, coarse.fixed, **how)
         if finer is not None:
             found.append(finer)
-            if finer.solution.status == SUCCEEDED and not (aims.bang_bang and not alike(finer)):
+            if finer.solution.status == SUCCEEDED and (aims.enclosed or not aims.bang_bang or alike(finer)):
                 break
     # A solver that stopped short where it began has lost nothing: on singular arcs it comes no nearer to its tolerance.
     lost = all(finer.solution.status != SUCCEEDED and not alike(finer) for finer in found)

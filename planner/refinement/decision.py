@@ -43,8 +43,9 @@ from linkplan.planner.refinement.switch_search import is_bang_bang
 MAX_ROUNDS = 24
 # A mesh that has grown by this factor without passing will not pass by growing on.
 MAX_GROWTH = 120
-# Where no tolerance is asked for, a mesh of so many intervals is fine enough; where efforts jump inside intervals, so many.
-ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS = 100, 200
+# Where no tolerance is asked for, a mesh of so many intervals is fine enough; where efforts jump inside intervals, the larger
+# number, while the objective changes by more than this share of itself.
+ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS, CHANGE_WORTH_INTERVALS = 100, 200, 1e-4
 # Switches are read again at most so often, and wrongly held arcs released.
 MAX_READINGS, MAX_RELEASES = 3, 3
 # Limits are tightened while the mesh is still halved from so many rounds after the last reading of switches on.
@@ -167,7 +168,7 @@ def _comfortable(state: RefinementState) -> int:
     """Return the number of intervals that is enough for a motion that passes."""
     if state.aims.tolerance_given:
         return MAX_GROWTH * state.asked.problem.mesh.intervals
-    rough = state.aims.enclosed and not state.settled
+    rough = state.aims.enclosed and state.change > CHANGE_WORTH_INTERVALS
     return ENOUGH_ROUGH_INTERVALS if rough else ENOUGH_INTERVALS
 
 
