@@ -43,8 +43,8 @@ from linkplan.planner.refinement.switch_search import is_bang_bang
 MAX_ROUNDS = 24
 # A mesh that has grown by this factor without passing will not pass by growing on.
 MAX_GROWTH = 120
-# Where no tolerance is asked for, a mesh of so many intervals is fine enough; where efforts jump inside intervals, the larger
-# number, while the objective changes by more than this share of itself.
+# Where no tolerance is asked for, a mesh of so many intervals is fine enough; where efforts jump inside intervals, the
+# larger number, while the objective changes by more than this share of itself.
 ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS, CHANGE_WORTH_INTERVALS = 100, 200, 1e-4
 # Switches are read again at most so often, and wrongly held arcs released.
 MAX_READINGS, MAX_RELEASES = 3, 3
