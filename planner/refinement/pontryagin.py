@@ -11,9 +11,9 @@ from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.solvers.solve import Solution
 
 # A multiplier of the wrong sign that is larger than this share of the largest is no rounding.
-_WRONG = 1e-2
+WRONG_SIGN_SHARE = 1e-2
 # Multipliers of inequalities below this share of the largest of equations are what the barrier leaves: nothing binds.
-_BINDS = 1e-7
+BINDING_SHARE = 1e-7
 # Quantities whose rate along a motion no effort changes at once: held, they are constraints of second order. Their
 # multiplier is a measure with impulses at an arc's ends (Hartl, Sethi and Vickson 1995), which a transcription gives as
 # values that alternate from interval to interval: only an arc's sum has a sign. An ODE's own quantities may be such ones.
@@ -33,7 +33,7 @@ def limits_bind(solution: Solution) -> bool:
     if rows is None or unknowns is None:
         return True
     equal = transcribed.row_lower == transcribed.row_upper
-    most = _BINDS * np.abs(rows[equal]).max(initial=np.finfo(float).tiny)
+    most = BINDING_SHARE * np.abs(rows[equal]).max(initial=np.finfo(float).tiny)
     of_unknowns = np.abs(unknowns[transcribed.lower < transcribed.upper])
     return bool(max(np.abs(rows[~equal]).max(initial=0.0), of_unknowns.max(initial=0.0)) > most)
 
@@ -63,7 +63,7 @@ def held_wrongly(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 def _wrong(pushes: np.ndarray) -> np.ndarray:
     """Return which pushes (n, k) are off their limit, against the largest one onto it."""
-    return pushes < -_WRONG * np.abs(pushes).max(initial=np.finfo(float).tiny)
+    return pushes < -WRONG_SIGN_SHARE * np.abs(pushes).max(initial=np.finfo(float).tiny)
 
 
 def _of_efforts(transcribed, reduced: np.ndarray) -> np.ndarray:
