@@ -15,7 +15,7 @@ from linkplan.planner.ode.first_solution import FirstSolution
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Found, attempt
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.refinement.switch_search import NO_WORSE, mesh_with_switches
+from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.solvers.solve import Solution
 
@@ -84,7 +84,7 @@ def _replaces(case: OdeCase, tried: Found[OdeTrajectory], before: Solution, *, u
     The first with switch times does where it is no worse than a mesh without switch times is wrong, later ones where they
     gain more than what their states' errors are worth by their own costates.
     """
-    solution, allowed = tried.solution, NO_WORSE * abs(before.objective)
+    solution, allowed = tried.solution, MESH_ERROR_SHARE * abs(before.objective)
     if uncut:
         return solution.objective <= before.objective + allowed
     sizes = np.abs(tried.motion.state[:, :, : case.asked.n_x]).max(axis=(0, 1))

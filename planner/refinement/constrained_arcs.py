@@ -17,12 +17,12 @@ from linkplan.planner.transcription.collocation import Transcribed
 
 # A path quantity within this share of its limit is at it; next to switch times (this share of a segment) nothing is looked
 # at.
-_AT_LIMIT = 1e-3
-_BESIDE_SWITCHES = 0.15
+SHARE_AT_LIMIT = 1e-3
+SHARE_BESIDE_SWITCHES = 0.15
 # Ends of an arc within so many intervals of a switch time are that switch time.
-_NEAR = 2.5
+INTERVALS_TO_SAME_SWITCH = 2.5
 # A curve further from a limit than this share of it, whose coefficients are at it, is kept away; looked at so many instants.
-_STANDS_OFF, _SAMPLES = 1e-7, 33
+SHARE_OFF_LIMIT, SAMPLES_OF_INTERVAL = 1e-7, 33
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -54,7 +54,7 @@ def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     values = rows[:, interval.n_own : interval.n_own + m * n_f].reshape(n, m, n_f)[:, :, interval.n_equations :]
     # Of each of its two ends by itself: 900 W may stand beside a million.
     size = np.where(np.isfinite(limit), np.abs(limit), 0.0)
-    slack = _AT_LIMIT * np.where(size > 0, size, np.abs(values).max(axis=(0, 1))[:, None])
+    slack = SHARE_AT_LIMIT * np.where(size > 0, size, np.abs(values).max(axis=(0, 1))[:, None])
     may = (limit[:, 0] < limit[:, 1]) & np.array([kind != "work" for kind in interval.node_kinds[interval.n_equations :]])
     upper = np.all(values > limit[:, 1] - slack[:, 1], axis=1) & may
     lower = np.all(values < limit[:, 0] + slack[:, 0], axis=1) & may
@@ -72,8 +72,8 @@ def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) ->
     arcs = [np.zeros((transcribed.program.mesh.n_intervals, 0), dtype=int)]
     for kind, values, (low, high) in _coefficients(transcribed, x):
         if kind in kinds:
-            above = np.all(values > high - _AT_LIMIT * abs(high), axis=1).astype(int)
-            below = np.all(values < low + _AT_LIMIT * abs(low), axis=1).astype(int)
+            above = np.all(values > high - SHARE_AT_LIMIT * abs(high), axis=1).astype(int)
+            below = np.all(values < low + SHARE_AT_LIMIT * abs(low), axis=1).astype(int)
             arcs.append((above - below)[:, None])
     return np.hstack(arcs)
 
@@ -86,10 +86,10 @@ def standing_off(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     """
     off = np.zeros(transcribed.program.mesh.n_intervals, dtype=bool)
     for _, coefficients, limit in _coefficients(transcribed, x):
-        curve = coefficients @ bernstein_matrix(coefficients.shape[1] - 1, np.linspace(0.0, 1.0, _SAMPLES)).T
+        curve = coefficients @ bernstein_matrix(coefficients.shape[1] - 1, np.linspace(0.0, 1.0, SAMPLES_OF_INTERVAL)).T
         for bound, sign in zip(limit, (-1.0, 1.0), strict=True):
             if np.isfinite(bound) and bound != 0:
-                room = _STANDS_OFF * abs(bound)
+                room = SHARE_OFF_LIMIT * abs(bound)
                 touching, away = ((sign * (bound - values)).min(axis=1) for values in (coefficients, curve))
                 off |= (touching < 0.5 * room) & (away > room)
     return off
@@ -119,7 +119,7 @@ def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, switch_times_s: np.ndarray,
     widths = np.diff(breaks_s)
     found = []
     for k in range(1, len(arcs)):
-        near = _NEAR * max(widths[k - 1], widths[k])
+        near = INTERVALS_TO_SAME_SWITCH * max(widths[k - 1], widths[k])
         if (
             np.any(arcs[k] != arcs[k - 1])
             and np.abs(known - breaks_s[k]).min(initial=np.inf) > near
@@ -144,7 +144,7 @@ def find_constrained_paths(
     """
     constrained_paths = np.zeros((len(ends_s) - 1, arcs.shape[1]), dtype=int)
     for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
-        beside = _BESIDE_SWITCHES * (end - begin)
+        beside = SHARE_BESIDE_SWITCHES * (end - begin)
         inside = (breaks_s[1:] > begin + beside) & (breaks_s[:-1] < end - beside)
         inner = inside & (breaks_s[:-1] >= begin) & (breaks_s[1:] <= end)
         chosen = arcs[inner if inner.any() else inside]
@@ -164,7 +164,7 @@ def free_ends(ends_s: np.ndarray, fixed: FixedArcs) -> tuple[np.ndarray, FixedAr
     for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
         on_path = fixed.paths[k]
         if on_path.any():
-            beside = _BESIDE_SWITCHES * (end - begin)
+            beside = SHARE_BESIDE_SWITCHES * (end - begin)
             switch_times += [begin + beside, end - beside]
         parts = [0 * on_path, on_path, 0 * on_path] if on_path.any() else [on_path]
         efforts += [fixed.efforts[k]] * len(parts)

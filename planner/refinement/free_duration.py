@@ -5,7 +5,7 @@ import numpy as np
 from linkplan.planner.solvers.solve import Solution
 
 # A duration within this share of where it may end is there.
-_AT_END = 0.01
+SHARE_AT_BOUND = 0.01
 
 LONGER, SHORTER = "longer", "shorter"
 
@@ -27,8 +27,8 @@ def bounded_by_guess(solution: Solution, shortest_s: float, longest_s: float) ->
         return None
     at, lower, upper = solution.x[place], transcribed.lower[place], transcribed.upper[place]
     free, duration = lower < upper, float(at.sum()) * transcribed.units.time_s  # phases to given instants are not free
-    if duration < (1 - _AT_END) * longest_s and np.any(free & (at >= (1 - _AT_END) * upper)):
+    if duration < (1 - SHARE_AT_BOUND) * longest_s and np.any(free & (at >= (1 - SHARE_AT_BOUND) * upper)):
         return LONGER
-    if duration > (1 + _AT_END) * shortest_s and np.any(free & (at <= (1 + _AT_END) * lower)):
+    if duration > (1 + SHARE_AT_BOUND) * shortest_s and np.any(free & (at <= (1 + SHARE_AT_BOUND) * lower)):
         return SHORTER
     return None

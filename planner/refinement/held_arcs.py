@@ -13,7 +13,7 @@ from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.switches import Motion
 
 # At so many instants of an arc its effort is looked at; how far into an arc along a power limit it shows what goes before.
-_SAMPLES, _INTO = 33, 0.1
+SAMPLES_OF_ARC, SHARE_INTO_ARC = 33, 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -73,7 +73,7 @@ def _without_gaps(seen: list[_Arc], motion: Motion, limit: np.ndarray) -> list[_
             arcs[-1] = replace(arcs[-1], end=parted)
             continue
         if arc.loose:
-            mean = motion.effort_at(np.linspace(arc.begin, arc.end, _SAMPLES)).mean(axis=0)
+            mean = motion.effort_at(np.linspace(arc.begin, arc.end, SAMPLES_OF_ARC)).mean(axis=0)
             arc = replace(arc, effort=np.where(mean > limit.mean(axis=1), limit[:, 1], limit[:, 0]))
         arcs.append(arc if parted is None else replace(arc, begin=parted))
         parted = None
@@ -94,7 +94,7 @@ def _from_rest(arcs: list[_Arc], motion: Motion, limit: np.ndarray, powers: np.n
         return arcs
     forward = arcs[0].begin <= arcs[-1].begin
     origin, near, far = (first.begin, along.begin, along.end) if forward else (first.end, along.end, along.begin)
-    at = near + _INTO * (far - near)
+    at = near + SHARE_INTO_ARC * (far - near)
     effort = float(motion.effort_at(np.array([at]))[0, 0])
     most = limit[0, 1] if effort > 0 else limit[0, 0]
     if effort == 0.0 or abs(effort) >= abs(most) or (along is not first and first.effort[0] != most):

@@ -14,21 +14,23 @@ from linkplan.planner.transcription.schemes import MAX_DEGREE
 
 # The share of its allowance that marks an interval for halving; how far below the worst interval's error another may be to
 # be halved with it.
-_MARK, _WORST = 0.5, 0.01
+MARKED_SHARE, SHARE_OF_WORST = 0.5, 0.01
 # Where dynamics are not kept, an interval with less than this share of the largest residual adds nothing to the error of the
 # integrated state: it carries on what others have begun.
-_CARRIES = 1e-6
+SHARE_OF_RESIDUAL = 1e-6
 # A limit overrun between the nodes by more than this share of itself is a matter for the mesh; for less the limit is
 # tightened, which costs the objective about as much.
-_FINE = 1e-7
+TIGHTENED_OVERRUN = 1e-7
+# Intervals on which a limit is overrun by this share of the most are halved where limits are loosened.
+LARGE_OVERRUN_SHARE = 0.1
 # The degree is raised where at least this share of the intervals asks for more, and none stands out by more than this
 # factor: the motion is smooth there, and nodes are worth more than intervals.
-_EVERYWHERE = 0.5
-_STANDS_OUT = 30.0
+EVEN_SHARE = 0.5
+OUTLIER_FACTOR = 30.0
 # Fewer intervals in a row than these are no arc along a limit, but the end of one inside an interval.
-_AN_ARC = 3
+INTERVALS_OF_ARC = 3
 # Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
-_ROUGH = 0.01
+ROUGH_SHARE = 0.01
 
 
 def marked_for(at: Judged[Any, Any], strictness: float) -> np.ndarray:
@@ -42,10 +44,10 @@ def marked_for(at: Judged[Any, Any], strictness: float) -> np.ndarray:
         return np.ones(n, dtype=bool)
     marked = np.zeros(n, dtype=bool)
     if residual.max() > 1.0:
-        marked |= residual > _MARK
-        growth = np.where(residual > _CARRIES * residual.max(), growth, 0.0)
+        marked |= residual > MARKED_SHARE
+        growth = np.where(residual > SHARE_OF_RESIDUAL * residual.max(), growth, 0.0)
     if growth.sum() > 1.0:
-        marked |= growth > _MARK * max(1.0, _WORST * growth.max() * n) / n
+        marked |= growth > MARKED_SHARE * max(1.0, SHARE_OF_WORST * growth.max() * n) / n
     return marked
 
 
@@ -54,7 +56,13 @@ def overrunning(at: Judged[Any, Any]) -> np.ndarray:
     if at.findings is None:
         return np.zeros(at.n_intervals, dtype=bool)
     overrun = at.findings.overrun
-    return overrun > max(_FINE, _WORST * overrun.max(initial=0.0))
+    return overrun > max(TIGHTENED_OVERRUN, SHARE_OF_WORST * overrun.max(initial=0.0))
+
+
+def most_overrun(at: Judged[Any, Any]) -> np.ndarray:
+    """Return on which intervals (n,) a limit is overrun by a share of the most that it is overrun."""
+    overrun = np.zeros(at.n_intervals) if at.findings is None else at.findings.overrun
+    return overrun > LARGE_OVERRUN_SHARE * overrun.max(initial=0.0)
 
 
 def grown(mesh: Mesh, marked: np.ndarray) -> int:
@@ -75,7 +83,7 @@ def rough_of(motion: Motion) -> np.ndarray:
     bend = np.abs(np.diff(motion.effort, n=degree, axis=0)[0]) if degree else np.abs(motion.effort[0])
     size = np.maximum(np.abs(motion.effort).max(axis=(0, 1)), np.finfo(float).tiny)
     rough = widths * (bend / size).max(axis=1)
-    return rough >= _ROUGH * rough.max()
+    return rough >= ROUGH_SHARE * rough.max()
 
 
 def higher_for(case: Case[Any, CertificateT], certificate: CertificateT | None, marked: np.ndarray) -> str | None:
@@ -83,7 +91,7 @@ def higher_for(case: Case[Any, CertificateT], certificate: CertificateT | None, 
     if certificate is None or not marked.any():
         return None
     growth = certificate.growth[marked]
-    even = marked.mean() >= _EVERYWHERE and growth.max() <= _STANDS_OUT * max(float(np.median(growth)), 1e-300)
+    even = marked.mean() >= EVEN_SHARE and growth.max() <= OUTLIER_FACTOR * max(float(np.median(growth)), 1e-300)
     return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 
 
@@ -95,7 +103,7 @@ def higher_on_arcs(case: Case[MotionT, CertificateT], at: Judged[MotionT, Certif
     if case.aims.switches and (fixed is None or not np.all(fixed.paths[at.found.mesh.segment[over]].any(axis=1))):
         return None  # an arc that is not held may end inside an interval, which wants a switch time
     overrun = at.findings.overrun[over]
-    even = len(overrun) >= _AN_ARC and overrun.max() <= _STANDS_OUT * float(np.median(overrun))
+    even = len(overrun) >= INTERVALS_OF_ARC and overrun.max() <= OUTLIER_FACTOR * float(np.median(overrun))
     return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 
 

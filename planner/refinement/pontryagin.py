@@ -7,12 +7,13 @@ that limit is in the way or the holding itself is: the reduced gradient of an ef
 
 import numpy as np
 
+from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.solvers.solve import Solution
 
 # A multiplier of the wrong sign that is larger than this share of the largest is no rounding.
-_WRONG = 1e-2
+WRONG_SIGN_SHARE = 1e-2
 # Multipliers of inequalities below this share of the largest of equations are what the barrier leaves: nothing binds.
-_BINDS = 1e-7
+BINDING_SHARE = 1e-7
 # Quantities whose rate along a motion no effort changes at once: held, they are constraints of second order. Their
 # multiplier is a measure with impulses at an arc's ends (Hartl, Sethi and Vickson 1995), which a transcription gives as
 # values that alternate from interval to interval: only an arc's sum has a sign. An ODE's own quantities may be such ones.
@@ -32,7 +33,7 @@ def limits_bind(solution: Solution) -> bool:
     if rows is None or unknowns is None:
         return True
     equal = transcribed.row_lower == transcribed.row_upper
-    most = _BINDS * np.abs(rows[equal]).max(initial=np.finfo(float).tiny)
+    most = BINDING_SHARE * np.abs(rows[equal]).max(initial=np.finfo(float).tiny)
     of_unknowns = np.abs(unknowns[transcribed.lower < transcribed.upper])
     return bool(max(np.abs(rows[~equal]).max(initial=0.0), of_unknowns.max(initial=0.0)) > most)
 
@@ -62,7 +63,7 @@ def held_wrongly(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 def _wrong(pushes: np.ndarray) -> np.ndarray:
     """Return which pushes (n, k) are off their limit, against the largest one onto it."""
-    return pushes < -_WRONG * np.abs(pushes).max(initial=np.finfo(float).tiny)
+    return pushes < -WRONG_SIGN_SHARE * np.abs(pushes).max(initial=np.finfo(float).tiny)
 
 
 def _of_efforts(transcribed, reduced: np.ndarray) -> np.ndarray:
@@ -83,3 +84,20 @@ def _of_paths(transcribed, multipliers: np.ndarray) -> np.ndarray:
     of_arcs = np.zeros((mesh.n_segments, of_paths.shape[1]))
     np.add.at(of_arcs, mesh.segment, of_paths)
     return transcribed.constrained_paths[mesh.segment] * np.where(second, of_arcs[mesh.segment], of_paths)
+
+
+def released(solution: Solution) -> tuple[np.ndarray, FixedArcs] | None:
+    """Return the ends (n_segments + 1,) [s] of segments and what is held on them; None where nothing is held wrongly."""
+    transcribed, mesh = solution.transcribed, solution.transcribed.program.mesh
+    wrong = np.hstack(held_wrongly(solution))
+    if not wrong.any():
+        return None
+    first = np.concatenate([[True], (np.diff(mesh.segment) != 0) | np.any(wrong[1:] != wrong[:-1], axis=1)])
+    n_u, n_path = transcribed.program.layout.n_u, transcribed.program.interval.n_path
+    efforts, paths = transcribed.bang_efforts, transcribed.constrained_paths
+    efforts = np.full((mesh.n_segments, n_u), np.nan) if efforts is None else efforts
+    paths = np.zeros((mesh.n_segments, n_path), dtype=int) if paths is None else paths
+    held = np.hstack([efforts, np.where(paths == 0, np.nan, paths)])[mesh.segment][first]
+    held[wrong[first]] = np.nan
+    fixed = FixedArcs(efforts=held[:, :n_u], paths=np.nan_to_num(held[:, n_u:]).astype(int))
+    return interval_breaks(solution)[np.append(first, True)], fixed

@@ -12,7 +12,7 @@ from linkplan.planner.solvers.solve import Solution
 
 # Of motions that pass, a coarser mesh's is kept where it is better than the last one by more than this share: what that mesh
 # errs by is less, so that a finer one has lost it. The other one where the coarser is not exact and the finer errs by less.
-_LOST, _LOST_INEXACT = 1e-5, 1e-4
+LOST_GAIN, LOST_GAIN_INEXACT = 1e-5, 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -41,5 +41,5 @@ def better_of(before: JudgedT | None, now: JudgedT, aims: Aims) -> JudgedT:
         return now
     then, objective = before.found.solution.objective, now.found.solution.objective
     truer = not before.findings.exact and (now.findings.exact or error_of(now) < error_of(before))
-    share = _LOST_INEXACT if truer else _LOST
+    share = LOST_GAIN_INEXACT if truer else LOST_GAIN
     return before if then < objective - share * abs(objective) else now

@@ -22,13 +22,13 @@ from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh, graded, segmented
 
 # A solve with switch times replaces the one before when it is no worse than by the error of a mesh without them.
-NO_WORSE = 1e-4
+MESH_ERROR_SHARE = 1e-4
 # A segment's duration within this share of its room to a bound, in its logarithm, is at it.
-_AT_BOUND = 1e-3
+SHARE_AT_BOUND = 1e-3
 # Switch times next to arcs within the limits settle in a few solves: until the objective gains less than this share,
 # relative.
-_SETTLINGS = 4
-_SETTLED = 1e-9
+MAX_SETTLINGS = 4
+SETTLED_GAIN = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -55,8 +55,8 @@ def settle_switch_times(
     First with efforts and path quantities fixed at the limits that the arcs showed: the switch times alone are unknown;
     where that is worse than the solution without them, the arcs were read wrongly and all is set free again.
     """
-    no_worse = _SETTLED if position_rows else NO_WORSE
-    for _ in range(_SETTLINGS):
+    no_worse = SETTLED_GAIN if position_rows else MESH_ERROR_SHARE
+    for _ in range(MAX_SETTLINGS):
         before = found.solution.objective
         boundaries = found.motion.breaks_s[found.mesh.boundaries()]
         readings = _readings(case, found, boundaries)
@@ -77,7 +77,7 @@ def settle_switch_times(
             )  # fmt: skip
             # Where all is held there is nothing to be gained between the nodes: what is left of the difference is a mesh's.
             whole = reading.fixed is not None and reading.fixed.everything and bool(reading.fixed.paths.any())
-            allowed = NO_WORSE if whole else no_worse
+            allowed = MESH_ERROR_SHARE if whole else no_worse
             if tried is not None and len(arcs_against_their_limits(tried.solution)):
                 continue  # read wrongly
             if tried is not None and tried.solution.objective <= before + allowed * abs(before):
@@ -86,9 +86,9 @@ def settle_switch_times(
             solved = solved or tried is not None
         if better is None:
             break
-        settled = better.solution.objective > before - _SETTLED * abs(before) and not at_bounds(better.solution)
+        settled = better.solution.objective > before - SETTLED_GAIN * abs(before) and not at_bounds(better.solution)
         found = better
-        no_worse = _SETTLED  # from now on both have switch times, and only a better one replaces the other
+        no_worse = SETTLED_GAIN  # from now on both have switch times, and only a better one replaces the other
         if settled or fixed.everything:
             break
     return found
@@ -167,7 +167,7 @@ def at_bounds(solution: Solution) -> bool:
     transcribed, place = solution.transcribed, solution.transcribed.program.layout.durations()
     free = transcribed.lower[place] < transcribed.upper[place]
     lower, upper, at = (values[place][free] for values in (transcribed.lower, transcribed.upper, solution.x))
-    near = _AT_BOUND * np.log(upper / lower)
+    near = SHARE_AT_BOUND * np.log(upper / lower)
     return bool(np.any((np.log(at / lower) < near) | (np.log(upper / at) < near)))
 
 

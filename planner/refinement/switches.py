@@ -6,12 +6,12 @@ from typing import Protocol
 import numpy as np
 
 # A coefficient within this share of the limits' span counts as at its limit; the solver leaves 1e-8.
-_AT_LIMIT = 1e-3
+SHARE_AT_LIMIT = 1e-3
 # Up to this many intervals between two arcs at limits are one smeared switch; more are an arc of their own.
-_SMEARED = 3
+SMEARED_INTERVALS = 3
 # Switch times within this share of half an interval of a phase boundary are that phase boundary, where arcs may be short and
 # where not.
-_BESIDE = {True: 1e-3, False: 0.1}
+SHARE_BESIDE_OTHERS = {True: 1e-3, False: 0.1}
 
 
 class Motion(Protocol):
@@ -65,7 +65,7 @@ def find_switch_times(
         if not (np.isfinite(low) and np.isfinite(high) and high > low):
             continue
         coefficients = trajectory.effort[:, :, j]
-        slack = _AT_LIMIT * (high - low)
+        slack = SHARE_AT_LIMIT * (high - low)
         arc = np.where(coefficients.min(axis=0) > high - slack, 1, np.where(coefficients.max(axis=0) < low + slack, -1, 0))
         # Not np.union1d, which loads numpy.ma: a tenth of the time of a command that plans one motion.
         edges = np.array(sorted({*(np.flatnonzero(np.diff(arc)) + 1).tolist(), *known_boundaries.tolist()}), dtype=int)
@@ -78,7 +78,7 @@ def find_switch_times(
                     switch_times.append(float(breaks[a]))
             elif on_path is not None and on_path[a:b].any() and b - a <= 2:
                 switch_times += [float(breaks[k]) for k, neighbour in ((a, before), (b, after)) if neighbour != 0]
-            elif b - a > _SMEARED or (on_path is not None and on_path[a:b].any()):
+            elif b - a > SMEARED_INTERVALS or (on_path is not None and on_path[a:b].any()):
                 # An arc of its own: its first and last interval may hold the rest of the arcs at limits beside it.
                 for k, inner, neighbour in ((a, a + 1, before), (b - 1, b - 2, after)):
                     if neighbour != 0:
@@ -96,7 +96,7 @@ def find_switch_times(
                 # limit.
                 u_before, u_after = (high, low) if before > 0 or after < 0 else (low, high)
                 switch_times.append(_switch_time_in(breaks[a : b + 1], coefficients[:, a:b], u_before, u_after))
-    return _spread([[switch_time] for switch_time in switch_times] + pulses, breaks, boundaries, _BESIDE[short])
+    return _spread([[switch_time] for switch_time in switch_times] + pulses, breaks, boundaries, SHARE_BESIDE_OTHERS[short])
 
 
 def _switch_time_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:
@@ -128,7 +128,7 @@ def find_bang_efforts(trajectory: Motion, limit: np.ndarray, switch_times: np.nd
     for k, (begin, end) in enumerate(itertools.pairwise(ends)):
         effort = trajectory.effort_at(begin + np.linspace(0.15, 0.85, 50) * (end - begin))
         for j, (low, high) in enumerate(limit):
-            slack = _AT_LIMIT * (high - low) if np.isfinite(high - low) else 0.0
+            slack = SHARE_AT_LIMIT * (high - low) if np.isfinite(high - low) else 0.0
             for bound in (low, high):
                 if slack and np.all(np.abs(effort[:, j] - bound) < slack):
                     bang_efforts[k, j] = bound

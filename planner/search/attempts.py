@@ -12,7 +12,6 @@ from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.given_back import let_go
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search.durations import with_longer_durations
@@ -117,7 +116,6 @@ def certified(
         if problem.solver.judging_deadline.passed:
             message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
         return Plan(problem=problem, status="failed", message=message, history=tuple(history))
-    better = let_go(case, better, history, say)
     solved_for = better.solution
     better, change = unsmoothed(case, better, history, say)
     solution = better.solution

@@ -9,7 +9,7 @@ from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, pertur
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Step, step_of
-from linkplan.planner.refinement.switch_search import NO_WORSE, mesh_with_switches
+from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.solvers.solve import solve
@@ -97,7 +97,7 @@ def least_limit(
         factor = float(solution.x[transcribed.program.layout.extra()][0])
         if best is None and known is not None and abs(factor - known) <= _THE_SAME * known:
             return None
-        if best is not None and factor > best.factor * (1 + NO_WORSE):
+        if best is not None and factor > best.factor * (1 + MESH_ERROR_SHARE):
             break
         best = LeastLimit(
             factor=factor,

@@ -14,7 +14,8 @@ from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.refinement.refine import Refined, refine
+from linkplan.planner.refinement.refine import refine
+from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.transcription.mesh import halved
 

@@ -1,0 +1,204 @@
+"""The actions of a refinement. Each returns the state after it; what it solves is noted in the history."""
+
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy as np
+
+from linkplan.planner.refinement.case import Found, MotionT, attempt
+from linkplan.planner.refinement.constrained_arcs import FixedArcs
+from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.refinement.judged import judged
+from linkplan.planner.refinement.marking import most_overrun, widths_of
+from linkplan.planner.refinement.pontryagin import interval_breaks, released
+from linkplan.planner.refinement.state import RefinementState, observed
+from linkplan.planner.refinement.switch_search import mesh_with_switches, settle_switch_times
+from linkplan.planner.solvers.outcome import SUCCEEDED
+from linkplan.planner.transcription.mesh import halved
+
+# Answers on two meshes that are no further apart than this are the same motion, relative.
+SAME_OBJECTIVE = 1e-6
+
+
+class Action(Protocol):
+    """What is done next."""
+
+    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+        """Return the state after the action; `ended` where it led to no motion."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ReadSwitches:
+    """Read the switch times from the motion and solve for them as unknowns."""
+
+    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+        """Return the state with switch times, or the same one where they make it no better."""
+        found = state.at.found
+        better = settle_switch_times(state.case, found, history, say, position_rows=state.position_rows)
+        counted = replace(state, readings=state.readings + 1)
+        if better.solution is found.solution:
+            return replace(counted, ended=state.finished)
+        everything = better.fixed is not None and better.fixed.everything
+        # Held throughout, a motion has next to nothing to gain between the nodes: a finer mesh is worth its rounds.
+        counted = replace(counted, rounds=state.rounds + 1, read_in=state.rounds if everything else state.read_in)
+        return observed(counted, judged(state.asked, better, history))
+
+
+@dataclass(frozen=True, slots=True)
+class ImposeRanges:
+    """Impose the states' ranges at every instant, by rows on Bernstein coefficients, on the same mesh."""
+
+    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+        """Return the state with ranges imposed; without them, for good, where they lead to no motion."""
+        rows = replace(state, position_rows=True)
+        what = "state limits imposed at every instant"
+        found = _solved_on(rows, np.zeros(state.at.n_intervals, dtype=bool), what, history, say)
+        if found is None:  # what leaves its range by the mesh's own error keeps it on a finer one
+            return replace(state, rows_lost=True, rounds=state.rounds + 1)
+        if state.aims.switches:
+            found = settle_switch_times(state.case, replace(found, fixed=None), history, say, position_rows=True)
+        return observed(replace(rows, rounds=state.rounds + 1), judged(state.asked, found, history))
+
+
+@dataclass(frozen=True, slots=True)
+class RaiseDegree:
+    """Solve with a scheme of higher degree, on the same mesh."""
+
+    scheme: str
+
+    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+        """Return the state with the scheme."""
+        higher = replace(state, case=state.case.with_scheme(self.scheme))
+        return _after(higher, np.zeros(state.at.n_intervals, dtype=bool), f"higher degree, {self.scheme}", history, say)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Halve:
+    """Halve intervals (n,); `tightens` limits by what they were overrun, too; `tells` as of `observed`."""
+
+    marked: np.ndarray
+    tightens: bool = False
+    tells: bool = True
+
+    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+        """Return the state on the finer mesh."""
+        finer, what = state, "finer mesh"
+        if self.tightens:
+            finer, what = _tightened(state), "finer mesh, constraints tightened between the nodes"
+        return _after(finer, self.marked, what, history, say, tells=self.tells)
+
+
+@dataclass(frozen=True, slots=True)
+class Tighten:
+    """Tighten limits by what they were overrun between the nodes, on the same mesh."""
+
+    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+        """Return the state within tightened limits."""
+        none = np.zeros(state.at.n_intervals, dtype=bool)
+        return _after(_tightened(state), none, "constraints tightened between the nodes", history, say)
+
+
+@dataclass(frozen=True, slots=True)
+class Loosen:
+    """Solve with the limits as asked, at first on the mesh of the best motion, later halved where they were overrun."""
+
+    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+        """Return the state with the limits as asked."""
+        best, loose = state.best.found, state.loose
+        asked = state.asked.with_scheme(best.solution.transcribed.scheme.name)
+        coarse = best if loose is None else loose.found
+        marked = np.zeros(best.mesh.n_intervals, dtype=bool) if loose is None else most_overrun(loose)
+        mesh, durations = halved(coarse.mesh, marked), np.bincount(coarse.mesh.segment, np.diff(coarse.motion.breaks_s))
+        found = attempt(
+            asked, asked.start_from(coarse.motion), mesh, durations, "limits as asked", history, say,
+            warm=True, fixed=_held_in(best), position_rows=state.position_rows,
+        )  # fmt: skip
+        new = replace(state, case=asked, rounds=state.rounds + 1, tightenings=0, idle=state.idle + 1, warm=True, ended=False)
+        if found is None:
+            return replace(new, ended=True, loose=state.best)
+        at = judged(state.asked, found, history)
+        return observed(replace(new, loose=at), at)
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseArcs:
+    """Let held arcs begin and end where the sign of their multipliers changes (Pontryagin's principle)."""
+
+    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+        """Return the state with the arcs released."""
+        best = state.best.found
+        ends, fixed = released(best.solution)
+        finest = state.asked.with_scheme(best.solution.transcribed.scheme.name)
+        boundaries = interval_breaks(best.solution)[best.mesh.boundaries()]
+        switch_times = ends[1:-1][~np.isin(ends[1:-1], boundaries)]
+        mesh, durations = mesh_with_switches(boundaries, switch_times, state.asked.problem.mesh.intervals)
+        what = "arcs against their limits released"
+        found = attempt(finest, finest.start_from(best.motion), mesh, durations, what, history, say, warm=True, fixed=fixed)
+        counted = replace(state, case=finest, releases=state.releases + 1, rounds=state.rounds + 1)
+        if found is None:
+            return replace(counted, ended=True)
+        return observed(replace(counted, ended=False, warm=True), judged(state.asked, found, history))
+
+
+def _held_in(found: Found[Any]) -> FixedArcs | None:
+    transcribed = found.solution.transcribed
+    if transcribed.bang_efforts is None or transcribed.constrained_paths is None:
+        return None
+    return FixedArcs(efforts=transcribed.bang_efforts, paths=transcribed.constrained_paths)
+
+
+def _tightened(state: RefinementState) -> RefinementState:
+    case = state.case.tightened(state.at.certificate, state.at.found.motion)
+    return replace(state, case=case, tightenings=state.tightenings + 1)
+
+
+def _after(
+    state: RefinementState, marked: np.ndarray, what: str, history: list[Step], say: Say, *, tells: bool = True
+) -> RefinementState:
+    """Return the state after a solve with marked intervals (n,) halved."""
+    found = _solved_on(state, marked, what, history, say)
+    if found is None:
+        return replace(state, ended=True)
+    return observed(replace(state, rounds=state.rounds + 1), judged(state.asked, found, history), tells=tells)
+
+
+def _solved_on(
+    state: RefinementState, marked: np.ndarray, what: str, history: list[Step], say: Say
+) -> Found[MotionT] | None:
+    """Return what is found with the marked intervals (n,) halved, or None.
+
+    A finer mesh is begun at the coarser one's answer where the efforts are bangs or may jump inside intervals, else from
+    afar; where that is lost, the other way; in the end with nothing held.
+    """
+    coarse, case, aims = state.at.found, state.case, state.aims
+    mesh, start = halved(coarse.mesh, marked), case.start_from(coarse.motion)
+    durations = np.bincount(mesh.segment, weights=widths_of(coarse.motion, marked))
+    report, again = state.at.findings, state.best is not None
+    near = state.warm and report is not None and report.unstable and not report.unseen
+
+    def tried(word: str, fixed: FixedArcs | None, **how: bool) -> Found[MotionT] | None:
+        rows = state.position_rows
+        return attempt(case, start, mesh, durations, what + word, history, say, position_rows=rows, fixed=fixed, **how)
+
+    def alike(finer: Found[MotionT]) -> bool:
+        change = abs(finer.solution.objective - coarse.solution.objective)
+        return change <= SAME_OBJECTIVE * abs(coarse.solution.objective)
+
+    ways: list[tuple[str, dict[str, bool]]] = [("", {"warm": state.warm, "close": near})]
+    if again or aims.enclosed:
+        ways.append((", warm start", {"close": True}))
+    found: list[Found[MotionT]] = []
+    for word, how in reversed(ways) if aims.bang_bang or aims.enclosed else ways:
+        finer = tried(word, coarse.fixed, **how)
+        if finer is not None:
+            found.append(finer)
+            if finer.solution.status == SUCCEEDED and (aims.enclosed or not aims.bang_bang or alike(finer)):
+                break
+    # A solver that stopped short where it began has lost nothing: on singular arcs it comes no nearer to its tolerance.
+    lost = all(finer.solution.status != SUCCEEDED and not alike(finer) for finer in found)
+    if again and coarse.fixed is not None and lost:
+        loose = tried(", efforts and paths free", None, close=True)
+        if loose is not None:
+            return loose
+    return min(found, key=lambda finer: (finer.solution.status != SUCCEEDED, finer.solution.objective), default=None)

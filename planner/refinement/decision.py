@@ -1,0 +1,180 @@
+"""The decision on the next action of a refinement: a pure function of its state.
+
+| action | when | source |
+|---|---|---|
+| ReadSwitches | efforts jump, and their times are no unknowns yet or were read from a coarser mesh | Betts 2010, 4.4 |
+| ImposeRanges | a state leaves its range between the nodes | Bernstein coefficients enclose the state |
+| RaiseDegree | the error is spread evenly over the intervals: the motion is smooth there | Patterson, Hager and Rao 2015 |
+| Halve | the error is large on some intervals | Betts and Huffman 1998 |
+| Tighten | only an overrun between the nodes is left, or halving did not remove it | constraint tightening |
+| Loosen | the motion passes within tightened limits | the same, on the finer mesh |
+
+Where several rows hold, the first one counts, but a mesh is halved before limits are tightened.
+"""
+
+import numpy as np
+
+from linkplan.planner.refinement.actions import (
+    Action,
+    Halve,
+    ImposeRanges,
+    Loosen,
+    RaiseDegree,
+    ReadSwitches,
+    ReleaseArcs,
+    Tighten,
+)
+from linkplan.planner.refinement.marking import (
+    degree_of,
+    grown,
+    higher_for,
+    higher_on_arcs,
+    marked_for,
+    most_overrun,
+    overrunning,
+    rough_of,
+    uneven_of,
+)
+from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
+from linkplan.planner.refinement.state import RefinementState
+from linkplan.planner.refinement.switch_search import is_bang_bang
+
+# A boundary layer a ten-thousandth of the motion long takes eight halvings; no refinement of the record took more rounds.
+MAX_ROUNDS = 24
+# A mesh that has grown by this factor without passing will not pass by growing on.
+MAX_GROWTH = 120
+# Where no tolerance is asked for, a mesh of so many intervals is fine enough; where efforts jump inside intervals, the
+# larger number, while the objective changes by more than this share of itself.
+ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS, CHANGE_WORTH_INTERVALS = 100, 200, 1e-4
+# Switches are read again at most so often, and wrongly held arcs released.
+MAX_READINGS, MAX_RELEASES = 3, 3
+# Limits are tightened while the mesh is still halved from so many rounds after the last reading of switches on.
+HALVINGS_BEFORE_TIGHTENING = 4
+# Limits are loosened while tightening costs more than this share of the objective, on meshes of so many intervals at most,
+# until so many loosenings in a row gained nothing; in between they are tightened so often.
+COST_OF_TIGHTENING, MAX_LOOSENED_INTERVALS, MAX_IDLE_LOOSENINGS, TIGHTENINGS_BETWEEN = 1e-6, 240, 2, 2
+# The highest degree where efforts jump inside intervals or errors grow along the motion: intervals are worth more.
+MAX_ROUGH_DEGREE = 5
+
+
+def next_action(state: RefinementState) -> Action | None:
+    """Return the next action, or None to stop."""
+    return _towards_a_certificate(state) or _towards_the_optimum(state)
+
+
+def _towards_a_certificate(state: RefinementState) -> Action | None:
+    at, report = state.at, state.at.findings
+    if state.ended or state.rounds >= MAX_ROUNDS or (report is not None and not at.passed and not report.mendable):
+        return None
+    if state.loose is not None:
+        return Tighten() if not at.passed and at.overruns and state.tightenings < TIGHTENINGS_BETWEEN else None
+    if state.finished:
+        return ReadSwitches() if _may_read_better(state) else None
+    over = overrunning(at)
+    if over.any() and _switches_are_open(state) and state.rounds % 2 == 0 and state.rounds > 0 and state.readings < 2:
+        return ReadSwitches()
+    if report is not None and report.leaves_positions and not (state.position_rows or state.rows_lost):
+        return ImposeRanges()
+    inexact, uneven = _inexact(state, over)
+    higher = _higher_scheme(state, inexact if state.aims.enclosed else inexact | uneven, over)
+    if higher is not None:
+        return RaiseDegree(higher)
+    marked = _marked(state, uneven if state.aims.enclosed and uneven.any() else inexact | uneven, over)
+    if not marked.any() and at.overruns:
+        return Tighten()
+    if not marked.any():
+        marked = np.ones(at.n_intervals, dtype=bool)
+    if grown(at.found.mesh, marked) > _most_intervals(state):
+        if at.passed and _may_read_better(state) and _switches_are_open(state):
+            return ReadSwitches()
+        return Tighten() if state.aims.enclosed and at.overruns else None
+    late = state.rounds - state.read_in >= HALVINGS_BEFORE_TIGHTENING * (2 if over.any() else 1)
+    return Halve(marked, tightens=late and at.overruns and not state.aims.enclosed, tells=not np.any(uneven & ~marked))
+
+
+def _towards_the_optimum(state: RefinementState) -> Action | None:
+    """Return the next action on a motion that passes: release arcs that are held too long, and loosen limits."""
+    best = state.best
+    if best is None:
+        return None
+    if state.releases < MAX_RELEASES and len(arcs_against_their_limits(best.found.solution)):
+        return ReleaseArcs()
+    return Loosen() if _may_loosen(state) else None
+
+
+def _may_loosen(state: RefinementState) -> bool:
+    """Return True if the best motion is within tightened limits, and loosening them may gain something."""
+    best, loose = state.best.found, state.loose
+    if best.solution.transcribed.formulation.tightening is None or state.aims.bang_bang or state.idle >= MAX_IDLE_LOOSENINGS:
+        return False
+    if loose is None:
+        return True
+    gain = best.solution.objective - loose.found.solution.objective
+    grows = loose.overruns and grown(loose.found.mesh, most_overrun(loose)) <= MAX_LOOSENED_INTERVALS
+    return grows and gain > COST_OF_TIGHTENING * abs(best.solution.objective)
+
+
+def _switches_are_open(state: RefinementState) -> bool:
+    fixed = state.at.found.fixed
+    return state.aims.switches and not (fixed is not None and fixed.everything)
+
+
+def _may_read_better(state: RefinementState) -> bool:
+    """Return True if switches read from a motion that passes may be better: efforts were left free, or bounds were met."""
+    may = state.readings < MAX_READINGS and not state.arcs_known
+    return may and is_bang_bang(state.case, state.at.found.solution.transcribed)
+
+
+def _inexact(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the intervals (n,) on which the motion is not exact, and those that the objective alone asks for."""
+    at, fixed = state.at, state.at.found.fixed
+    inexact, uneven = marked_for(at, state.aims.strictness), np.zeros(at.n_intervals, dtype=bool)
+    if state.aims.enclosed:
+        return inexact, uneven if state.settled else uneven_of(at) | state.kept_off
+    inexact |= state.kept_off
+    if at.passed and not state.settled and (fixed is None or not (inexact | over).any()):
+        # With arcs held between switch times, limits begin and cease to bind there and not inside intervals.
+        uneven = uneven_of(at) if fixed is None else rough_of(at.found.motion)
+    return inexact, uneven
+
+
+def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np.ndarray:
+    """Return the intervals (n,) to halve, of those that are inexact and those on which limits are overrun."""
+    at, fixed = state.at, state.at.found.fixed
+    if state.aims.enclosed:  # efforts jump inside intervals: what the certificate needs comes first
+        needed = marked_for(at, 1.0)
+        return needed if needed.any() or at.findings is None else inexact
+    if over.any() and _switches_are_open(state):
+        inexact = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
+    # Held throughout, limits are overrun by what the mesh errs by: tightened by that, the motion would be late.
+    held = fixed is not None and fixed.everything and bool(fixed.paths.any())
+    fits = grown(at.found.mesh, inexact | over) <= (_most_intervals(state, held=held) if held else _comfortable(state))
+    return inexact | over if fits else inexact
+
+
+def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> str | None:
+    """Return the scheme of higher degree that is worth more than a finer mesh, or None."""
+    at, report = state.at, state.at.findings
+    if report is not None and report.unseen:
+        return None
+    higher = None if state.aims.enclosed else higher_on_arcs(state.case, at, over)
+    if higher is None and not (over.any() and _switches_are_open(state)):
+        higher = higher_for(state.case, at.certificate, inexact)
+    rough = state.aims.enclosed or (state.warm and report is not None and report.unstable)
+    return None if higher is not None and rough and degree_of(higher) > MAX_ROUGH_DEGREE else higher
+
+
+def _comfortable(state: RefinementState) -> int:
+    """Return the number of intervals that is enough for a motion that passes."""
+    if state.aims.tolerance_given:
+        return MAX_GROWTH * state.asked.problem.mesh.intervals
+    rough = state.aims.enclosed and state.change > CHANGE_WORTH_INTERVALS
+    return ENOUGH_ROUGH_INTERVALS if rough else ENOUGH_INTERVALS
+
+
+def _most_intervals(state: RefinementState, *, held: bool = False) -> int:
+    """Return the number of intervals beyond which the mesh is not refined."""
+    wanders = not (state.falls or state.aims.layers or state.at.findings is None or state.at.findings.exact)
+    wanders = wanders and not state.aims.enclosed and not overrunning(state.at).any()
+    most = MAX_GROWTH * state.asked.problem.mesh.intervals
+    return _comfortable(state) if (state.best is not None or wanders) and not held else most

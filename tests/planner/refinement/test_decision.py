@@ -1,0 +1,216 @@
+"""The decision on the next action of a refinement is a function of its state: one test for each row and each constant."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.problem.settings import MeshSettings
+from linkplan.planner.refinement.actions import Halve, ImposeRanges, Loosen, RaiseDegree, Tighten
+from linkplan.planner.refinement.case import Aims, Findings
+from linkplan.planner.refinement.decision import next_action
+from linkplan.planner.refinement.judged import Judged
+from linkplan.planner.refinement.state import RefinementState, observed
+from linkplan.planner.solvers.outcome import SUCCEEDED
+from linkplan.planner.transcription.mesh import uniform
+
+AIMS = Aims(
+    effort_limit=np.array([[-1.0, 1.0]]),
+    switches=False,
+    bang_bang=False,
+    continuous_efforts=True,
+    strictness=1.0,
+    tolerance_given=False,
+    objective_tolerance=None,
+)
+ONE_OF_TEN = np.eye(10)[3]
+
+
+def solution(objective: float = 1.0, *, n: int = 10, tightened: bool = False) -> SimpleNamespace:
+    """Return a solution that the solver converged to, without held arcs."""
+    mesh = uniform(n)
+    layout = SimpleNamespace(n_u=1, durations=lambda: np.array([0]), effort=lambda: np.zeros((n, 1), dtype=int))
+    program = SimpleNamespace(mesh=mesh, layout=layout, interval=SimpleNamespace(n_path=0, own_kinds=(), own_items=()))
+    formulation = SimpleNamespace(tightening=object() if tightened else None)
+    transcribed = SimpleNamespace(
+        program=program,
+        bang_efforts=None,
+        constrained_paths=None,
+        formulation=formulation,
+        units=SimpleNamespace(time_s=1.0),
+    )
+    return SimpleNamespace(
+        transcribed=transcribed, objective=objective, status=SUCCEEDED, multipliers=None, x=np.array([1.0])
+    )
+
+
+def iterate(
+    *,
+    passed: bool = True,
+    exact: bool = True,
+    growth=(0.0,),
+    overrun=(0.0,),
+    n: int = 10,
+    objective=1.0,
+    tightened=False,
+    **report,
+) -> Judged:
+    """Return a certified iterate on n even intervals; growth and overrun (n,) or the same on all."""
+    motion = SimpleNamespace(breaks_s=np.linspace(0.0, 1.0, n + 1), effort=np.ones((3, n, 1)))
+    found = SimpleNamespace(
+        motion=motion, solution=solution(objective, n=n, tightened=tightened), fixed=None, mesh=uniform(n)
+    )
+    overrun = np.broadcast_to(np.array(overrun, dtype=float), n)
+    findings = Findings(
+        exact=exact,
+        mendable=report.pop("mendable", True),
+        leaves_positions=report.pop("leaves_positions", False),
+        overruns=bool(overrun.any()),
+        overrun=overrun,
+        integration_error_deg=1e-3,
+        **report,
+    )
+    growth = np.broadcast_to(np.array(growth, dtype=float), n)
+    certificate = SimpleNamespace(passed=passed, growth=growth, residual_share=np.zeros(n))
+    return Judged(found=found, certificate=certificate, findings=findings)
+
+
+def state(at: Judged, *, aims: Aims = AIMS, scheme: str = "radau-3", **changes) -> RefinementState:
+    """Return a state at an iterate, its history as `changes` say."""
+    problem = SimpleNamespace(mesh=MeshSettings(intervals=10, scheme=scheme))
+    case = SimpleNamespace(problem=problem, aims=aims)
+    begin = RefinementState(asked=case, case=case, at=at, warm=False)
+    return replace(observed(begin, at), **changes)
+
+
+def test_an_exact_motion_that_passes_is_the_end():
+    assert next_action(state(iterate())) is None
+
+
+def test_what_no_mesh_mends_is_the_end():
+    assert next_action(state(iterate(passed=False, exact=False, mendable=False))) is None
+
+
+def test_an_action_that_led_nowhere_is_the_end():
+    assert next_action(state(iterate(passed=False, exact=False, growth=ONE_OF_TEN), ended=True)) is None
+
+
+def test_an_error_on_one_interval_halves_it():
+    action = next_action(state(iterate(passed=False, exact=False, growth=9.0 * ONE_OF_TEN)))
+    assert isinstance(action, Halve)
+    np.testing.assert_array_equal(action.marked, ONE_OF_TEN.astype(bool))
+
+
+def test_an_error_spread_evenly_raises_the_degree():
+    assert next_action(state(iterate(passed=False, exact=False, growth=1.0))) == RaiseDegree("radau-5")
+
+
+def test_where_degrees_are_not_raised_an_even_error_halves_every_interval():
+    action = next_action(state(iterate(passed=False, exact=False, growth=1.0), scheme="trapezoid"))
+    assert action.marked.all()
+
+
+def test_a_state_that_leaves_its_range_imposes_ranges_once():
+    at = iterate(passed=False, exact=False, growth=9.0 * ONE_OF_TEN, leaves_positions=True)
+    assert next_action(state(at)) == ImposeRanges()
+    assert isinstance(next_action(state(at, position_rows=True)), Halve)
+    assert isinstance(next_action(state(at, rows_lost=True)), Halve)
+
+
+@pytest.mark.parametrize(("overrun", "expected"), [(3e-8, Tighten), (3e-7, Halve)])
+def test_a_small_overrun_is_tightened_and_a_large_one_halved(overrun, expected):
+    at = iterate(passed=False, overrun=overrun * ONE_OF_TEN)
+    assert isinstance(next_action(state(at)), expected)
+
+
+@pytest.mark.parametrize(("rounds", "tightens"), [(3, False), (7, False), (8, True)])
+def test_an_overrun_that_halving_did_not_remove_is_tightened_too(rounds, tightens):
+    action = next_action(state(iterate(passed=False, overrun=1e-3 * ONE_OF_TEN), rounds=rounds))
+    assert isinstance(action, Halve)
+    assert action.tightens == tightens
+
+
+@pytest.mark.parametrize(("rounds", "tightens"), [(3, False), (4, True)])
+def test_an_overrun_beside_an_error_is_tightened_sooner(rounds, tightens):
+    at = iterate(passed=False, exact=False, growth=9.0 * ONE_OF_TEN, overrun=3e-8 * ONE_OF_TEN)
+    assert next_action(state(at, rounds=rounds)).tightens == tightens
+
+
+@pytest.mark.parametrize(("rounds", "stops"), [(23, False), (24, True)])
+def test_a_refinement_has_at_most_24_rounds(rounds, stops):
+    action = next_action(state(iterate(passed=False, exact=False, growth=9.0 * ONE_OF_TEN), rounds=rounds))
+    assert (action is None) == stops
+
+
+@pytest.mark.parametrize(("n", "stops"), [(99, False), (100, True)])
+def test_a_motion_that_passes_is_refined_on_at_most_100_intervals(n, stops):
+    growth = 9.0 * np.eye(n)[3]
+    assert (next_action(state(iterate(exact=False, growth=growth, n=n))) is None) == stops
+
+
+@pytest.mark.parametrize(("n", "stops"), [(1199, False), (1200, True)])
+def test_a_motion_that_does_not_pass_is_refined_to_120_times_the_first_mesh(n, stops):
+    growth = 9.0 * np.eye(n)[3]
+    assert (next_action(state(iterate(passed=False, exact=False, growth=growth, n=n))) is None) == stops
+
+
+@pytest.mark.parametrize(("n", "stops"), [(101, False), (199, False), (200, True)])
+def test_where_efforts_jump_inside_intervals_so_many_more_are_allowed(n, stops):
+    aims = replace(AIMS, enclosed=True, objective_tolerance=1e-6)
+    growth = 9.0 * np.eye(n)[3]
+    assert (next_action(state(iterate(exact=False, growth=growth, n=n), aims=aims)) is None) == stops
+
+
+@pytest.mark.parametrize(("scheme", "raised"), [("radau-3", True), ("radau-5", False)])
+def test_degrees_above_five_are_not_tried_where_efforts_jump_inside_intervals(scheme, raised):
+    aims = replace(AIMS, enclosed=True, objective_tolerance=1e-6)
+    action = next_action(state(iterate(passed=False, exact=False, growth=1.0), aims=aims, scheme=scheme))
+    assert isinstance(action, RaiseDegree) == raised
+
+
+def test_the_objective_keeps_still_on_two_meshes_before_it_is_believed():
+    aims = replace(AIMS, objective_tolerance=1e-7)
+    first = state(iterate(objective=1.0), aims=aims)
+    second = observed(first, iterate(objective=1.0 + 1e-9))
+    third = observed(second, iterate(objective=1.0 + 2e-9))
+    assert [next_action(one) is None for one in (first, second, third)] == [False, False, True]
+
+
+def test_a_mesh_that_was_not_refined_where_the_objective_depends_on_it_tells_nothing():
+    aims = replace(AIMS, objective_tolerance=1e-7)
+    first = state(iterate(objective=1.0), aims=aims)
+    third = observed(observed(first, iterate(objective=1.0)), iterate(objective=1.0), tells=False)
+    assert next_action(third) is not None
+
+
+def tightened(gain: float, *, n: int = 10, **changes) -> RefinementState:
+    """Return a state whose best motion is within tightened limits; loosening them gains a share of the objective."""
+    best = iterate(tightened=True, n=n)
+    loose = iterate(passed=False, overrun=1e-4 * np.eye(n)[3], objective=1.0 - gain, n=n)
+    return replace(state(best), loose=loose, at=loose, tightenings=2, **changes)
+
+
+def test_a_motion_within_tightened_limits_is_loosened():
+    assert next_action(state(iterate(tightened=True))) == Loosen()
+
+
+def test_limits_that_were_loosened_are_tightened_twice_by_what_is_left():
+    loosened = tightened(1e-3)
+    assert next_action(replace(loosened, tightenings=1)) == Tighten()
+    assert next_action(loosened) == Loosen()
+
+
+@pytest.mark.parametrize(("gain", "loosens"), [(5e-7, False), (2e-6, True)])
+def test_limits_are_loosened_while_tightening_costs_a_millionth(gain, loosens):
+    assert (next_action(tightened(gain)) == Loosen()) == loosens
+
+
+@pytest.mark.parametrize(("n", "loosens"), [(239, True), (240, False)])
+def test_limits_are_loosened_on_at_most_240_intervals(n, loosens):
+    assert (next_action(tightened(1e-3, n=n)) == Loosen()) == loosens
+
+
+@pytest.mark.parametrize(("idle", "loosens"), [(1, True), (2, False)])
+def test_two_loosenings_that_gain_nothing_are_the_end(idle, loosens):
+    assert (next_action(tightened(1e-3, idle=idle)) == Loosen()) == loosens
