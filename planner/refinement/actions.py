@@ -21,10 +21,10 @@ SAME_OBJECTIVE = 1e-6
 
 
 class Action(Protocol):
-    """What is done next."""
+    """One step of a refinement."""
 
     def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
-        """Return the state after the action; `ended` where it led to no motion."""
+        """Return the state after the action; `ended` if no motion was found."""
         ...
 
 
@@ -40,7 +40,7 @@ class ReadSwitches:
         if better.solution is found.solution:
             return replace(counted, ended=state.finished)
         everything = better.fixed is not None and better.fixed.everything
-        # Held throughout, a motion has next to nothing to gain between the nodes: a finer mesh is worth its rounds.
+        # With everything held, halving removes an overrun: it has its full number of rounds.
         counted = replace(counted, rounds=state.rounds + 1, read_in=state.rounds if everything else state.read_in)
         return observed(counted, judged(state.asked, better, history))
 
@@ -54,7 +54,7 @@ class ImposeRanges:
         rows = replace(state, position_rows=True)
         what = "state limits imposed at every instant"
         found = _solved_on(rows, np.zeros(state.at.n_intervals, dtype=bool), what, history, say)
-        if found is None:  # what leaves its range by the mesh's own error keeps it on a finer one
+        if found is None:  # the error of this mesh leaves the range; a finer one keeps it
             return replace(state, rows_lost=True, rounds=state.rounds + 1)
         if state.aims.switches:
             found = settle_switch_times(state.case, replace(found, fixed=None), history, say, position_rows=True)
@@ -75,7 +75,7 @@ class RaiseDegree:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Halve:
-    """Halve intervals (n,); `tightens` limits by what they were overrun, too; `tells` as of `observed`."""
+    """Halve the marked intervals (n,), and tighten limits by their overrun if `tightens`; see `observed` for `tells`."""
 
     marked: np.ndarray
     tightens: bool = False
@@ -91,7 +91,7 @@ class Halve:
 
 @dataclass(frozen=True, slots=True)
 class Tighten:
-    """Tighten limits by what they were overrun between the nodes, on the same mesh."""
+    """Tighten limits by their overrun between the nodes, on the same mesh."""
 
     def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
         """Return the state within tightened limits."""
@@ -166,10 +166,10 @@ def _after(
 def _solved_on(
     state: RefinementState, marked: np.ndarray, what: str, history: list[Step], say: Say
 ) -> Found[MotionT] | None:
-    """Return what is found with the marked intervals (n,) halved, or None.
+    """Solve with the marked intervals (n,) halved and return the iterate, or None.
 
-    A finer mesh is begun at the coarser one's answer where the efforts are bangs or may jump inside intervals, else from
-    afar; where that is lost, the other way; in the end with nothing held.
+    The solver starts at the coarser solution (warm) if efforts are bang arcs or jump inside intervals, else with a large
+    barrier parameter (cold). If one way finds no solution, the other is tried, and at last the warm one with nothing held.
     """
     coarse, case, aims = state.at.found, state.case, state.aims
     mesh, start = halved(coarse.mesh, marked), case.start_from(coarse.motion)
@@ -195,7 +195,7 @@ def _solved_on(
             found.append(finer)
             if finer.solution.status == SUCCEEDED and (aims.enclosed or not aims.bang_bang or alike(finer)):
                 break
-    # A solver that stopped short where it began has lost nothing: on singular arcs it comes no nearer to its tolerance.
+    # A solver that stops at its start has lost nothing: on singular arcs it does not reach its tolerance.
     lost = all(finer.solution.status != SUCCEEDED and not alike(finer) for finer in found)
     if again and coarse.fixed is not None and lost:
         loose = tried(", efforts and paths free", None, close=True)

@@ -1,7 +1,6 @@
-"""What is refined, and one solve of it.
+"""The interface of a refined problem, `Case`, and one solve of it.
 
-What is planned for stands behind `Case`: a mechanism's problem and a user's differential equation are refined by the
-same code.
+A mechanism's problem and a user's differential equation implement `Case`, so that the same code refines both.
 """
 
 import functools
@@ -25,21 +24,21 @@ from linkplan.planner.transcription.system import Endpoint, System
 
 
 class Certificate(Protocol):
-    """What refinement needs of a certificate."""
+    """The part of a certificate that refinement reads."""
 
     @property
     def passed(self) -> bool:
-        """Whether everything holds."""
+        """True if every claim holds."""
         ...
 
     @property
     def growth(self) -> np.ndarray:
-        """What each interval (n_intervals,) adds to the integration error, in shares of what is allowed in all."""
+        """The contribution of each interval (n_intervals,) to the integration error, as a share of the allowed error."""
         ...
 
     @property
     def residual_share(self) -> np.ndarray:
-        """The dynamics residual on each interval (n_intervals,), in shares of what is allowed."""
+        """The dynamics residual on each interval (n_intervals,), as a share of the allowed residual."""
         ...
 
 
@@ -49,16 +48,19 @@ CertificateT = TypeVar("CertificateT", bound=Certificate)
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Aims:
-    """What the best motion looks like as far as that is known beforehand, and how exact it is to be.
+    """The known form of the best motion, and the accuracy that is asked for.
 
-    `switches` says whether efforts may jump between their limits, `effort_limit` (n_u, 2): switch times are then looked for;
-    `bang_bang` whether they are at their limits wherever no other limit binds: such arcs may be as short as may be;
-    `continuous_efforts` whether efforts pass from one limit to the other without a jump, be it in less than an interval.
-    `strictness` is how many times more exact than a certificate demands the integrated state is to be, `tolerance_given`
-    whether the user asked for that, `objective_tolerance` what the objective may change by from mesh to mesh, relative, None
-    where it is not looked at; `kinks_at_limits` that the motion is smooth where no limit binds: the integration error tells
-    all there. `enclosed` says that limits which efforts jump between are kept at every instant by rows on coefficients.
-    `layers` says that the motion has layers so thin that finer meshes err as much until they are seen.
+    Attributes:
+        effort_limit: (n_u, 2).
+        switches: efforts can jump between their limits, so switch times are searched for.
+        bang_bang: efforts are at their limits wherever no other limit binds; arcs can be very short.
+        continuous_efforts: efforts pass from one limit to the other without a jump, possibly within one interval.
+        strictness: the certificate's tolerance of the integrated state, divided by the tolerance of the refinement.
+        tolerance_given: the user asked for that tolerance.
+        objective_tolerance: the largest relative change of the objective from mesh to mesh; None if it is not checked.
+        kinks_at_limits: the motion is smooth where no limit binds, so the integration error alone measures the mesh.
+        enclosed: limits on power and pin force hold at every instant, by rows on Bernstein coefficients.
+        layers: the motion has thin layers; the error falls only once the mesh resolves them.
     """
 
     effort_limit: np.ndarray
@@ -75,15 +77,19 @@ class Aims:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Findings:
-    """What a certificate says to refinement.
+    """The errors of an iterate, read from its certificate.
 
-    `exact`: the integration error is within the tolerance. `mendable`: another mesh may mend why it does not pass.
-    `leaves_positions`: states leave their bounds between the nodes; `overruns`: so do they, or another limit is left there.
-    `overrun` (n_intervals,): by what share of themselves limits are overrun between the nodes, at most, on each interval.
-    `touching` (n_intervals,): whether a limit is touched on part of an interval only, None where that is not looked at.
-    `unstable`: an error grows so much along the motion that it is judged interval by interval. `unseen`: so it does, and the
-    mesh is too coarse to see what the motion does within intervals: no matter for the degree.
-    The integration error is noted in the history: [deg] of a mechanism, else as a share of the states' sizes.
+    Attributes:
+        exact: the integration error is within the tolerance.
+        mendable: a finer mesh can remove the reason why the certificate does not pass.
+        leaves_positions: a state leaves its range between the nodes.
+        overruns: a state or another limit is overrun between the nodes.
+        overrun: (n_intervals,) the largest overrun of any limit on each interval, as a share of the limit.
+        touching: (n_intervals,) True where a limit binds on a part of the interval; None if it is not computed.
+        unstable: errors grow so much along the motion that they are measured interval by interval.
+        unseen: the motion is unstable and the mesh is too coarse to resolve it, so its degree is not raised.
+        integration_error_deg: [deg], of a mechanism.
+        integration_error: as a share of the states' sizes, of a differential equation.
     """
 
     exact: bool
@@ -99,7 +105,7 @@ class Findings:
 
 
 class Settings(Protocol):
-    """What refinement needs of a problem."""
+    """The part of a problem that refinement reads."""
 
     @property
     def mesh(self) -> MeshSettings:
@@ -113,16 +119,16 @@ class Settings(Protocol):
 
 
 class Case(Protocol[MotionT, CertificateT]):
-    """A problem as refinement sees it. Motions, starts and certificates are its own."""
+    """A problem that can be refined, with its own types of motion, start and certificate."""
 
     @property
     def problem(self) -> Settings:
-        """What is solved: the problem with limits tightened as they are by now."""
+        """The problem that is solved, with the limits tightened so far."""
         ...
 
     @property
     def aims(self) -> Aims:
-        """What its best motion looks like, and how exact it is to be."""
+        """The known form of its best motion, and the accuracy that is asked for."""
         ...
 
     def transcribe(
@@ -135,11 +141,11 @@ class Case(Protocol[MotionT, CertificateT]):
         bang_efforts: np.ndarray | None = None,
         constrained_paths: np.ndarray | None = None,
     ) -> Transcribed:
-        """Return the program from a start; the options are those of the clients' `transcribe`."""
+        """Return the program that begins at a start; the options are those of the cases' own `transcribe`."""
         ...
 
     def motion(self, solution: Solution) -> MotionT | None:
-        """Return the motion of a solution; None where it is none."""
+        """Return the motion of a solution, or None if it leaves the branch of the mechanism."""
         ...
 
     def start_from(self, motion: MotionT) -> Any:
@@ -151,7 +157,7 @@ class Case(Protocol[MotionT, CertificateT]):
         ...
 
     def findings(self, certificate: CertificateT) -> Findings:
-        """Return what a certificate says to refinement."""
+        """Return the errors that a certificate shows."""
         ...
 
     def tightened(self, certificate: CertificateT, motion: MotionT) -> Self:
@@ -165,7 +171,7 @@ class Case(Protocol[MotionT, CertificateT]):
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Found(Generic[MotionT]):
-    """A motion that a solve led to, and the solution; `fixed` is what refinement holds along its arcs, None for nothing."""
+    """The motion and solution of one solve; `fixed` are the efforts and path quantities held along its arcs, or None."""
 
     motion: MotionT
     solution: Solution
@@ -192,7 +198,7 @@ def attempt(
     bang_efforts: np.ndarray | None = None,
     fixed: FixedArcs | None = None,
 ) -> Found[MotionT] | None:
-    """Return what one solve leads to, noted in the history; None where it found no motion, or no time is left for it.
+    """Solve once, note it in the history, and return the iterate; None if there is no motion or no time is left.
 
     Args:
         case: what is solved.
@@ -217,7 +223,7 @@ def attempt(
         transcribed = case.transcribe(
             start, mesh, durations, position_rows=position_rows, bang_efforts=efforts, constrained_paths=paths
         )
-    except (AssemblyError, OutOfTimeError):  # a start whose loops open between the instants at which it was looked at
+    except (AssemblyError, OutOfTimeError):  # the loops of the start open between the instants at which it was sampled
         return None
     asked = _asked(transcribed, settings.solver, warm, close)
     known = next((step for step in history if step.asked == asked), None)
@@ -256,7 +262,7 @@ def _expressions(system: System, endpoint: Endpoint | None) -> bytes:
 
 
 def _attempted(what: str, scheme: str, mesh: Mesh, history: list[Step]) -> str:
-    """Return the line on a solve that begins, and on what the one before it came to."""
+    """Return the progress line of a solve that begins, with the objective of the previous one."""
     segments = f"{mesh.n_segments} segments" if mesh.n_segments > 1 else "1 segment"
     last = history[-1] if history else None
     came = "" if last is None else f"; last objective {last.objective:.6g}" if last.converged else "; last one not solved"

@@ -1,9 +1,8 @@
 """Constrained arcs: where a motion along path limits enters and leaves them, and which segments are held on them.
 
-On a constrained arc, at a limit on power or on a dependent joint's speed, the effort is no more at its own limit, and a
-program with rows at nodes alone gains from leaving the limit between them, most of all next to a switch. Held on the limit
-at every node of a segment, as efforts at their limits are, the motion has nothing to gain there, and the switch times
-converge.
+On a constrained arc a limit on power or on a dependent joint's speed binds, and the effort is inside its own limit. A
+program with rows at nodes alone gains by leaving the limit between the nodes, most of all next to a switch. If the limit is
+held at every node of a segment, nothing can be gained there, and the switch times converge.
 """
 
 import itertools
@@ -15,19 +14,20 @@ import numpy as np
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from linkplan.planner.transcription.collocation import Transcribed
 
-# A path quantity within this share of its limit is at it; next to switch times (this share of a segment) nothing is looked
-# at.
+# A path quantity within this share of its limit counts as at the limit. The second share of a segment, at each of its ends,
+# is left out.
 SHARE_AT_LIMIT = 1e-3
 SHARE_BESIDE_SWITCHES = 0.15
-# Ends of an arc within so many intervals of a switch time are that switch time.
+# An end of an arc within so many intervals of a switch time is that switch time.
 INTERVALS_TO_SAME_SWITCH = 2.5
-# A curve further from a limit than this share of it, whose coefficients are at it, is kept away; looked at so many instants.
+# If coefficients are at a limit and the curve is further from it than this share, the coefficients keep it away. The curve
+# is sampled at so many instants of an interval.
 SHARE_OFF_LIMIT, SAMPLES_OF_INTERVAL = 1e-7, 33
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FixedArcs:
-    """What is held over whole segments along arcs.
+    """Efforts and path quantities that are held over whole segments.
 
     `efforts` (n_segments, n_u) at their limits, NaN where they are free; `paths` (n_segments, n_path): path quantities at
     their upper limit (1) or lower one (-1), 0 where they are free.
@@ -38,12 +38,12 @@ class FixedArcs:
 
     @property
     def everything(self) -> bool:
-        """Whether every segment holds as much as it has efforts: then the switch times alone are to be found."""
+        """True if every segment holds as many quantities as it has efforts, so that only the switch times are unknown."""
         return bool(np.all(np.isnan(self.efforts).sum(axis=1) == np.count_nonzero(self.paths, axis=1)))
 
 
 def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
-    """Return on which intervals (n, n_path) path quantities are at their upper limit (1) or lower one (-1) at all nodes."""
+    """Return 1 or -1 (n, n_path) where a path quantity is at its upper or lower limit at all nodes, else 0."""
     program, interval = transcribed.program, transcribed.program.interval
     n, m, n_path = program.mesh.n_intervals, interval.n_nodes, interval.n_path
     limit = transcribed.formulation.path.reshape(-1, 2)
@@ -52,7 +52,7 @@ def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     rows = _rows(transcribed, x)
     n_f = interval.n_equations + n_path
     values = rows[:, interval.n_own : interval.n_own + m * n_f].reshape(n, m, n_f)[:, :, interval.n_equations :]
-    # Of each of its two ends by itself: 900 W may stand beside a million.
+    # Each end of a limit has its own size: 900 W can be the opposite of a million.
     size = np.where(np.isfinite(limit), np.abs(limit), 0.0)
     slack = SHARE_AT_LIMIT * np.where(size > 0, size, np.abs(values).max(axis=(0, 1))[:, None])
     may = (limit[:, 0] < limit[:, 1]) & np.array([kind != "work" for kind in interval.node_kinds[interval.n_equations :]])
@@ -62,7 +62,7 @@ def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
 
 
 def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
-    """Return on which intervals (n, n_limits) coefficients are all at their upper limit (1) or lower one (-1).
+    """Return 1 or -1 (n, n_limits) where all coefficients of an interval are at their upper or lower limit, else 0.
 
     Args:
         transcribed: a program.
@@ -79,7 +79,7 @@ def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) ->
 
 
 def standing_off(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
-    """Return on which intervals (n,) a limit on Bernstein coefficients keeps a curve away from itself.
+    """Return True (n,) where a limit on Bernstein coefficients keeps a curve away from the limit.
 
     Coefficients enclose their polynomial: one that touches its limit in an instant may not, by an eighth of its bend. On
     half the interval it is a quarter of that.
@@ -133,7 +133,7 @@ def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, switch_times_s: np.ndarray,
 def find_constrained_paths(
     arcs: np.ndarray, breaks_s: np.ndarray, ends_s: np.ndarray, bang_efforts: np.ndarray
 ) -> np.ndarray:
-    """Return which path quantities (n_segments, n_path) segments hold at their upper limit (1) or lower one (-1).
+    """Return 1 or -1 (n_segments, n_path) where a segment holds a path quantity at its upper or lower limit, else 0.
 
     Args:
         arcs: (n_intervals, n_path) from `path_arcs`.

@@ -9,7 +9,7 @@
 | Tighten | only an overrun between the nodes is left, or halving did not remove it | constraint tightening |
 | Loosen | the motion passes within tightened limits | the same, on the finer mesh |
 
-Where several rows hold, the first one counts, but a mesh is halved before limits are tightened.
+The first row that holds counts; a mesh is halved before limits are tightened.
 """
 
 import numpy as np
@@ -43,17 +43,17 @@ from linkplan.planner.refinement.switch_search import is_bang_bang
 MAX_ROUNDS = 24
 # A mesh that has grown by this factor without passing will not pass by growing on.
 MAX_GROWTH = 120
-# Where no tolerance is asked for, a mesh of so many intervals is fine enough; where efforts jump inside intervals, the
-# larger number, while the objective changes by more than this share of itself.
+# If the user gave no tolerance, a mesh of so many intervals is fine enough. If efforts jump inside intervals, the larger
+# number holds while the objective changes by more than this share.
 ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS, CHANGE_WORTH_INTERVALS = 100, 200, 1e-4
 # Switches are read again at most so often, and wrongly held arcs released.
 MAX_READINGS, MAX_RELEASES = 3, 3
 # Limits are tightened while the mesh is still halved from so many rounds after the last reading of switches on.
 HALVINGS_BEFORE_TIGHTENING = 4
-# Limits are loosened while tightening costs more than this share of the objective, on meshes of so many intervals at most,
-# until so many loosenings in a row gained nothing; in between they are tightened so often.
+# Limits are loosened while tightening costs more than this share of the objective, on at most so many intervals, until so
+# many loosenings in a row gain nothing. After each of them limits are tightened at most so often.
 COST_OF_TIGHTENING, MAX_LOOSENED_INTERVALS, MAX_IDLE_LOOSENINGS, TIGHTENINGS_BETWEEN = 1e-6, 240, 2, 2
-# The highest degree where efforts jump inside intervals or errors grow along the motion: intervals are worth more.
+# The highest degree if efforts jump inside intervals or errors grow along the motion.
 MAX_ROUGH_DEGREE = 5
 
 
@@ -133,7 +133,7 @@ def _inexact(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.n
         return inexact, uneven if state.settled else uneven_of(at) | state.kept_off
     inexact |= state.kept_off
     if at.passed and not state.settled and (fixed is None or not (inexact | over).any()):
-        # With arcs held between switch times, limits begin and cease to bind there and not inside intervals.
+        # If arcs are held between switch times, limits begin and cease to bind at the switch times.
         uneven = uneven_of(at) if fixed is None else rough_of(at.found.motion)
     return inexact, uneven
 
@@ -145,8 +145,8 @@ def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np
         needed = marked_for(at, 1.0)
         return needed if needed.any() or at.findings is None else inexact
     if over.any() and _switches_are_open(state):
-        inexact = over  # an arc that is shorter than an interval must be seen before it can have boundaries of its own
-    # Held throughout, limits are overrun by what the mesh errs by: tightened by that, the motion would be late.
+        inexact = over  # an arc shorter than an interval must be resolved before its ends can be unknowns
+    # With everything held, the overrun is the error of the mesh. Tightening by it would make the motion slower.
     held = fixed is not None and fixed.everything and bool(fixed.paths.any())
     fits = grown(at.found.mesh, inexact | over) <= (_most_intervals(state, held=held) if held else _comfortable(state))
     return inexact | over if fits else inexact

@@ -13,8 +13,8 @@ LONGER, SHORTER = "longer", "shorter"
 def bounded_by_guess(solution: Solution, shortest_s: float, longest_s: float) -> str | None:
     """Return `LONGER` or `SHORTER`, as the motion would be, where a bound is in its way that is not the user's; else None.
 
-    A free duration is sought between a fiftieth and a hundred times its guess. Motions with switch times of their own have
-    settled near them, and are not looked at.
+    A free duration is searched between a fiftieth and a hundred times its guess. A motion with switch times has settled near
+    them, and None is returned.
 
     Args:
         solution: of a program.

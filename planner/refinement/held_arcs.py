@@ -1,7 +1,7 @@
 """Arcs of a least-time motion that are held throughout: each at a limit, the effort's own or a path's.
 
-With one effort, in least time, something is at its limit at every instant (Bryson & Ho 1975, section 3.9). An arc of a few
-intervals, or of less than one, does not show it; what is known of arcs then says what it has to be.
+In a least-time motion of one effort some limit binds at every instant (Bryson & Ho 1975, section 3.9). A solution does not
+show this on an arc of a few intervals. The limit then follows from the arcs before and after it.
 """
 
 import itertools
@@ -12,7 +12,7 @@ import numpy as np
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.switches import Motion
 
-# At so many instants of an arc its effort is looked at; how far into an arc along a power limit it shows what goes before.
+# The effort of an arc is sampled at so many instants. This share of an arc along a power limit shows the arc before it.
 SAMPLES_OF_ARC, SHARE_INTO_ARC = 33, 0.1
 
 

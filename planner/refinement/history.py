@@ -1,4 +1,4 @@
-"""The solves on the way to a plan, one after the other, and the progress that is told of them."""
+"""The record of the solves that lead to a plan, and the type of the progress callback."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -29,9 +29,9 @@ class Step:
     integration_error_deg: float | None
     build_s: float
     solve_s: float
-    integration_error: float | None = None  # of a user's differential equation, as a share of its states' sizes
-    asked: str = ""  # a hash of what was solved: it has the same answer again
-    answer: dict[str, Any] | None = None  # the solution's fields but for its program, where it converged
+    integration_error: float | None = None  # of a differential equation, as a share of its states' sizes
+    asked: str = ""  # a hash of the program; the same program has the same answer
+    answer: dict[str, Any] | None = None  # the fields of a converged solution, without its program
 
     @classmethod
     def saved(cls) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""What was found with its certificate, and what that says to refinement."""
+"""An iterate of the refinement with its certificate and its errors."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
@@ -11,7 +11,7 @@ from linkplan.planner.refinement.history import Step
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Judged(Generic[MotionT, CertificateT]):
-    """What was found, its certificate, and what that says; None where it has none."""
+    """An iterate, its certificate, and the errors that this shows; None without a certificate."""
 
     found: Found[MotionT]
     certificate: CertificateT | None
@@ -19,17 +19,17 @@ class Judged(Generic[MotionT, CertificateT]):
 
     @property
     def passed(self) -> bool:
-        """Whether its certificate passes."""
+        """True if its certificate passes."""
         return self.certificate is not None and self.certificate.passed
 
     @property
     def overruns(self) -> bool:
-        """Whether a limit is overrun between the nodes."""
+        """True if a limit is overrun between the nodes."""
         return self.findings is not None and self.findings.overruns
 
     @property
     def n_intervals(self) -> int:
-        """Of its mesh."""
+        """The number of intervals of its mesh."""
         return self.found.mesh.n_intervals
 
 
@@ -37,7 +37,7 @@ JudgedT = TypeVar("JudgedT", bound=Judged)
 
 
 def judged(case: Case[MotionT, CertificateT], found: Found[MotionT], history: list[Step]) -> Judged[MotionT, CertificateT]:
-    """Return what was found with its certificate, whose error is noted in the history."""
+    """Certify an iterate and note its integration error in the history."""
     certificate = case.certify(found.motion)
     findings = None if certificate is None else case.findings(certificate)
     if findings is not None:

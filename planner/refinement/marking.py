@@ -1,4 +1,4 @@
-"""What a finer mesh is to be: which intervals to halve, and where a higher degree is worth more."""
+"""The choice of a finer mesh: the intervals to halve, or a scheme of higher degree."""
 
 import re
 from typing import Any
@@ -12,29 +12,29 @@ from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import MAX_DEGREE
 
-# The share of its allowance that marks an interval for halving; how far below the worst interval's error another may be to
-# be halved with it.
+# An interval is halved if its error is above this share of its allowance, and above the second share of the worst
+# interval's.
 MARKED_SHARE, SHARE_OF_WORST = 0.5, 0.01
-# Where dynamics are not kept, an interval with less than this share of the largest residual adds nothing to the error of the
-# integrated state: it carries on what others have begun.
+# If the dynamics are not satisfied, an interval with less than this share of the largest residual only carries on the error
+# of other intervals, and is not halved.
 SHARE_OF_RESIDUAL = 1e-6
-# A limit overrun between the nodes by more than this share of itself is a matter for the mesh; for less the limit is
-# tightened, which costs the objective about as much.
+# An overrun between the nodes above this share of the limit is removed by a finer mesh. A smaller one is removed by
+# tightening, which costs about the same share of the objective.
 TIGHTENED_OVERRUN = 1e-7
-# Intervals on which a limit is overrun by this share of the most are halved where limits are loosened.
+# When limits are loosened, intervals with an overrun above this share of the largest are halved.
 LARGE_OVERRUN_SHARE = 0.1
-# The degree is raised where at least this share of the intervals asks for more, and none stands out by more than this
-# factor: the motion is smooth there, and nodes are worth more than intervals.
+# The degree is raised if at least this share of the intervals is inexact, and the worst error is at most this factor above
+# the median: the motion is smooth there.
 EVEN_SHARE = 0.5
 OUTLIER_FACTOR = 30.0
-# Fewer intervals in a row than these are no arc along a limit, but the end of one inside an interval.
+# An arc along a limit has at least so many intervals; fewer are its end inside an interval.
 INTERVALS_OF_ARC = 3
-# Intervals with at least this share of the largest bend of an effort are rough: halved where the objective has not settled.
+# An interval is rough if an effort bends there by at least this share of its largest bend.
 ROUGH_SHARE = 0.01
 
 
 def marked_for(at: Judged[Any, Any], strictness: float) -> np.ndarray:
-    """Return which intervals (n,) to halve: those with more than their share of an error that is too large."""
+    """Return the intervals (n,) with more than their share of an error that is too large."""
     certificate, n = at.certificate, at.n_intervals
     if certificate is None:
         return np.ones(n, dtype=bool)
@@ -52,7 +52,7 @@ def marked_for(at: Judged[Any, Any], strictness: float) -> np.ndarray:
 
 
 def overrunning(at: Judged[Any, Any]) -> np.ndarray:
-    """Return on which intervals (n,) a limit is overrun between the nodes by more than should be tightened."""
+    """Return the intervals (n,) on which a limit is overrun by more than tightening should remove."""
     if at.findings is None:
         return np.zeros(at.n_intervals, dtype=bool)
     overrun = at.findings.overrun
@@ -60,7 +60,7 @@ def overrunning(at: Judged[Any, Any]) -> np.ndarray:
 
 
 def most_overrun(at: Judged[Any, Any]) -> np.ndarray:
-    """Return on which intervals (n,) a limit is overrun by a share of the most that it is overrun."""
+    """Return the intervals (n,) with an overrun near the largest one."""
     overrun = np.zeros(at.n_intervals) if at.findings is None else at.findings.overrun
     return overrun > LARGE_OVERRUN_SHARE * overrun.max(initial=0.0)
 
@@ -71,7 +71,7 @@ def grown(mesh: Mesh, marked: np.ndarray) -> int:
 
 
 def uneven_of(at: Judged[Any, Any]) -> np.ndarray:
-    """Return the intervals (n,) that the objective hangs on: next to kinks, and where limits begin or cease to bind."""
+    """Return the intervals (n,) that determine the objective: next to kinks, and where a limit begins or ceases to bind."""
     rough = rough_of(at.found.motion)
     touching = None if at.findings is None else at.findings.touching
     return rough if touching is None else rough | touching
@@ -87,7 +87,7 @@ def rough_of(motion: Motion) -> np.ndarray:
 
 
 def higher_for(case: Case[Any, CertificateT], certificate: CertificateT | None, marked: np.ndarray) -> str | None:
-    """Return the transcription of higher degree that is worth more than a finer mesh, or None."""
+    """Return the scheme of higher degree that reduces the error more than a finer mesh, or None."""
     if certificate is None or not marked.any():
         return None
     growth = certificate.growth[marked]
@@ -96,7 +96,7 @@ def higher_for(case: Case[Any, CertificateT], certificate: CertificateT | None, 
 
 
 def higher_on_arcs(case: Case[MotionT, CertificateT], at: Judged[MotionT, CertificateT], over: np.ndarray) -> str | None:
-    """Return the transcription of higher degree where motions along limits overrun them evenly: the arcs are smooth."""
+    """Return the scheme of higher degree if limits are overrun evenly along smooth arcs, or None."""
     if at.findings is None or not over.any():
         return None
     fixed = at.found.fixed
@@ -108,7 +108,7 @@ def higher_on_arcs(case: Case[MotionT, CertificateT], at: Judged[MotionT, Certif
 
 
 def raised(mesh: MeshSettings) -> str | None:
-    """Return the transcription two degrees up from that of a mesh; None where there is none, or none is wanted."""
+    """Return the scheme two degrees higher than that of a mesh; None if there is no such scheme or it is not allowed."""
     family = re.fullmatch(r"(radau|gauss)-(\d)", mesh.scheme)
     if family is None or mesh.refine == "intervals" or int(family[2]) == MAX_DEGREE:
         return None
@@ -116,7 +116,7 @@ def raised(mesh: MeshSettings) -> str | None:
 
 
 def degree_of(scheme_name: str) -> int:
-    """Return the degree in a transcription's name."""
+    """Return the degree in the name of a scheme."""
     return int(scheme_name.rpartition("-")[2])
 
 

@@ -1,19 +1,18 @@
-"""Bends: motions to start from are perturbed at random, but the same in every run (multistart)."""
+"""Random perturbations of an initial guess, the same in every run (multistart)."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-# Half waves over the motion that a perturbation is a sum of, and its size as a share of the motion's; every fourth
-# perturbation is larger.
-_WAVES = 3
-_SIZE = 0.5
-_LARGER = 4
+# A perturbation is a sum of so many half waves, of this share of the motion's size. Every fourth perturbation is larger.
+N_HALF_WAVES = 3
+PERTURBATION_SHARE = 0.5
+LARGE_EVERY_NTH = 4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Perturbation:
-    """What is added to a motion (n, k), in its own units, and the factor on its duration, from a half to two."""
+    """An offset (n, k) that is added to a motion, in its units, and a factor from 0.5 to 2 on its duration."""
 
     offset: np.ndarray
     stretch: float
@@ -27,6 +26,9 @@ def perturbation(number: int, along: np.ndarray, span: np.ndarray) -> Perturbati
         along: shares (n,) of the motion, from 0 to 1.
         span: the motion's size (k,) in each coordinate.
     """
-    rng, wave = np.random.default_rng(number), 1 + np.arange(_WAVES)
-    shape = np.sin(np.pi * np.outer(along, wave)) @ (rng.uniform(-1.0, 1.0, (_WAVES, len(span))) / wave[:, None])
-    return Perturbation(offset=_SIZE * (1 + number // _LARGER) * shape * span, stretch=float(2.0 ** rng.uniform(-1.0, 1.0)))
+    rng, wave = np.random.default_rng(number), 1 + np.arange(N_HALF_WAVES)
+    shape = np.sin(np.pi * np.outer(along, wave)) @ (rng.uniform(-1.0, 1.0, (N_HALF_WAVES, len(span))) / wave[:, None])
+    return Perturbation(
+        offset=PERTURBATION_SHARE * (1 + number // LARGE_EVERY_NTH) * shape * span,
+        stretch=float(2.0 ** rng.uniform(-1.0, 1.0)),
+    )

@@ -1,8 +1,8 @@
-"""Pontryagin's principle on arcs that are held at a limit: which of them the optimum would rather leave.
+"""Pontryagin's principle on arcs that are held at a limit: the arcs that the optimum would leave.
 
-A solver that is told to hold an effort or a path quantity finds the best motion that does, and its multipliers say whether
-that limit is in the way or the holding itself is: the reduced gradient of an effort is the switching function's integral
-(Betts 2010, section 4.4), and has the sign of its limit on every interval of a right arc.
+A solver that holds an effort or a path quantity finds the best motion with it held. The multipliers show whether the limit
+or the holding restricts this motion. The reduced gradient of an effort is the integral of the switching function (Betts
+2010, section 4.4). On every interval of a correct arc it has the sign of the limit.
 """
 
 import numpy as np
@@ -10,25 +10,27 @@ import numpy as np
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.solvers.solve import Solution
 
-# A multiplier of the wrong sign that is larger than this share of the largest is no rounding.
+# A multiplier of the wrong sign above this share of the largest one is more than rounding.
 WRONG_SIGN_SHARE = 1e-2
-# Multipliers of inequalities below this share of the largest of equations are what the barrier leaves: nothing binds.
+# A multiplier of an inequality below this share of the largest of an equation is left by the barrier: the limit does not
+# bind.
 BINDING_SHARE = 1e-7
-# Quantities whose rate along a motion no effort changes at once: held, they are constraints of second order. Their
-# multiplier is a measure with impulses at an arc's ends (Hartl, Sethi and Vickson 1995), which a transcription gives as
-# values that alternate from interval to interval: only an arc's sum has a sign. An ODE's own quantities may be such ones.
+# No effort changes the rate of these quantities at once: held, they are constraints of second order. Their multiplier is a
+# measure with impulses at the ends of an arc (Hartl, Sethi and Vickson 1995). A transcription gives values that alternate
+# from interval to interval, so only the sum over the arc has a sign. Path quantities of a differential equation can be of
+# this kind.
 _SECOND_ORDER = ("site", "tube", "tendon", "singular", "path")
 
 
 def arcs_against_their_limits(solution: Solution) -> np.ndarray:
-    """Return the instants (n,) [s], middles of intervals, at which what is held would better not be."""
+    """Return the instants (n,) [s], middles of intervals, at which the optimum would leave a held limit."""
     breaks = interval_breaks(solution)
     wrong = np.hstack(held_wrongly(solution)).any(axis=1)
     return 0.5 * (breaks[1:] + breaks[:-1])[wrong]
 
 
 def limits_bind(solution: Solution) -> bool:
-    """Return whether a limit binds anywhere, on an unknown or a row; True where the solver does not tell."""
+    """Return True if a limit binds on any unknown or row, or if the solver gave no multipliers."""
     rows, unknowns, transcribed = solution.multipliers, solution.bound_multipliers, solution.transcribed
     if rows is None or unknowns is None:
         return True
@@ -45,12 +47,12 @@ def interval_breaks(solution: Solution) -> np.ndarray:
 
 
 def held_wrongly(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Return on which intervals efforts (n, n_u) and path quantities (n, n_path) are held that would better not be."""
+    """Return True where the optimum would leave a held effort (n, n_u) or path quantity (n, n_path) of an interval."""
     transcribed, multipliers = solution.transcribed, solution.multipliers
     program, mesh = transcribed.program, transcribed.program.mesh
     efforts = np.zeros((mesh.n_intervals, program.layout.n_u), dtype=bool)
     paths = np.zeros((mesh.n_intervals, program.interval.n_path), dtype=bool)
-    # An effort whose rate is limited is a state: what holds it acts on the whole arc, and has no sign at each instant.
+    # An effort with a limited rate is a state: its multiplier acts on the whole arc and has no sign at each instant.
     if multipliers is not None and transcribed.bang_efforts is not None and "effort_rate" not in program.interval.own_kinds:
         _, gradient = program.functions["grad_f"](solution.x, transcribed.parameters)
         _, jacobian = program.functions["jac_g"](solution.x, transcribed.parameters)
@@ -62,12 +64,12 @@ def held_wrongly(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _wrong(pushes: np.ndarray) -> np.ndarray:
-    """Return which pushes (n, k) are off their limit, against the largest one onto it."""
+    """Return True (n, k) where a push is away from its limit, compared with the largest push."""
     return pushes < -WRONG_SIGN_SHARE * np.abs(pushes).max(initial=np.finfo(float).tiny)
 
 
 def _of_efforts(transcribed, reduced: np.ndarray) -> np.ndarray:
-    """Return how efforts are pushed onto their limits (n_intervals, n_u): negative where off them, 0 where none is held."""
+    """Return the pushes of efforts onto their limits (n_intervals, n_u): negative if away from them, 0 if not held."""
     segment, held = transcribed.program.mesh.segment, transcribed.bang_efforts
     limit = transcribed.formulation.effort
     side = np.where(held == limit[:, 1], -1.0, np.where(held == limit[:, 0], 1.0, 0.0))[segment]
@@ -75,7 +77,7 @@ def _of_efforts(transcribed, reduced: np.ndarray) -> np.ndarray:
 
 
 def _of_paths(transcribed, multipliers: np.ndarray) -> np.ndarray:
-    """Return how path quantities are pushed onto their limits (n_intervals, n_path), likewise."""
+    """Return the pushes of path quantities onto their limits (n_intervals, n_path), with the same signs."""
     mesh, interval = transcribed.program.mesh, transcribed.program.interval
     rows = multipliers[: mesh.n_intervals * interval.n_rows].reshape(mesh.n_intervals, -1)
     of_nodes = rows[:, interval.n_own :][:, : interval.n_nodes * (interval.n_equations + interval.n_path)]
@@ -87,7 +89,7 @@ def _of_paths(transcribed, multipliers: np.ndarray) -> np.ndarray:
 
 
 def released(solution: Solution) -> tuple[np.ndarray, FixedArcs] | None:
-    """Return the ends (n_segments + 1,) [s] of segments and what is held on them; None where nothing is held wrongly."""
+    """Return the ends (n_segments + 1,) [s] of segments and what to hold on them; None if nothing is held wrongly."""
     transcribed, mesh = solution.transcribed, solution.transcribed.program.mesh
     wrong = np.hstack(held_wrongly(solution))
     if not wrong.any():

@@ -1,4 +1,4 @@
-"""What refinement comes to: a motion with its solution and certificate, and the better of two."""
+"""The result of a refinement, and the better of two iterates."""
 
 from dataclasses import dataclass
 from typing import Generic
@@ -10,8 +10,8 @@ from linkplan.planner.refinement.judged import JudgedT, error_of
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.solvers.solve import Solution
 
-# Of motions that pass, a coarser mesh's is kept where it is better than the last one by more than this share: what that mesh
-# errs by is less, so that a finer one has lost it. The other one where the coarser is not exact and the finer errs by less.
+# The motion of a coarser mesh is kept if it is better than that of a finer one by more than this share, which is above the
+# error of the mesh. The second share holds if the coarser motion is less exact.
 LOST_GAIN, LOST_GAIN_INEXACT = 1e-5, 1e-4
 
 
@@ -19,8 +19,8 @@ LOST_GAIN, LOST_GAIN_INEXACT = 1e-5, 1e-4
 class Refined(Generic[MotionT, CertificateT]):
     """A motion with its solution and certificate, which may not pass.
 
-    `settled` says whether the objective has, from mesh to mesh, where that is asked for; `moved` by what share of itself it
-    changed between the last two meshes on which the motion passed, 0 where it passed on one.
+    `settled` is True if the objective keeps still from mesh to mesh, where that is required. `moved` is its relative change
+    between the last two meshes on which the motion passed, 0 if there is only one.
     """
 
     motion: MotionT
@@ -31,7 +31,7 @@ class Refined(Generic[MotionT, CertificateT]):
 
     @property
     def against(self) -> np.ndarray:
-        """The instants (n,) [s] at which what is held would better not be: none of a local optimum."""
+        """The instants (n,) [s] at which the optimum would leave a held limit; a local optimum has none."""
         return arcs_against_their_limits(self.solution)
 
 

@@ -23,7 +23,7 @@ CHANGE_AT_TOUCHED_LIMIT = 1e-7
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class RefinementState(Generic[MotionT, CertificateT]):
-    """What a refinement has found and tried.
+    """The iterates of a refinement and the record of its actions.
 
     `asked` has the limits as they are asked: every certificate is against them. `case` has the scheme and the tightened
     limits by now. `at` is the last iterate, `best` the best that passed. `warm` says that finer meshes are solved from next
@@ -58,24 +58,24 @@ class RefinementState(Generic[MotionT, CertificateT]):
 
     @property
     def aims(self) -> Aims:
-        """What the best motion looks like."""
+        """The known form of the best motion."""
         return self.asked.aims
 
     @property
     def objective_tolerance(self) -> float | None:
-        """The relative change of the objective that is asked for; None where the integration error alone counts."""
+        """The largest relative change of the objective; None if the integration error alone counts."""
         smooth = self.aims.kinks_at_limits and not self.aims.enclosed and not limits_bind(self.at.found.solution)
         return None if smooth else self.aims.objective_tolerance
 
     @property
     def settled(self) -> bool:
-        """Whether the objective keeps still as it is asked to."""
+        """True if the objective keeps still from mesh to mesh, or need not."""
         enough = MESHES_WITHOUT_CHANGE if self.at.found.fixed is None and not self.aims.enclosed else 1
         return self.objective_tolerance is None or self.calm >= enough
 
     @property
     def finished(self) -> bool:
-        """Whether the iterate passes, is exact, and its objective has settled."""
+        """True if the iterate passes, is exact, and its objective has settled."""
         if not (self.at.passed and self.at.findings is not None and self.at.findings.exact and self.settled):
             return False
         return self.change <= CHANGE_AT_TOUCHED_LIMIT or not self.kept_off.any()
@@ -90,13 +90,13 @@ class RefinementState(Generic[MotionT, CertificateT]):
 
     @property
     def arcs_known(self) -> bool:
-        """Whether everything is held along arcs, and the switch times are where they belong."""
+        """True if everything is held along arcs and no switch time is at a bound."""
         fixed = self.at.found.fixed
         return fixed is not None and fixed.everything and not at_bounds(self.at.found.solution)
 
     @property
     def result(self) -> Refined[MotionT, CertificateT] | None:
-        """The best motion; one that does not pass where none did; None without a certificate."""
+        """The best motion, or the last one if none passed; None without a certificate."""
         at, best = self.at, self.best
         if not (at.passed and self.settled and self.objective_tolerance is not None and self.loose is None):
             at = best or at

@@ -21,25 +21,26 @@ from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh, graded, segmented
 
-# A solve with switch times replaces the one before when it is no worse than by the error of a mesh without them.
+# A solve with switch times replaces the last iterate if its objective is at most this share worse: the error of a mesh
+# without switch times.
 MESH_ERROR_SHARE = 1e-4
-# A segment's duration within this share of its room to a bound, in its logarithm, is at it.
+# A segment's duration is at its bound if its logarithm is within this share of the range.
 SHARE_AT_BOUND = 1e-3
-# Switch times next to arcs within the limits settle in a few solves: until the objective gains less than this share,
-# relative.
+# Switch times next to arcs inside the limits settle in at most so many solves, until the objective gains less than this
+# share.
 MAX_SETTLINGS = 4
 SETTLED_GAIN = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _Reading:
-    """What a solution's arcs may be: in words, their ends (n_switches,) [s], and what is held between them."""
+    """One interpretation of a solution's arcs: its name, the ends (n_switches,) [s], and what is held between them."""
 
     what: str
     switch_times_s: np.ndarray
     fixed: FixedArcs | None
-    graded: bool = False  # whether intervals beside short arcs are short too: along a power the effort falls off from there
-    last_resort: bool = False  # whether it is meant only where no other leads to a solution
+    graded: bool = False  # intervals next to short arcs are short, because the effort changes fast there
+    last_resort: bool = False  # used only if no other interpretation leads to a solution
 
 
 def settle_switch_times(
@@ -52,8 +53,8 @@ def settle_switch_times(
 ) -> Found[MotionT]:
     """Return a solution with switch times at its switches, or the same one where switch times make it no better.
 
-    First with efforts and path quantities fixed at the limits that the arcs showed: the switch times alone are unknown;
-    where that is worse than the solution without them, the arcs were read wrongly and all is set free again.
+    Efforts and path quantities are first held at the limits that the arcs showed, so that only the switch times are unknown.
+    If that is worse than the solution without switch times, the arcs were read wrongly, and nothing is held.
     """
     no_worse = SETTLED_GAIN if position_rows else MESH_ERROR_SHARE
     for _ in range(MAX_SETTLINGS):
@@ -75,11 +76,12 @@ def settle_switch_times(
                 case, start, finer, durations, reading.what, history, say,
                 warm=True, position_rows=position_rows, fixed=reading.fixed,
             )  # fmt: skip
-            # Where all is held there is nothing to be gained between the nodes: what is left of the difference is a mesh's.
+            # If everything is held, nothing can be gained between the nodes: the rest of the difference is the error of the
+            # mesh.
             whole = reading.fixed is not None and reading.fixed.everything and bool(reading.fixed.paths.any())
             allowed = MESH_ERROR_SHARE if whole else no_worse
             if tried is not None and len(arcs_against_their_limits(tried.solution)):
-                continue  # read wrongly
+                continue  # the arcs were read wrongly
             if tried is not None and tried.solution.objective <= before + allowed * abs(before):
                 better = tried
                 break
@@ -95,7 +97,7 @@ def settle_switch_times(
 
 
 def _readings(case: Case[MotionT, CertificateT], found: Found[MotionT], boundaries: np.ndarray) -> list[_Reading]:
-    """Return what a solution's arcs may be, the likeliest first.
+    """Return the interpretations of a solution's arcs, the likeliest first.
 
     Arcs shorter than an interval are bang arcs where nothing else binds; elsewhere they are rather ends of arcs along a
     limit, and only meant where nothing comes of those.
@@ -141,13 +143,13 @@ def _readings(case: Case[MotionT, CertificateT], found: Found[MotionT], boundari
 
 
 def is_bang_bang(case: Case[MotionT, CertificateT], transcribed: Transcribed) -> bool:
-    """Return whether efforts are at their limits throughout: time alone counts, and no limits but theirs and ranges bind."""
+    """Return True if all efforts are at their limits: time is the objective, and only effort limits and ranges bind."""
     interval = transcribed.program.interval
     return case.aims.bang_bang and interval.n_path == 0 and {*interval.own_kinds} <= {"continuity", "position"}
 
 
 def _known(transcribed: Transcribed, fixed: FixedArcs) -> bool:
-    """Return whether a program has fixed all of this already, and nothing was left free: there is nothing new."""
+    """Return True if a program already holds all of these arcs and leaves nothing free."""
     before = transcribed.bang_efforts
     if before is None or before.shape != fixed.efforts.shape or not fixed.everything:
         return False
@@ -160,7 +162,7 @@ def _known(transcribed: Transcribed, fixed: FixedArcs) -> bool:
 
 
 def at_bounds(solution: Solution) -> bool:
-    """Return whether a segment is as long as it was allowed to become, or as short: its ends have further to go.
+    """Return True if the duration of a segment is at its bound, so that its ends would move further.
 
     By factors: a bang may be a millionth of what it might become, and yet far from the least that it might.
     """

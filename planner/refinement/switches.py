@@ -1,21 +1,21 @@
-"""Where the efforts of a least-time motion switch: times for a mesh whose segments then end there."""
+"""The switch times of a motion, read from the coefficients of its efforts."""
 
 import itertools
 from typing import Protocol
 
 import numpy as np
 
-# A coefficient within this share of the limits' span counts as at its limit; the solver leaves 1e-8.
+# A coefficient within this share of the span of the limits counts as at its limit; the solver is exact to 1e-8.
 SHARE_AT_LIMIT = 1e-3
 # Up to this many intervals between two arcs at limits are one smeared switch; more are an arc of their own.
 SMEARED_INTERVALS = 3
-# Switch times within this share of half an interval of a phase boundary are that phase boundary, where arcs may be short and
-# where not.
+# A switch time within this share of half an interval of a phase boundary is that boundary: if arcs can be short (True), or
+# not.
 SHARE_BESIDE_OTHERS = {True: 1e-3, False: 0.1}
 
 
 class Motion(Protocol):
-    """What refinement needs of a motion."""
+    """The part of a motion that refinement reads."""
 
     @property
     def breaks_s(self) -> np.ndarray:
