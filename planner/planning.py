@@ -133,12 +133,6 @@ RUNGS: tuple[Rung, ...] = (
         budget=PATIENT,
     ),
     Rung(
-        name="a coarser mesh",
-        tried=lambda search: _nothing_found(search) and last_resorts.mesh_may_be_coarser(search),
-        climb=last_resorts.from_a_coarser_mesh,
-        budget=HURRIED,
-    ),
-    Rung(
         name="continuation in the effort limits",
         tried=lambda search: _nothing_found(search) and last_resorts.efforts_suffice(search),
         climb=last_resorts.from_least_peak_effort,

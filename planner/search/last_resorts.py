@@ -1,4 +1,4 @@
-"""Rungs for problems that no start solves: a coarser mesh, and the motion of least peak effort."""
+"""Continuation in the effort limits, from the motion of least peak effort, for problems that no start solves."""
 
 from dataclasses import dataclass, replace
 
@@ -8,30 +8,12 @@ from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.search.attempts import certified
 from linkplan.planner.search.continuation import Steps, followed
-from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.solving import Found, solve_from
 
 # Continuation in the effort limits begins no nearer to them than this; its first step is the whole way, a quarter of it (in
 # its logarithm) the least, and so many are taken at the most.
 _BELOW, _LEAST_STEP, _STEPS = 0.999, 0.25, 6
-# A mesh so many times coarser, and no coarser than that, is solved first where the fine one is not found from any start.
-_COARSER, _COARSEST = 4, 6
-
-
-def mesh_may_be_coarser(search: Search) -> bool:
-    """Return whether the first mesh is fine enough for a coarser one to be worth a try."""
-    return first_mesh(search.problem, search.smooth)[0].n_intervals > _COARSER * _COARSEST
-
-
-def from_a_coarser_mesh(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that a coarser first mesh leads to; None where it does not pass."""
-    problem, guess = search.within(budget), search.smooth
-    n_intervals = first_mesh(problem, guess)[0].n_intervals // _COARSER
-    mesh, durations = first_mesh(problem, guess, n_intervals)
-    found = solve_from(problem, guess, mesh, durations, "a coarser mesh", search.history, search.say)
-    plan = None if found is None else certified(problem, found, search.history, search.say)
-    return plan if plan is not None and plan.passed else None
 
 
 def efforts_suffice(search: Search) -> bool:
