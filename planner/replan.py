@@ -151,7 +151,7 @@ class Planner:
             if trajectory is None or certificate is None:
                 return None
             history.append(_step(solution, certificate, "constraints tightened" if history else "solved again"))
-            if not case.findings(certificate).overruns or case.n_tightenings == _TIGHTENED:
+            if not case.error_report(certificate).overruns or case.n_tightenings == _TIGHTENED:
                 break
             # As of a plan from the beginning: the kept program's own tightening belongs to another motion.
             case = case.tightened(certificate, trajectory)

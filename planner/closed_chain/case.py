@@ -14,7 +14,7 @@ from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.transcribe import choose_scales, trajectory_of, transcribe
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import Aims, Findings
+from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.tightening import AT_NODES, Tightening, evened, tightenings_of
 from linkplan.planner.solvers.solve import Solution
@@ -42,10 +42,10 @@ class MechanismCase:
     kinks: bool = True  # whether to look for kinks of efforts that do not jump
     smoothing: float = SMOOTHING  # as of `formulate`
     enclosed: bool = False  # whether limits on power and pin force are kept at every instant
-    aims: Aims = field(init=False)
+    target: RefinementTarget = field(init=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "aims", _aims(self.asked, kinks=self.kinks, enclosed=self.enclosed))
+        object.__setattr__(self, "target", _target(self.asked, kinks=self.kinks, enclosed=self.enclosed))
 
     def transcribe(self, start: Guess, mesh: Mesh, durations: np.ndarray, **options: Any) -> Transcribed:
         """Return the program from a guess."""
@@ -70,12 +70,12 @@ class MechanismCase:
         except (AssemblyError, OutOfTimeError):
             return None
 
-    def findings(self, certificate: Certificate) -> Findings:
+    def error_report(self, certificate: Certificate) -> ErrorReport:
         """Return what a certificate says to refinement."""
         over = [certificate.speed_overrun, certificate.position_overrun]
         over += [margin.overrun[None] for margin in certificate.margins if margin.what in AT_NODES]
         least = min(certificate.position_margin.min(), certificate.speed_margin.min())
-        return Findings(
+        return ErrorReport(
             exact=is_exact(self.asked, certificate),
             mendable=certificate.mendable,
             leaves_positions=bool(np.any(certificate.position_margin < 0)),
@@ -118,7 +118,7 @@ def held_arcs_of(problem: PlanningProblem, guess: Guess) -> FixedArcs:
     return FixedArcs(efforts=guess.bang_efforts, paths=paths)
 
 
-def _aims(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> Aims:
+def _target(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> RefinementTarget:
     """Return what the best motion of a problem looks like, and how exact it is to be.
 
     Efforts jump between limits, none and arcs where time or work count; where their squares do, they bend where they reach a
@@ -133,7 +133,7 @@ def _aims(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> Aims:
     lines = any(motor is not None and motor.has_line for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     tolerance = _OBJECTIVE if switches and (lines or bent) else None
-    return Aims(
+    return RefinementTarget(
         effort_limit=problem.limits.effort,
         switches=switches,
         bang_bang=list(objective.weights) == ["time"],

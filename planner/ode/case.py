@@ -16,7 +16,7 @@ from linkplan.planner.ode.certificate import (
 from linkplan.planner.ode.formulation import formulate_ode, start_from
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.case import Aims, Findings
+from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
 from linkplan.planner.refinement.tightening import Tightening, tightened_share
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of
@@ -43,11 +43,11 @@ class OdeCase:
     has_switch_times: bool = False  # whether the mesh has its switch times already, where the costates put them
     bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts held between those switch times
 
-    aims: Aims = field(init=False)
+    target: RefinementTarget = field(init=False)
 
     def __post_init__(self) -> None:
         asked = self.asked
-        aims = Aims(
+        target = RefinementTarget(
             effort_limit=asked.effort_limit,
             # Wherever an effort has two limits to jump between.
             switches=not self.has_switch_times and bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
@@ -57,7 +57,7 @@ class OdeCase:
             tolerance_given=True,  # the mesh may grow beyond what is comfortable
             objective_tolerance=asked.objective_tolerance,
         )
-        object.__setattr__(self, "aims", aims)
+        object.__setattr__(self, "target", target)
 
     def transcribe(
         self,
@@ -105,11 +105,11 @@ class OdeCase:
         """Return a solution's certificate."""
         return certify_ode(self.asked, motion)
 
-    def findings(self, certificate: OdeCertificate) -> Findings:
+    def error_report(self, certificate: OdeCertificate) -> ErrorReport:
         """Return what a certificate says to refinement; another mesh may mend whatever it is, for all that is known."""
         size = [max(abs(bound) for bound in limit if np.isfinite(bound)) or 1.0 for limit in self.asked.path_limit]
         over = (certificate.path_overrun / np.array(size).reshape(-1, 1)).max(axis=0, initial=0.0)
-        return Findings(
+        return ErrorReport(
             # The objective is to be that of the integrated motion, too.
             exact=certificate.integration_error <= self.asked.tolerance
             and certificate.objective_error <= OBJECTIVE_SHARE * self.asked.tolerance

@@ -25,7 +25,7 @@ OBJECTIVE_SHARE = 10.0
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class OdeCertificate:
-    """Findings on a solution; `failures` say why it does not pass.
+    """ErrorReport on a solution; `failures` say why it does not pass.
 
     `integration_error` is the largest distance of the integrated state from the planned one, as a share of each state's
     size;

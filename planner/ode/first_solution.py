@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.case import Found
+from linkplan.planner.refinement.case import Iterate
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -15,6 +15,6 @@ class FirstSolution:
     """
 
     case: OdeCase
-    found: Found[OdeTrajectory]
+    found: Iterate[OdeTrajectory]
     number: int = 0
     away: str | None = None

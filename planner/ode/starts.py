@@ -12,7 +12,7 @@ from linkplan.planner.ode.certificate import OdeCertificate
 from linkplan.planner.ode.formulation import completed, straight_guess, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.case import Found
+from linkplan.planner.refinement.case import Iterate
 from linkplan.planner.refinement.free_duration import LONGER, SHORTER, bounded_by_guess
 from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.refinement.refined import Refined
@@ -133,7 +133,7 @@ def stretched(motion: OdeTrajectory, duration_s: float) -> OdeTrajectory:
 
 
 def unbounded_duration(
-    problem: OdeProblem, found: Found[OdeTrajectory] | Refined[OdeTrajectory, OdeCertificate]
+    problem: OdeProblem, found: Iterate[OdeTrajectory] | Refined[OdeTrajectory, OdeCertificate]
 ) -> str | None:
     """Return the words on a duration that ended at a bound which is not the user's but that of its guess; None elsewhere."""
     held, T = bounded_by_guess(found.solution, *problem.duration), found.motion.duration_s

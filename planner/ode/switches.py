@@ -13,7 +13,7 @@ from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.costates import Switching, is_affine, last_costates, switching_of
 from linkplan.planner.ode.first_solution import FirstSolution
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.case import Found, attempt
+from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
 from linkplan.planner.solvers.outcome import SUCCEEDED
@@ -78,7 +78,7 @@ def switch_by_costates(first: FirstSolution, history: list[Step], say: Say) -> F
     return first
 
 
-def _replaces(case: OdeCase, tried: Found[OdeTrajectory], before: Solution, *, uncut: bool) -> bool:
+def _replaces(case: OdeCase, tried: Iterate[OdeTrajectory], before: Solution, *, uncut: bool) -> bool:
     """Return whether a solution replaces the one before.
 
     The first with switch times does where it is no worse than a mesh without switch times is wrong, later ones where they

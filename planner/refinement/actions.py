@@ -5,10 +5,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Found, MotionT, attempt
+from linkplan.planner.refinement.case import Iterate, attempt
+from linkplan.planner.refinement.certified_iterate import certify_iterate
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.refinement.judged import judged
 from linkplan.planner.refinement.marking import most_overrun, widths_of
 from linkplan.planner.refinement.pontryagin import interval_breaks, released
 from linkplan.planner.refinement.state import RefinementState, observed
@@ -42,7 +42,7 @@ class ReadSwitches:
         everything = better.fixed is not None and better.fixed.everything
         # With everything held, halving removes an overrun: it has its full number of rounds.
         counted = replace(counted, rounds=state.rounds + 1, read_in=state.rounds if everything else state.read_in)
-        return observed(counted, judged(state.asked, better, history))
+        return observed(counted, certify_iterate(state.asked, better, history))
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +56,9 @@ class ImposeRanges:
         found = _solved_on(rows, np.zeros(state.at.n_intervals, dtype=bool), what, history, say)
         if found is None:  # the error of this mesh leaves the range; a finer one keeps it
             return replace(state, rows_lost=True, rounds=state.rounds + 1)
-        if state.aims.switches:
+        if state.target.switches:
             found = settle_switch_times(state.case, replace(found, fixed=None), history, say, position_rows=True)
-        return observed(replace(rows, rounds=state.rounds + 1), judged(state.asked, found, history))
+        return observed(replace(rows, rounds=state.rounds + 1), certify_iterate(state.asked, found, history))
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ class Loosen:
         new = replace(state, case=asked, rounds=state.rounds + 1, tightenings=0, idle=state.idle + 1, warm=True, ended=False)
         if found is None:
             return replace(new, ended=True, loose=state.best)
-        at = judged(state.asked, found, history)
+        at = certify_iterate(state.asked, found, history)
         return observed(replace(new, loose=at), at)
 
 
@@ -128,7 +128,10 @@ class ReleaseArcs:
     def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
         """Return the state with the arcs released."""
         best = state.best.found
-        ends, fixed = released(best.solution)
+        release = released(best.solution)
+        if release is None:
+            return replace(state, releases=state.releases + 1, ended=True)
+        ends, fixed = release
         finest = state.asked.with_scheme(best.solution.transcribed.scheme.name)
         boundaries = interval_breaks(best.solution)[best.mesh.boundaries()]
         switch_times = ends[1:-1][~np.isin(ends[1:-1], boundaries)]
@@ -138,10 +141,10 @@ class ReleaseArcs:
         counted = replace(state, case=finest, releases=state.releases + 1, rounds=state.rounds + 1)
         if found is None:
             return replace(counted, ended=True)
-        return observed(replace(counted, ended=False, warm=True), judged(state.asked, found, history))
+        return observed(replace(counted, ended=False, warm=True), certify_iterate(state.asked, found, history))
 
 
-def _held_in(found: Found[Any]) -> FixedArcs | None:
+def _held_in(found: Iterate[Any]) -> FixedArcs | None:
     transcribed = found.solution.transcribed
     if transcribed.bang_efforts is None or transcribed.constrained_paths is None:
         return None
@@ -160,40 +163,38 @@ def _after(
     found = _solved_on(state, marked, what, history, say)
     if found is None:
         return replace(state, ended=True)
-    return observed(replace(state, rounds=state.rounds + 1), judged(state.asked, found, history), tells=tells)
+    return observed(replace(state, rounds=state.rounds + 1), certify_iterate(state.asked, found, history), tells=tells)
 
 
-def _solved_on(
-    state: RefinementState, marked: np.ndarray, what: str, history: list[Step], say: Say
-) -> Found[MotionT] | None:
+def _solved_on(state: RefinementState, marked: np.ndarray, what: str, history: list[Step], say: Say) -> Iterate[Any] | None:
     """Solve with the marked intervals (n,) halved and return the iterate, or None.
 
     The solver starts at the coarser solution (warm) if efforts are bang arcs or jump inside intervals, else with a large
     barrier parameter (cold). If one way finds no solution, the other is tried, and at last the warm one with nothing held.
     """
-    coarse, case, aims = state.at.found, state.case, state.aims
+    coarse, case, target = state.at.found, state.case, state.target
     mesh, start = halved(coarse.mesh, marked), case.start_from(coarse.motion)
     durations = np.bincount(mesh.segment, weights=widths_of(coarse.motion, marked))
-    report, again = state.at.findings, state.best is not None
+    report, again = state.at.report, state.best is not None
     near = state.warm and report is not None and report.unstable and not report.unseen
 
-    def tried(word: str, fixed: FixedArcs | None, **how: bool) -> Found[MotionT] | None:
+    def tried(word: str, fixed: FixedArcs | None, **how: bool) -> Iterate[Any] | None:
         rows = state.position_rows
         return attempt(case, start, mesh, durations, what + word, history, say, position_rows=rows, fixed=fixed, **how)
 
-    def alike(finer: Found[MotionT]) -> bool:
+    def alike(finer: Iterate[Any]) -> bool:
         change = abs(finer.solution.objective - coarse.solution.objective)
         return change <= SAME_OBJECTIVE * abs(coarse.solution.objective)
 
     ways: list[tuple[str, dict[str, bool]]] = [("", {"warm": state.warm, "close": near})]
-    if again or aims.enclosed:
+    if again or target.enclosed:
         ways.append((", warm start", {"close": True}))
-    found: list[Found[MotionT]] = []
-    for word, how in reversed(ways) if aims.bang_bang or aims.enclosed else ways:
+    found: list[Iterate[Any]] = []
+    for word, how in reversed(ways) if target.bang_bang or target.enclosed else ways:
         finer = tried(word, coarse.fixed, **how)
         if finer is not None:
             found.append(finer)
-            if finer.solution.status == SUCCEEDED and (aims.enclosed or not aims.bang_bang or alike(finer)):
+            if finer.solution.status == SUCCEEDED and (target.enclosed or not target.bang_bang or alike(finer)):
                 break
     # A solver that stops at its start has lost nothing: on singular arcs it does not reach its tolerance.
     lost = all(finer.solution.status != SUCCEEDED and not alike(finer) for finer in found)

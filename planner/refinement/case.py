@@ -47,7 +47,7 @@ CertificateT = TypeVar("CertificateT", bound=Certificate)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Aims:
+class RefinementTarget:
     """The known form of the best motion, and the accuracy that is asked for.
 
     Attributes:
@@ -76,7 +76,7 @@ class Aims:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Findings:
+class ErrorReport:
     """The errors of an iterate, read from its certificate.
 
     Attributes:
@@ -127,7 +127,7 @@ class Case(Protocol[MotionT, CertificateT]):
         ...
 
     @property
-    def aims(self) -> Aims:
+    def target(self) -> RefinementTarget:
         """The known form of its best motion, and the accuracy that is asked for."""
         ...
 
@@ -156,7 +156,7 @@ class Case(Protocol[MotionT, CertificateT]):
         """Return a motion's certificate; None where it has none."""
         ...
 
-    def findings(self, certificate: CertificateT) -> Findings:
+    def error_report(self, certificate: CertificateT) -> ErrorReport:
         """Return the errors that a certificate shows."""
         ...
 
@@ -170,7 +170,7 @@ class Case(Protocol[MotionT, CertificateT]):
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Found(Generic[MotionT]):
+class Iterate(Generic[MotionT]):
     """The motion and solution of one solve; `fixed` are the efforts and path quantities held along its arcs, or None."""
 
     motion: MotionT
@@ -197,7 +197,7 @@ def attempt(
     position_rows: bool = False,
     bang_efforts: np.ndarray | None = None,
     fixed: FixedArcs | None = None,
-) -> Found[MotionT] | None:
+) -> Iterate[MotionT] | None:
     """Solve once, note it in the history, and return the iterate; None if there is no motion or no time is left.
 
     Args:
@@ -238,7 +238,7 @@ def attempt(
     if not solution.converged:
         return None
     motion = case.motion(solution)
-    return None if motion is None else Found(motion=motion, solution=solution, fixed=fixed)
+    return None if motion is None else Iterate(motion=motion, solution=solution, fixed=fixed)
 
 
 def _asked(transcribed: Transcribed, settings: SolverSettings, warm: bool, close: bool) -> str:

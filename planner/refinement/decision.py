@@ -63,7 +63,7 @@ def next_action(state: RefinementState) -> Action | None:
 
 
 def _towards_a_certificate(state: RefinementState) -> Action | None:
-    at, report = state.at, state.at.findings
+    at, report = state.at, state.at.report
     if state.ended or state.rounds >= MAX_ROUNDS or (report is not None and not at.passed and not report.mendable):
         return None
     if state.loose is not None:
@@ -76,10 +76,10 @@ def _towards_a_certificate(state: RefinementState) -> Action | None:
     if report is not None and report.leaves_positions and not (state.position_rows or state.rows_lost):
         return ImposeRanges()
     inexact, uneven = _inexact(state, over)
-    higher = _higher_scheme(state, inexact if state.aims.enclosed else inexact | uneven, over)
+    higher = _higher_scheme(state, inexact if state.target.enclosed else inexact | uneven, over)
     if higher is not None:
         return RaiseDegree(higher)
-    marked = _marked(state, uneven if state.aims.enclosed and uneven.any() else inexact | uneven, over)
+    marked = _marked(state, uneven if state.target.enclosed and uneven.any() else inexact | uneven, over)
     if not marked.any() and at.overruns:
         return Tighten()
     if not marked.any():
@@ -87,9 +87,9 @@ def _towards_a_certificate(state: RefinementState) -> Action | None:
     if grown(at.found.mesh, marked) > _most_intervals(state):
         if at.passed and _may_read_better(state) and _switches_are_open(state):
             return ReadSwitches()
-        return Tighten() if state.aims.enclosed and at.overruns else None
+        return Tighten() if state.target.enclosed and at.overruns else None
     late = state.rounds - state.read_in >= HALVINGS_BEFORE_TIGHTENING * (2 if over.any() else 1)
-    return Halve(marked, tightens=late and at.overruns and not state.aims.enclosed, tells=not np.any(uneven & ~marked))
+    return Halve(marked, tightens=late and at.overruns and not state.target.enclosed, tells=not np.any(uneven & ~marked))
 
 
 def _towards_the_optimum(state: RefinementState) -> Action | None:
@@ -105,7 +105,11 @@ def _towards_the_optimum(state: RefinementState) -> Action | None:
 def _may_loosen(state: RefinementState) -> bool:
     """Return True if the best motion is within tightened limits, and loosening them may gain something."""
     best, loose = state.best.found, state.loose
-    if best.solution.transcribed.formulation.tightening is None or state.aims.bang_bang or state.idle >= MAX_IDLE_LOOSENINGS:
+    if (
+        best.solution.transcribed.formulation.tightening is None
+        or state.target.bang_bang
+        or state.idle >= MAX_IDLE_LOOSENINGS
+    ):
         return False
     if loose is None:
         return True
@@ -116,7 +120,7 @@ def _may_loosen(state: RefinementState) -> bool:
 
 def _switches_are_open(state: RefinementState) -> bool:
     fixed = state.at.found.fixed
-    return state.aims.switches and not (fixed is not None and fixed.everything)
+    return state.target.switches and not (fixed is not None and fixed.everything)
 
 
 def _may_read_better(state: RefinementState) -> bool:
@@ -128,8 +132,8 @@ def _may_read_better(state: RefinementState) -> bool:
 def _inexact(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the intervals (n,) on which the motion is not exact, and those that the objective alone asks for."""
     at, fixed = state.at, state.at.found.fixed
-    inexact, uneven = marked_for(at, state.aims.strictness), np.zeros(at.n_intervals, dtype=bool)
-    if state.aims.enclosed:
+    inexact, uneven = marked_for(at, state.target.strictness), np.zeros(at.n_intervals, dtype=bool)
+    if state.target.enclosed:
         return inexact, uneven if state.settled else uneven_of(at) | state.kept_off
     inexact |= state.kept_off
     if at.passed and not state.settled and (fixed is None or not (inexact | over).any()):
@@ -141,9 +145,9 @@ def _inexact(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.n
 def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Return the intervals (n,) to halve, of those that are inexact and those on which limits are overrun."""
     at, fixed = state.at, state.at.found.fixed
-    if state.aims.enclosed:  # efforts jump inside intervals: what the certificate needs comes first
+    if state.target.enclosed:  # efforts jump inside intervals: what the certificate needs comes first
         needed = marked_for(at, 1.0)
-        return needed if needed.any() or at.findings is None else inexact
+        return needed if needed.any() or at.report is None else inexact
     if over.any() and _switches_are_open(state):
         inexact = over  # an arc shorter than an interval must be resolved before its ends can be unknowns
     # With everything held, the overrun is the error of the mesh. Tightening by it would make the motion slower.
@@ -154,27 +158,27 @@ def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np
 
 def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> str | None:
     """Return the scheme of higher degree that is worth more than a finer mesh, or None."""
-    at, report = state.at, state.at.findings
+    at, report = state.at, state.at.report
     if report is not None and report.unseen:
         return None
-    higher = None if state.aims.enclosed else higher_on_arcs(state.case, at, over)
+    higher = None if state.target.enclosed else higher_on_arcs(state.case, at, over)
     if higher is None and not (over.any() and _switches_are_open(state)):
         higher = higher_for(state.case, at.certificate, inexact)
-    rough = state.aims.enclosed or (state.warm and report is not None and report.unstable)
+    rough = state.target.enclosed or (state.warm and report is not None and report.unstable)
     return None if higher is not None and rough and degree_of(higher) > MAX_ROUGH_DEGREE else higher
 
 
 def _comfortable(state: RefinementState) -> int:
     """Return the number of intervals that is enough for a motion that passes."""
-    if state.aims.tolerance_given:
+    if state.target.tolerance_given:
         return MAX_GROWTH * state.asked.problem.mesh.intervals
-    rough = state.aims.enclosed and state.change > CHANGE_WORTH_INTERVALS
+    rough = state.target.enclosed and state.change > CHANGE_WORTH_INTERVALS
     return ENOUGH_ROUGH_INTERVALS if rough else ENOUGH_INTERVALS
 
 
 def _most_intervals(state: RefinementState, *, held: bool = False) -> int:
     """Return the number of intervals beyond which the mesh is not refined."""
-    wanders = not (state.falls or state.aims.layers or state.at.findings is None or state.at.findings.exact)
-    wanders = wanders and not state.aims.enclosed and not overrunning(state.at).any()
+    wanders = not (state.falls or state.target.layers or state.at.report is None or state.at.report.exact)
+    wanders = wanders and not state.target.enclosed and not overrunning(state.at).any()
     most = MAX_GROWTH * state.asked.problem.mesh.intervals
     return _comfortable(state) if (state.best is not None or wanders) and not held else most

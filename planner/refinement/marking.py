@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.refinement.case import Case, CertificateT, MotionT
-from linkplan.planner.refinement.judged import Judged
+from linkplan.planner.refinement.certified_iterate import CertifiedIterate
 from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import MAX_DEGREE
@@ -33,7 +33,7 @@ INTERVALS_OF_ARC = 3
 ROUGH_SHARE = 0.01
 
 
-def marked_for(at: Judged[Any, Any], strictness: float) -> np.ndarray:
+def marked_for(at: CertifiedIterate[Any, Any], strictness: float) -> np.ndarray:
     """Return the intervals (n,) with more than their share of an error that is too large."""
     certificate, n = at.certificate, at.n_intervals
     if certificate is None:
@@ -51,17 +51,17 @@ def marked_for(at: Judged[Any, Any], strictness: float) -> np.ndarray:
     return marked
 
 
-def overrunning(at: Judged[Any, Any]) -> np.ndarray:
+def overrunning(at: CertifiedIterate[Any, Any]) -> np.ndarray:
     """Return the intervals (n,) on which a limit is overrun by more than tightening should remove."""
-    if at.findings is None:
+    if at.report is None:
         return np.zeros(at.n_intervals, dtype=bool)
-    overrun = at.findings.overrun
+    overrun = at.report.overrun
     return overrun > max(TIGHTENED_OVERRUN, SHARE_OF_WORST * overrun.max(initial=0.0))
 
 
-def most_overrun(at: Judged[Any, Any]) -> np.ndarray:
+def most_overrun(at: CertifiedIterate[Any, Any]) -> np.ndarray:
     """Return the intervals (n,) with an overrun near the largest one."""
-    overrun = np.zeros(at.n_intervals) if at.findings is None else at.findings.overrun
+    overrun = np.zeros(at.n_intervals) if at.report is None else at.report.overrun
     return overrun > LARGE_OVERRUN_SHARE * overrun.max(initial=0.0)
 
 
@@ -70,10 +70,10 @@ def grown(mesh: Mesh, marked: np.ndarray) -> int:
     return mesh.n_intervals + int(marked.sum())
 
 
-def uneven_of(at: Judged[Any, Any]) -> np.ndarray:
+def uneven_of(at: CertifiedIterate[Any, Any]) -> np.ndarray:
     """Return the intervals (n,) that determine the objective: next to kinks, and where a limit begins or ceases to bind."""
     rough = rough_of(at.found.motion)
-    touching = None if at.findings is None else at.findings.touching
+    touching = None if at.report is None else at.report.touching
     return rough if touching is None else rough | touching
 
 
@@ -95,14 +95,16 @@ def higher_for(case: Case[Any, CertificateT], certificate: CertificateT | None, 
     return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 
 
-def higher_on_arcs(case: Case[MotionT, CertificateT], at: Judged[MotionT, CertificateT], over: np.ndarray) -> str | None:
+def higher_on_arcs(
+    case: Case[MotionT, CertificateT], at: CertifiedIterate[MotionT, CertificateT], over: np.ndarray
+) -> str | None:
     """Return the scheme of higher degree if limits are overrun evenly along smooth arcs, or None."""
-    if at.findings is None or not over.any():
+    if at.report is None or not over.any():
         return None
     fixed = at.found.fixed
-    if case.aims.switches and (fixed is None or not np.all(fixed.paths[at.found.mesh.segment[over]].any(axis=1))):
+    if case.target.switches and (fixed is None or not np.all(fixed.paths[at.found.mesh.segment[over]].any(axis=1))):
         return None  # an arc that is not held may end inside an interval, which wants a switch time
-    overrun = at.findings.overrun[over]
+    overrun = at.report.overrun[over]
     even = len(overrun) >= INTERVALS_OF_ARC and overrun.max() <= OUTLIER_FACTOR * float(np.median(overrun))
     return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 

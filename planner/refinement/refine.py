@@ -3,17 +3,17 @@
 from dataclasses import replace
 
 from linkplan.models.interrupts import check
-from linkplan.planner.refinement.case import Case, CertificateT, Found, MotionT
+from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT
+from linkplan.planner.refinement.certified_iterate import certify_iterate
 from linkplan.planner.refinement.decision import next_action
 from linkplan.planner.refinement.history import Say, Step
-from linkplan.planner.refinement.judged import judged
 from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.refinement.switch_search import at_bounds, settle_switch_times
 
 
 def refine(
-    case: Case[MotionT, CertificateT], found: Found[MotionT], history: list[Step], say: Say, *, warm: bool = False
+    case: Case[MotionT, CertificateT], found: Iterate[MotionT], history: list[Step], say: Say, *, warm: bool = False
 ) -> Refined[MotionT, CertificateT] | None:
     """Return the best motion towards the tolerance, or None without a certificate.
 
@@ -35,12 +35,12 @@ def refine(
 
 
 def first_state(
-    case: Case[MotionT, CertificateT], found: Found[MotionT], history: list[Step], say: Say, *, warm: bool
+    case: Case[MotionT, CertificateT], found: Iterate[MotionT], history: list[Step], say: Say, *, warm: bool
 ) -> RefinementState[MotionT, CertificateT]:
     """Return the state that a first solution leads to: with switch times as unknowns where efforts jump."""
-    if found.fixed is None or not found.fixed.everything or at_bounds(found.solution) or case.aims.enclosed:
+    if found.fixed is None or not found.fixed.everything or at_bounds(found.solution) or case.target.enclosed:
         found = replace(found, fixed=None)
-        if case.aims.switches:
+        if case.target.switches:
             found = settle_switch_times(case, found, history, say)
-    at = judged(case, found, history)
+    at = certify_iterate(case, found, history)
     return observed(RefinementState(asked=case, case=case, at=at, warm=warm), at)

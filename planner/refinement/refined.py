@@ -5,8 +5,8 @@ from typing import Generic
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Aims, CertificateT, MotionT
-from linkplan.planner.refinement.judged import JudgedT, error_of
+from linkplan.planner.refinement.case import CertificateT, MotionT, RefinementTarget
+from linkplan.planner.refinement.certified_iterate import CertifiedIterateT, error_of
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.solvers.solve import Solution
 
@@ -35,11 +35,11 @@ class Refined(Generic[MotionT, CertificateT]):
         return arcs_against_their_limits(self.solution)
 
 
-def better_of(before: JudgedT | None, now: JudgedT, aims: Aims) -> JudgedT:
+def better_of(before: CertifiedIterateT | None, now: CertifiedIterateT, target: RefinementTarget) -> CertifiedIterateT:
     """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had."""
-    if before is None or (aims.tolerance_given and now.findings.exact and not before.findings.exact):
+    if before is None or (target.tolerance_given and now.report.exact and not before.report.exact):
         return now
     then, objective = before.found.solution.objective, now.found.solution.objective
-    truer = not before.findings.exact and (now.findings.exact or error_of(now) < error_of(before))
+    truer = not before.report.exact and (now.report.exact or error_of(now) < error_of(before))
     share = LOST_GAIN_INEXACT if truer else LOST_GAIN
     return before if then < objective - share * abs(objective) else now

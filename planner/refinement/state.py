@@ -5,9 +5,9 @@ from typing import Generic
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Aims, Case, CertificateT, MotionT
+from linkplan.planner.refinement.case import Case, CertificateT, MotionT, RefinementTarget
+from linkplan.planner.refinement.certified_iterate import CertifiedIterate, error_of
 from linkplan.planner.refinement.constrained_arcs import standing_off
-from linkplan.planner.refinement.judged import Judged, error_of
 from linkplan.planner.refinement.pontryagin import limits_bind
 from linkplan.planner.refinement.refined import Refined, better_of
 from linkplan.planner.refinement.switch_search import at_bounds
@@ -38,9 +38,9 @@ class RefinementState(Generic[MotionT, CertificateT]):
 
     asked: Case[MotionT, CertificateT]
     case: Case[MotionT, CertificateT]
-    at: Judged[MotionT, CertificateT]
+    at: CertifiedIterate[MotionT, CertificateT]
     warm: bool
-    best: Judged[MotionT, CertificateT] | None = None
+    best: CertifiedIterate[MotionT, CertificateT] | None = None
     position_rows: bool = False
     rows_lost: bool = False
     rounds: int = 0
@@ -51,32 +51,32 @@ class RefinementState(Generic[MotionT, CertificateT]):
     calm: int = 0
     falls: bool = True
     releases: int = 0
-    loose: Judged[MotionT, CertificateT] | None = None
+    loose: CertifiedIterate[MotionT, CertificateT] | None = None
     tightenings: int = 0
     idle: int = 0
     ended: bool = False
 
     @property
-    def aims(self) -> Aims:
+    def target(self) -> RefinementTarget:
         """The known form of the best motion."""
-        return self.asked.aims
+        return self.asked.target
 
     @property
     def objective_tolerance(self) -> float | None:
         """The largest relative change of the objective; None if the integration error alone counts."""
-        smooth = self.aims.kinks_at_limits and not self.aims.enclosed and not limits_bind(self.at.found.solution)
-        return None if smooth else self.aims.objective_tolerance
+        smooth = self.target.kinks_at_limits and not self.target.enclosed and not limits_bind(self.at.found.solution)
+        return None if smooth else self.target.objective_tolerance
 
     @property
     def settled(self) -> bool:
         """True if the objective keeps still from mesh to mesh, or need not."""
-        enough = MESHES_WITHOUT_CHANGE if self.at.found.fixed is None and not self.aims.enclosed else 1
+        enough = MESHES_WITHOUT_CHANGE if self.at.found.fixed is None and not self.target.enclosed else 1
         return self.objective_tolerance is None or self.calm >= enough
 
     @property
     def finished(self) -> bool:
         """True if the iterate passes, is exact, and its objective has settled."""
-        if not (self.at.passed and self.at.findings is not None and self.at.findings.exact and self.settled):
+        if not (self.at.passed and self.at.report is not None and self.at.report.exact and self.settled):
             return False
         return self.change <= CHANGE_AT_TOUCHED_LIMIT or not self.kept_off.any()
 
@@ -84,7 +84,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
     def kept_off(self) -> np.ndarray:
         """The intervals (n,) on which a limit on coefficients keeps a motion of bang arcs away from itself."""
         solution = self.at.found.solution
-        if not (self.aims.bang_bang or self.aims.enclosed):
+        if not (self.target.bang_bang or self.target.enclosed):
             return np.zeros(self.at.n_intervals, dtype=bool)
         return standing_off(solution.transcribed, solution.x)
 
@@ -120,7 +120,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
 
 
 def observed(
-    state: RefinementState[MotionT, CertificateT], at: Judged[MotionT, CertificateT], *, tells: bool = True
+    state: RefinementState[MotionT, CertificateT], at: CertifiedIterate[MotionT, CertificateT], *, tells: bool = True
 ) -> RefinementState[MotionT, CertificateT]:
     """Return the state after a new iterate; `tells` says that its mesh is finer wherever the objective depends on it."""
     new = replace(state, at=at, falls=at is state.at or error_of(at) <= FALLING_ERROR * error_of(state.at))
@@ -138,7 +138,7 @@ def observed(
         return replace(new, best=at, idle=0) if better else new
     return replace(
         new,
-        best=better_of(state.best, at, state.aims),
+        best=better_of(state.best, at, state.target),
         calm=calm,
         change=change / size if size and np.isfinite(change) else state.change,
         before=objective if solution.status == SUCCEEDED or tolerance is None else state.before,

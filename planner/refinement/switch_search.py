@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Case, CertificateT, Found, MotionT, attempt
+from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT, attempt
 from linkplan.planner.refinement.constrained_arcs import (
     FixedArcs,
     arc_ends,
@@ -45,12 +45,12 @@ class _Reading:
 
 def settle_switch_times(
     case: Case[MotionT, CertificateT],
-    found: Found[MotionT],
+    found: Iterate[MotionT],
     history: list[Step],
     say: Say,
     *,
     position_rows: bool = False,
-) -> Found[MotionT]:
+) -> Iterate[MotionT]:
     """Return a solution with switch times at its switches, or the same one where switch times make it no better.
 
     Efforts and path quantities are first held at the limits that the arcs showed, so that only the switch times are unknown.
@@ -96,43 +96,43 @@ def settle_switch_times(
     return found
 
 
-def _readings(case: Case[MotionT, CertificateT], found: Found[MotionT], boundaries: np.ndarray) -> list[_Reading]:
+def _readings(case: Case[MotionT, CertificateT], found: Iterate[MotionT], boundaries: np.ndarray) -> list[_Reading]:
     """Return the interpretations of a solution's arcs, the likeliest first.
 
     Arcs shorter than an interval are bang arcs where nothing else binds; elsewhere they are rather ends of arcs along a
     limit, and only meant where nothing comes of those.
     """
-    motion, transcribed, x, aims = found.motion, found.solution.transcribed, found.solution.x, case.aims
+    motion, transcribed, x, target = found.motion, found.solution.transcribed, found.solution.x, case.target
     on_path = path_arcs(transcribed, x)
     # Bang arcs end where arcs along a speed limit begin; other efforts bend there, and along a motor's line all do.
-    arcs = own_arcs(transcribed, x, ("motor",) if aims.bang_bang else ("motor", "speed"))
+    arcs = own_arcs(transcribed, x, ("motor",) if target.bang_bang else ("motor", "speed"))
     arcs = np.hstack([on_path, arcs])
     kinds = transcribed.program.interval.node_kinds[transcribed.program.interval.n_equations :]
     powers = np.where(
         np.array([kind == "power" for kind in kinds])[:, None], transcribed.formulation.path.reshape(-1, 2), np.nan
     )
     alone, readings = is_bang_bang(case, transcribed), []
-    for short in (True,) if alone else (False, True) if aims.bang_bang else (False,):
+    for short in (True,) if alone else (False, True) if target.bang_bang else (False,):
         switch_times = find_switch_times(
             motion,
-            aims.effort_limit,
+            target.effort_limit,
             boundaries,
             on_path.any(axis=1),
             short=short,
-            continuous_efforts=aims.continuous_efforts,
+            continuous_efforts=target.continuous_efforts,
         )
         switch_times = np.sort(np.append(switch_times, arc_ends(arcs, motion.breaks_s, switch_times, boundaries)))
         if len(switch_times) == 0 or (readings and np.array_equal(switch_times, readings[0].switch_times_s)):
             continue
         ends = np.sort(np.concatenate([boundaries, switch_times]))
-        bang_efforts = find_bang_efforts(motion, aims.effort_limit, ends[1:-1])
+        bang_efforts = find_bang_efforts(motion, target.effort_limit, ends[1:-1])
         fixed = FixedArcs(efforts=bang_efforts, paths=find_constrained_paths(on_path, motion.breaks_s, ends, bang_efforts))
         # The second time arcs are read, short ones are taken for bangs though other limits bind.
         again = bool(readings)
         what = "switch times as unknowns, short arcs too" if again else "switch times as unknowns"
         readings.append(_Reading(what=what, switch_times_s=switch_times, fixed=fixed, last_resort=again))
         if fixed.paths.any():
-            whole = held_throughout(motion, aims.effort_limit, ends, fixed, powers) if aims.bang_bang else None
+            whole = held_throughout(motion, target.effort_limit, ends, fixed, powers) if target.bang_bang else None
             if whole is not None:
                 what = "switch times as unknowns, arcs without a limit held as bangs"
                 readings.insert(0, _Reading(what=what, switch_times_s=whole[0], fixed=whole[1], graded=True))
@@ -145,7 +145,7 @@ def _readings(case: Case[MotionT, CertificateT], found: Found[MotionT], boundari
 def is_bang_bang(case: Case[MotionT, CertificateT], transcribed: Transcribed) -> bool:
     """Return True if all efforts are at their limits: time is the objective, and only effort limits and ranges bind."""
     interval = transcribed.program.interval
-    return case.aims.bang_bang and interval.n_path == 0 and {*interval.own_kinds} <= {"continuity", "position"}
+    return case.target.bang_bang and interval.n_path == 0 and {*interval.own_kinds} <= {"continuity", "position"}
 
 
 def _known(transcribed: Transcribed, fixed: FixedArcs) -> bool:

@@ -18,7 +18,7 @@ from linkplan.planner.search.durations import with_longer_durations
 from linkplan.planner.search.first_mesh import PER_SWING, first_mesh, graded_mesh
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.smoothing_continuation import unsmoothed
-from linkplan.planner.search.solving import Found, solve_from
+from linkplan.planner.search.solving import Iterate, solve_from
 from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
 
@@ -67,7 +67,7 @@ def plan_from(
     return missed
 
 
-def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -> list[Found]:
+def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -> list[Iterate]:
     """Return solutions from a start, the likelier first."""
     mesh, durations = first_mesh(problem, guess)
     found = [solve_from(problem, guess, mesh, durations, word, search.history, search.say)]
@@ -89,7 +89,7 @@ def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -
     return [one for one in found if one is not None]
 
 
-def refined(search: Search, problem: PlanningProblem, found: Found, *, mended: bool = True) -> Plan:
+def refined(search: Search, problem: PlanningProblem, found: Iterate, *, mended: bool = True) -> Plan:
     """Return the plan of a first solution; where its certificate does not pass, by way of the search's repairs."""
     plan = certified(problem, found, search.history, search.say)
     for repair in search.repairs if mended else [repair for repair in search.repairs if repair.always]:
@@ -100,7 +100,7 @@ def refined(search: Search, problem: PlanningProblem, found: Found, *, mended: b
 
 def certified(
     problem: PlanningProblem,
-    found: Found,
+    found: Iterate,
     history: list[Step],
     say: Say,
     *,
@@ -164,15 +164,15 @@ def unsound(plan: Plan) -> bool:
 
 def lost_at_kinks(problem: PlanningProblem) -> bool:
     """Return whether the only switches looked for are kinks of efforts that do not jump: worth a thousandth at the most."""
-    return case_of(problem).aims.switches and not case_of(problem, kinks=False).aims.switches
+    return case_of(problem).target.switches and not case_of(problem, kinks=False).target.switches
 
 
-def without_kinks(search: Search, problem: PlanningProblem, found: Found) -> Plan:
+def without_kinks(search: Search, problem: PlanningProblem, found: Iterate) -> Plan:
     """Return the plan of a motion whose efforts' kinks are not looked for."""
     return certified(problem, found, search.history, search.say, kinks=False)
 
 
-def from_next_to_it(search: Search, problem: PlanningProblem, found: Found) -> Plan | None:
+def from_next_to_it(search: Search, problem: PlanningProblem, found: Iterate) -> Plan | None:
     """Return the plan whose finer meshes begin next to the coarser one's answer; None where it does not pass."""
     kinks = not lost_at_kinks(problem)
     plan = certified(problem, found, search.history, search.say, warm=True, kinks=kinks)
@@ -187,7 +187,7 @@ def may_be_enclosed(search: Search, problem: PlanningProblem, plan: Plan) -> boo
     return problem.mesh.effort == "polynomial" and overrun and not case_of(problem).enclosed
 
 
-def enclosed(search: Search, problem: PlanningProblem, found: Found) -> Plan | None:
+def enclosed(search: Search, problem: PlanningProblem, found: Iterate) -> Plan | None:
     """Return the plan of a motion whose limits on power and pin force are kept at every instant; None if none passes."""
     plan = certified(problem, found, search.history, search.say, enclosed=True)
     return plan if plan.passed else None
@@ -205,7 +205,7 @@ def constant_efforts_would_do(search: Search, problem: PlanningProblem, plan: Pl
     return problem.mesh.effort == "polynomial" and overrun
 
 
-def with_constant_efforts(search: Search, problem: PlanningProblem, found: Found) -> Plan | None:
+def with_constant_efforts(search: Search, problem: PlanningProblem, found: Iterate) -> Plan | None:
     """Return the plan of a motion whose efforts are constant over intervals; None where it does not pass."""
     plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=search.within(HURRIED).solver)
     mesh = found.mesh

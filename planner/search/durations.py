@@ -10,7 +10,7 @@ from linkplan.planner.refinement.free_duration import LONGER, bounded_by_guess
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.phase_plane import stretched
-from linkplan.planner.search.solving import Found, solve_from
+from linkplan.planner.search.solving import Iterate, solve_from
 from linkplan.planner.solvers.solve import Solution
 
 # A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth; along
@@ -21,7 +21,9 @@ SURELY, SURELY_LIMITED = 1.001, 1.01
 _LONGER, _LONGER_BY, _FALLS = 2, 30.0, 1e-3
 
 
-def with_longer_durations(problem: PlanningProblem, found: Found, history: list[Step], say: Say) -> tuple[Found, str | None]:
+def with_longer_durations(
+    problem: PlanningProblem, found: Iterate, history: list[Step], say: Say
+) -> tuple[Iterate, str | None]:
     """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
 
     def solve(at: _BoundedByGuess, longer: float) -> _BoundedByGuess | None:
@@ -50,7 +52,7 @@ def with_longer_durations(problem: PlanningProblem, found: Found, history: list[
 class _BoundedByGuess:
     """A solution, and the sentence on its free duration where that grew to the end of what its guess allows."""
 
-    found: Found
+    found: Iterate
     unbounded: str | None
 
 

@@ -19,7 +19,7 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Say, Step, silent
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, settled_limit
 from linkplan.planner.search.phase_plane import least_time_guess
-from linkplan.planner.search.solving import Found
+from linkplan.planner.search.solving import Iterate
 from linkplan.planner.solvers.outcome import INVALID, OF_TIME, OUT_OF_TIME
 
 # So little of a search's time [s] is none: a solver that stops at its limit stops a hair before or after it.
@@ -159,7 +159,7 @@ class Repair:
 
     name: str
     tried: Callable[[Search, PlanningProblem, Plan], bool]
-    mend: Callable[[Search, PlanningProblem, Found], Plan | None]
+    mend: Callable[[Search, PlanningProblem, Iterate], Plan | None]
     always: bool = True  # or only for motions that are worth every repair
 
 

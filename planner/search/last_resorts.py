@@ -9,7 +9,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.search.attempts import certified
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.ladder import Budget, Search
-from linkplan.planner.search.solving import Found, solve_from
+from linkplan.planner.search.solving import Iterate, solve_from
 
 # Continuation in the effort limits begins no nearer to them than this; its first step is the whole way, a quarter of it (in
 # its logarithm) the least, and so many are taken at the most.
@@ -49,4 +49,4 @@ class _Limited:
 
     start: Guess
     durations: np.ndarray  # (n_segments,) [s]
-    found: Found | None = None
+    found: Iterate | None = None

@@ -18,7 +18,7 @@ from linkplan.planner.search.attempts import certified
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import Budget, Search
-from linkplan.planner.search.solving import Found, solve_from
+from linkplan.planner.search.solving import Iterate, solve_from
 from linkplan.planner.transcription.mesh import Mesh
 
 # Margins tried, as shares of what start and goal themselves keep: from the largest, by halves, to the least.
@@ -36,7 +36,7 @@ class _Clear:
     problem: PlanningProblem
     start: Guess
     durations: np.ndarray
-    found: Found | None = None
+    found: Iterate | None = None
 
 
 def may_be_kept_clear(problem: PlanningProblem) -> bool:

@@ -6,11 +6,11 @@ import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of, held_arcs_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.case import Found, attempt
+from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.transcription.mesh import Mesh
 
-__all__ = ["Found", "solve_from"]
+__all__ = ["Iterate", "solve_from"]
 
 
 def solve_from(
@@ -24,7 +24,7 @@ def solve_from(
     *,
     warm: bool = False,
     bang_efforts: np.ndarray | None = None,
-) -> Found | None:
+) -> Iterate | None:
     """Return what one solve of a problem leads to; None where it finds no motion. Arguments as of `attempt`.
 
     The arcs of a guess along limits on power and pin force are held.

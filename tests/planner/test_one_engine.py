@@ -33,20 +33,20 @@ TAU = np.linspace(0.0, 1.0, 41)
 
 
 def test_a_case_is_small_and_both_clients_are_one():
-    """Nine members are what an engine can be told of: a tenth belongs into `Aims` or `Findings`."""
+    """Nine members are what an engine can be told of: a tenth belongs into `RefinementTarget` or `ErrorReport`."""
     members = {name for name in vars(Case) if not name.startswith("_")} | set(typing.get_type_hints(Case))
-    assert "findings" in members
+    assert "error_report" in members
     assert len(members) <= 9
     for client in (MechanismCase, OdeCase):
         assert members <= set(dir(client))
 
 
 def test_what_a_case_aims_at_follows_from_its_objective():
-    quick, cheap = case_of(load_problem("knee-sprint")).aims, case_of(load_problem("knee-reach")).aims
+    quick, cheap = case_of(load_problem("knee-sprint")).target, case_of(load_problem("knee-reach")).target
     assert (quick.switches, quick.bang_bang, quick.continuous_efforts) == (True, True, False)
     assert (cheap.switches, cheap.bang_bang, cheap.continuous_efforts) == (True, False, True)
-    assert not case_of(load_problem("knee-reach"), kinks=False).aims.switches
-    asked = case_of(load_problem("knee-reach", ["mesh.tolerance_deg=1e-4"])).aims
+    assert not case_of(load_problem("knee-reach"), kinks=False).target.switches
+    asked = case_of(load_problem("knee-reach", ["mesh.tolerance_deg=1e-4"])).target
     assert asked.tolerance_given
     assert asked.strictness == pytest.approx(100.0)
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
-from linkplan.planner.refinement.case import Found, attempt
+from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.switch_search import mesh_with_switches
 from tests.support.bodies import HINGE, QUARTER_TURN, body_plan, body_problem
@@ -16,7 +16,7 @@ def held_case() -> MechanismCase:
     return case_of(body_problem(HINGE, FREE, "objective.minimize=time"))
 
 
-def held(efforts: list[float], switches: list[float]) -> Found:
+def held(efforts: list[float], switches: list[float]) -> Iterate:
     """Return what is found with efforts [N.m], NaN where free, held between switches, shares of the least time."""
     quick, case = body_plan(HINGE, FREE, "objective.minimize=time"), held_case()
     T = quick.trajectory.duration_s

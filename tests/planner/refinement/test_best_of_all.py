@@ -12,46 +12,46 @@ MESH = 1e-6
 
 def passing(objective: float, *, exact: bool = True, errs: float = 1e-4):
     solution = SimpleNamespace(objective=objective)
-    findings = SimpleNamespace(exact=exact, integration_error_deg=errs, integration_error=None)
-    return SimpleNamespace(found=SimpleNamespace(solution=solution), findings=findings)
+    report = SimpleNamespace(exact=exact, integration_error_deg=errs, integration_error=None)
+    return SimpleNamespace(found=SimpleNamespace(solution=solution), report=report)
 
 
-def aims(*, tolerance_given: bool = False):
+def target(*, tolerance_given: bool = False):
     return SimpleNamespace(tolerance_given=tolerance_given)
 
 
 @pytest.mark.parametrize("coarse", [1.0956, -1.2])
 def test_a_finer_mesh_that_lost_the_better_motion_does_not_replace_it(coarse):
     before, now = passing(coarse), passing(coarse + 0.02)
-    assert better_of(before, now, aims()) is before
+    assert better_of(before, now, target()) is before
 
 
 @pytest.mark.parametrize("finer", [1.0 - MESH, 1.0 + MESH, 0.9])
 def test_a_finer_mesh_that_is_as_good_or_better_is_the_answer(finer):
     before, now = passing(1.0), passing(finer)
-    assert better_of(before, now, aims()) is now
+    assert better_of(before, now, target()) is now
 
 
 @pytest.mark.parametrize(("gained", "kept"), [(3e-5, False), (3e-4, True)])
 def test_of_an_inexact_motion_more_is_asked(gained, kept):
     before, now = passing(1.0 - gained, exact=False), passing(1.0)
-    assert better_of(before, now, aims()) is (before if kept else now)
+    assert better_of(before, now, target()) is (before if kept else now)
     same = passing(1.0 - gained)
-    assert better_of(same, now, aims()) is same
+    assert better_of(same, now, target()) is same
 
 
 @pytest.mark.parametrize(("errs", "kept"), [(1e-5, False), (1e-3, True)])
 def test_of_two_inexact_motions_more_is_asked_of_the_one_that_errs_by_more(errs, kept):
     before, now = passing(1.0 - 3e-5, exact=False), passing(1.0, exact=False, errs=errs)
-    assert better_of(before, now, aims()) is (before if kept else now)
+    assert better_of(before, now, target()) is (before if kept else now)
 
 
 def test_a_better_motion_that_misses_the_tolerance_asked_for_is_no_answer():
     before, now = passing(1.0, exact=False), passing(1.1)
-    assert better_of(before, now, aims(tolerance_given=True)) is now
-    assert better_of(before, now, aims()) is before
+    assert better_of(before, now, target(tolerance_given=True)) is now
+    assert better_of(before, now, target()) is before
 
 
 def test_the_first_that_passes_is_the_best_so_far():
     now = passing(1.0)
-    assert better_of(None, now, aims()) is now
+    assert better_of(None, now, target()) is now

@@ -8,14 +8,14 @@ import pytest
 
 from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.refinement.actions import Halve, ImposeRanges, Loosen, RaiseDegree, Tighten
-from linkplan.planner.refinement.case import Aims, Findings
+from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
+from linkplan.planner.refinement.certified_iterate import CertifiedIterate
 from linkplan.planner.refinement.decision import next_action
-from linkplan.planner.refinement.judged import Judged
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.transcription.mesh import uniform
 
-AIMS = Aims(
+AIMS = RefinementTarget(
     effort_limit=np.array([[-1.0, 1.0]]),
     switches=False,
     bang_bang=False,
@@ -55,14 +55,14 @@ def iterate(
     objective=1.0,
     tightened=False,
     **report,
-) -> Judged:
+) -> CertifiedIterate:
     """Return a certified iterate on n even intervals; growth and overrun (n,) or the same on all."""
     motion = SimpleNamespace(breaks_s=np.linspace(0.0, 1.0, n + 1), effort=np.ones((3, n, 1)))
     found = SimpleNamespace(
         motion=motion, solution=solution(objective, n=n, tightened=tightened), fixed=None, mesh=uniform(n)
     )
     overrun = np.broadcast_to(np.array(overrun, dtype=float), n)
-    findings = Findings(
+    report = ErrorReport(
         exact=exact,
         mendable=report.pop("mendable", True),
         leaves_positions=report.pop("leaves_positions", False),
@@ -73,13 +73,13 @@ def iterate(
     )
     growth = np.broadcast_to(np.array(growth, dtype=float), n)
     certificate = SimpleNamespace(passed=passed, growth=growth, residual_share=np.zeros(n))
-    return Judged(found=found, certificate=certificate, findings=findings)
+    return CertifiedIterate(found=found, certificate=certificate, report=report)
 
 
-def state(at: Judged, *, aims: Aims = AIMS, scheme: str = "radau-3", **changes) -> RefinementState:
+def state(at: CertifiedIterate, *, target: RefinementTarget = AIMS, scheme: str = "radau-3", **changes) -> RefinementState:
     """Return a state at an iterate, its history as `changes` say."""
     problem = SimpleNamespace(mesh=MeshSettings(intervals=10, scheme=scheme))
-    case = SimpleNamespace(problem=problem, aims=aims)
+    case = SimpleNamespace(problem=problem, target=target)
     begin = RefinementState(asked=case, case=case, at=at, warm=False)
     return replace(observed(begin, at), **changes)
 
@@ -157,29 +157,29 @@ def test_a_motion_that_does_not_pass_is_refined_to_120_times_the_first_mesh(n, s
 
 @pytest.mark.parametrize(("n", "stops"), [(101, False), (199, False), (200, True)])
 def test_where_efforts_jump_inside_intervals_so_many_more_are_allowed(n, stops):
-    aims = replace(AIMS, enclosed=True, objective_tolerance=1e-6)
+    target = replace(AIMS, enclosed=True, objective_tolerance=1e-6)
     growth = 9.0 * np.eye(n)[3]
-    assert (next_action(state(iterate(exact=False, growth=growth, n=n), aims=aims)) is None) == stops
+    assert (next_action(state(iterate(exact=False, growth=growth, n=n), target=target)) is None) == stops
 
 
 @pytest.mark.parametrize(("scheme", "raised"), [("radau-3", True), ("radau-5", False)])
 def test_degrees_above_five_are_not_tried_where_efforts_jump_inside_intervals(scheme, raised):
-    aims = replace(AIMS, enclosed=True, objective_tolerance=1e-6)
-    action = next_action(state(iterate(passed=False, exact=False, growth=1.0), aims=aims, scheme=scheme))
+    target = replace(AIMS, enclosed=True, objective_tolerance=1e-6)
+    action = next_action(state(iterate(passed=False, exact=False, growth=1.0), target=target, scheme=scheme))
     assert isinstance(action, RaiseDegree) == raised
 
 
 def test_the_objective_keeps_still_on_two_meshes_before_it_is_believed():
-    aims = replace(AIMS, objective_tolerance=1e-7)
-    first = state(iterate(objective=1.0), aims=aims)
+    target = replace(AIMS, objective_tolerance=1e-7)
+    first = state(iterate(objective=1.0), target=target)
     second = observed(first, iterate(objective=1.0 + 1e-9))
     third = observed(second, iterate(objective=1.0 + 2e-9))
     assert [next_action(one) is None for one in (first, second, third)] == [False, False, True]
 
 
 def test_a_mesh_that_was_not_refined_where_the_objective_depends_on_it_tells_nothing():
-    aims = replace(AIMS, objective_tolerance=1e-7)
-    first = state(iterate(objective=1.0), aims=aims)
+    target = replace(AIMS, objective_tolerance=1e-7)
+    first = state(iterate(objective=1.0), target=target)
     third = observed(observed(first, iterate(objective=1.0)), iterate(objective=1.0), tells=False)
     assert next_action(third) is not None
 

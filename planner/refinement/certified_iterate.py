@@ -5,17 +5,17 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Case, CertificateT, Findings, Found, MotionT
+from linkplan.planner.refinement.case import Case, CertificateT, ErrorReport, Iterate, MotionT
 from linkplan.planner.refinement.history import Step
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Judged(Generic[MotionT, CertificateT]):
+class CertifiedIterate(Generic[MotionT, CertificateT]):
     """An iterate, its certificate, and the errors that this shows; None without a certificate."""
 
-    found: Found[MotionT]
+    found: Iterate[MotionT]
     certificate: CertificateT | None
-    findings: Findings | None
+    report: ErrorReport | None
 
     @property
     def passed(self) -> bool:
@@ -25,7 +25,7 @@ class Judged(Generic[MotionT, CertificateT]):
     @property
     def overruns(self) -> bool:
         """True if a limit is overrun between the nodes."""
-        return self.findings is not None and self.findings.overruns
+        return self.report is not None and self.report.overruns
 
     @property
     def n_intervals(self) -> int:
@@ -33,22 +33,24 @@ class Judged(Generic[MotionT, CertificateT]):
         return self.found.mesh.n_intervals
 
 
-JudgedT = TypeVar("JudgedT", bound=Judged)
+CertifiedIterateT = TypeVar("CertifiedIterateT", bound=CertifiedIterate)
 
 
-def judged(case: Case[MotionT, CertificateT], found: Found[MotionT], history: list[Step]) -> Judged[MotionT, CertificateT]:
+def certify_iterate(
+    case: Case[MotionT, CertificateT], found: Iterate[MotionT], history: list[Step]
+) -> CertifiedIterate[MotionT, CertificateT]:
     """Certify an iterate and note its integration error in the history."""
     certificate = case.certify(found.motion)
-    findings = None if certificate is None else case.findings(certificate)
-    if findings is not None:
+    report = None if certificate is None else case.error_report(certificate)
+    if report is not None:
         history[-1] = replace(
             history[-1],
-            integration_error_deg=findings.integration_error_deg,
-            integration_error=findings.integration_error,
+            integration_error_deg=report.integration_error_deg,
+            integration_error=report.integration_error,
         )
-    return Judged(found=found, certificate=certificate, findings=findings)
+    return CertifiedIterate(found=found, certificate=certificate, report=report)
 
 
-def error_of(at: Judged[Any, Any]) -> float:
+def error_of(at: CertifiedIterate[Any, Any]) -> float:
     """Return the integration error in its client's unit; infinite without a certificate."""
-    return np.inf if at.findings is None else at.findings.integration_error_deg or at.findings.integration_error or 0.0
+    return np.inf if at.report is None else at.report.integration_error_deg or at.report.integration_error or 0.0
