@@ -21,7 +21,7 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_values", "urdf",
+        "errors", "extras", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_values", "urdf",
         "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
         "source_table", "mechanism", "poses",
     ),

@@ -143,7 +143,7 @@ def test_a_cluster_without_dask_is_refused_with_what_to_install(monkeypatch):
         return real(name, *given, **more)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(LinkplanError, match=r"needs Dask: pip install 'linkplan\[cluster\]'"):
+    with pytest.raises(LinkplanError, match=r"needs Dask, which is not installed: pip install 'linkplan\[cluster\]'"):
         cluster("tcp://head:8786")
 
 
