@@ -6,10 +6,7 @@ STAMP := $(VENV)/.installed
 # Threads of the linear algebra fight the tests' processes for the same cores.
 export OMP_NUM_THREADS ?= 1
 
-# What pyright reads: the package as it is installed, links to the folders that it is made of.
-LINKS := build/typed/linkplan
-
-.PHONY: demo test quick check links bench docs clean
+.PHONY: demo test quick check bench docs clean
 
 demo: $(STAMP)
 	$(BIN)/linkplan demo -o linkplan-demo
@@ -20,10 +17,10 @@ test: $(STAMP)
 quick: $(STAMP)
 	$(BIN)/python -m pytest -n auto -m "not slow"
 
-check: $(STAMP) links
+check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pyright
+	$(BIN)/basedpyright
 	$(BIN)/python -m pytest tests/test_house.py
 
 bench: $(STAMP)
@@ -37,11 +34,6 @@ docs: $(STAMP)
 
 clean:
 	rm -rf $(VENV) build *.egg-info linkplan-demo bench-results
-
-links:
-	mkdir -p $(LINKS)
-	cd $(LINKS) && ln -sf ../../../studies/package/*.py . && ln -sfn ../../../models models && ln -sfn ../../../planner planner \
-	  && ln -sfn ../../../controllers controllers && ln -sfn ../../../studies studies
 
 $(STAMP): pyproject.toml
 	$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(0 if v >= (3, 11) else f"linkplan needs Python 3.11 or newer, $(PYTHON) is {v[0]}.{v[1]}; say make PYTHON=...")'

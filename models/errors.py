@@ -24,6 +24,10 @@ class LinkplanError(Exception):
         Exception.__init__(self, one_line(message))
 
 
+class MissingPackageError(LinkplanError, ImportError):
+    """A feature whose optional package is not installed."""
+
+
 class ModelError(LinkplanError):
     """An MJCF model, a payload or a name in it that cannot be used."""
 

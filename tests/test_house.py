@@ -21,7 +21,8 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_text", "model_values", "urdf",
+        "errors", "extras", "interrupts", "deadline", "names", "reading", "catalogue", "payload", "model_text",
+        "model_values", "urdf",
         "library", "digest", "pickling", "tree", "closure", "reduction", "actuation", "audit", "stiffness",
         "source_table", "mechanism", "poses",
     ),
@@ -166,15 +167,27 @@ def test_no_test_imports_from_another_test_module():
         assert not others, f"{path.relative_to(ROOT)} imports {sorted(others)}"
 
 
-def test_packages_and_data_are_listed_in_the_project_file():
+def test_the_folder_linkplan_holds_a_link_to_every_package_and_every_file_of_its_root():
+    links = {path.name: path.resolve() for path in (ROOT / "linkplan").iterdir() if path.name != "__pycache__"}
+    linked = [*(ROOT / package for package in PACKAGES), *filter(Path.is_file, PUBLIC.iterdir())]
+    assert links == {path.name: path for path in linked}
+    assert not [path for path in (ROOT / "linkplan").iterdir() if path.is_symlink() and path.readlink().is_absolute()]
+
+
+def test_imports_lead_into_the_tree_from_the_tree_and_from_elsewhere(tmp_path):
+    code = "import linkplan, linkplan.planner; print(linkplan.__file__, linkplan.planner.__file__, sep='\\n')"
+    expected = [str(ROOT / "linkplan" / "__init__.py"), str(ROOT / "linkplan" / "planner" / "__init__.py")]
+    for folder in (ROOT, tmp_path):
+        said = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True).stdout
+        assert said.splitlines() == expected, folder
+
+
+def test_all_data_files_are_listed_in_the_project_file():
     tool = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
-    with_code = {name if path.name == "__init__.py" else name.rpartition(".")[0] for name, path in MODULES.items()}
-    data = set(tool["package-data"])
-    assert set(tool["packages"]) == with_code | data
     for name, patterns in tool["package-data"].items():
-        folder = ROOT.joinpath(*name.split(".")[1:])
+        folder = ROOT.joinpath(*name.split("."))
         shipped = set(itertools.chain.from_iterable(folder.glob(pattern) for pattern in patterns))
-        assert shipped == set(folder.iterdir())
+        assert shipped == {path for path in folder.iterdir() if path.is_file() and path.suffix != ".py"}
 
 
 def test_help_loads_nothing_heavy():

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from linkplan.models.errors import PlanFileError
+from linkplan.models.extras import load_extra
 
 # Heads end in the unit of their column; the first ending that fits counts.
 _UNITS = {
@@ -35,16 +35,12 @@ def parquet_bytes(columns: Mapping[str, np.ndarray], about: Mapping[str, str]) -
     """Return columns (n,) as Parquet, exactly; each has its unit in its field's metadata, the schema's own is `about`.
 
     Raises:
-        PlanFileError: when pyarrow is not installed.
+        MissingPackageError: when pyarrow is not installed.
     """
-    try:
-        import pyarrow
-        import pyarrow.parquet
-    except ImportError as error:
-        raise PlanFileError("Parquet is written by pyarrow, which is not installed (pip install pyarrow)") from error
+    pyarrow, parquet = load_extra("pyarrow", "Parquet"), load_extra("pyarrow.parquet", "Parquet")
     fields = [pyarrow.field(head, pyarrow.float64(), nullable=False, metadata={"unit": unit_of(head)}) for head in columns]
     schema = pyarrow.schema(fields, metadata=dict(about))
     arrays = [pyarrow.array(np.ascontiguousarray(column, dtype=float)) for column in columns.values()]
     sink = pyarrow.BufferOutputStream()
-    pyarrow.parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), sink)
+    parquet.write_table(pyarrow.Table.from_arrays(arrays, schema=schema), sink)
     return sink.getvalue().to_pybytes()

@@ -10,6 +10,7 @@ import numpy as np
 
 from linkplan.models.catalogue import MODELS, is_folder, is_there, nearest_source
 from linkplan.models.errors import ModelError, PlanFileError, ProblemError
+from linkplan.models.extras import load_extra
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
@@ -36,6 +37,8 @@ def output_folder(arguments: argparse.Namespace) -> Path | None:
         return None
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")
+    if getattr(arguments, "parquet", False):
+        load_extra("pyarrow.parquet", "--parquet")
     from linkplan.planner.files.folders import check_target
 
     target = Path(arguments.output)

@@ -10,6 +10,7 @@ import numpy as np
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import PlanFileError, ProblemError
+from linkplan.models.extras import load_extra
 from linkplan.planner.files.folders import check_target, plain_record, write_json
 from linkplan.planner.files.json_record import read_record
 from linkplan.planner.files.plan_folder import write_plan
@@ -91,6 +92,7 @@ def run_experiment(
         PlanFileError: when the folder holds something else, or the disk refuses.
         LinkplanError: for what cannot be simulated.
     """
+    load_extra("pyarrow.parquet", "experiment")  # refused before anything is planned
     sources = {name: source_hash(name) for name in settings.trackers if name not in TRACKERS}
     asked = asked_record(source, digest, settings, sources)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
+from linkplan.models.extras import load_extra
 from linkplan.next_motion import NextMotion
 from linkplan.paths import drawn, path_of, times_of
 from linkplan.planner import plan as planned
@@ -200,18 +200,11 @@ class Plan:
         """Return the motion at times (n,) [s] as a pandas table, one row a time, units in the columns' names.
 
         Raises:
-            ImportError: when pandas is not installed.
+            MissingPackageError: when pandas is not installed.
             LinkplanError: as `sample` does.
         """
         table = self.sample(None if time_s is None else np.atleast_1d(time_s))
-        try:
-            pandas = importlib.import_module("pandas")
-        except ImportError as error:
-            raise ImportError(
-                "Plan.to_frame needs pandas, which is not installed (pip install pandas); Plan.sample(t).columns() gives the"
-                " same as arrays"
-            ) from error
-        return pandas.DataFrame(table.columns())
+        return load_extra("pandas", "Plan.to_frame").DataFrame(table.columns())
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of positions, speeds and efforts over time; it is saved at `path` where one is given.

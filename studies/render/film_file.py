@@ -9,6 +9,7 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 from linkplan.models.errors import LinkplanError
+from linkplan.models.extras import load_extra
 from linkplan.planner.files.whole_file import MADE_BY
 
 # H.264's constant rate factor: smaller is better and larger; 18 is told from the original by nobody.
@@ -29,9 +30,10 @@ def write_mp4(path: Path, images: Iterable[np.ndarray], fps: float) -> None:
     """Write images (height, width, 3) of bytes, even in height and width, at so many a second.
 
     Raises:
+        MissingPackageError: when PyAV is not installed.
         LinkplanError: where the video library has no H.264 encoder.
     """
-    import av
+    av = load_extra("av", "an .mp4")
 
     try:
         av.codec.Codec("libx264", "w")

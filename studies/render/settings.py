@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 
 from linkplan.models.errors import ProblemError
+from linkplan.models.extras import load_extra
 
 SUFFIXES = (".mp4", ".gif", ".png")
 # Pictures of a few pixels show nothing; beyond the largest OpenGL draws none.
@@ -34,6 +35,8 @@ class RenderSettings:
     there_and_back: bool = False
 
     def __post_init__(self) -> None:
+        if self.suffix == ".mp4":
+            load_extra("av", "an .mp4")
         if self.slow is not None and not (math.isfinite(self.slow) and self.slow > 0):
             raise ProblemError(f"slow, how many times slower than real, is a positive number, got {self.slow:g}")
         most = _MOST_FPS_GIF if self.suffix == ".gif" else _MOST_FPS

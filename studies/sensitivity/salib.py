@@ -1,32 +1,25 @@
 """SALib, loaded when it is needed: it brings pandas, and is an extra of the installation."""
 
-import importlib
 from importlib import metadata
 from types import ModuleType
 
-from linkplan.models.errors import LinkplanError
+from linkplan.models.extras import load_extra
 
 
 def salib(name: str) -> ModuleType:
     """Return a module of SALib.
 
     Raises:
-        LinkplanError: when it is not installed.
+        MissingPackageError: when it is not installed.
     """
-    try:
-        return importlib.import_module(f"SALib.{name}")
-    except ImportError as error:
-        raise LinkplanError(
-            "Morris' and Sobol's indices are computed by SALib, which is not installed (pip install"
-            " 'linkplan[sensitivity]'); the design 'one-at-a-time' needs nothing more"
-        ) from error
+    return load_extra(f"SALib.{name}", "Morris' or Sobol's design")
 
 
 def salib_version() -> str:
     """Return SALib's version: where trials lie depends on it.
 
     Raises:
-        LinkplanError: when it is not installed.
+        MissingPackageError: when it is not installed.
     """
     salib("util")
     return metadata.version("SALib")

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import CancelledError
 
 from linkplan.models.errors import LinkplanError, one_line
+from linkplan.models.extras import load_extra
 from linkplan.planner.files.plan_folder import versions
 from linkplan.studies.tasks.engine import Engine, Pool, Say
 
@@ -23,12 +24,9 @@ def cluster(address: str) -> Engine:
     """Return the engine of the cluster whose scheduler is at an address, such as tcp://head:8786.
 
     Raises:
-        LinkplanError: when Dask is not installed.
+        MissingPackageError: when Dask is not installed.
     """
-    try:
-        import distributed
-    except ImportError as error:
-        raise LinkplanError("a cluster needs Dask: pip install 'linkplan[cluster]'") from error
+    distributed = load_extra("distributed", "a cluster")
 
     @contextlib.contextmanager
     def opened(n: int, say: Say) -> Iterator[Pool]:

@@ -33,6 +33,7 @@ def wheel(tmp_path_factory):
     place = tmp_path_factory.mktemp("wheel")
     for name in INNER:
         shutil.copytree(ROOT / name, place / "source" / name, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ROOT / "linkplan", place / "source" / "linkplan", symlinks=True)
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, place / "source")
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "-w", str(place), str(place / "source")]
@@ -96,6 +97,7 @@ def test_a_wheel_has_one_name_at_the_top_and_all_modules_below_it(wheel):
     tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} == {"linkplan"}
     kept = {name for name in names if name.endswith((".py", ".xml", ".toml"))}
+    assert "linkplan/py.typed" in names
     for package in INNER:
         for source in [*(ROOT / package).rglob("*.py"), *(ROOT / package).rglob("*.xml"), *(ROOT / package).rglob("*.toml")]:
             if source.is_relative_to(ROOT / "studies" / "package"):

@@ -44,11 +44,11 @@ printf '%s\\n' "${COMPREPLY[@]}"
 @pytest.mark.parametrize("shell", SHELLS)
 def test_every_command_and_long_option_is_in_every_script(shell):
     script = completion_script(shell)
-    commands = next(action.choices for action in build_parser()._actions if isinstance(action, argparse._SubParsersAction))
+    (commands,) = (action.choices for action in build_parser()._actions if isinstance(action, argparse._SubParsersAction))
     assert len(commands) > 10
     for name, command in commands.items():
         assert name in script
-        for option in (option for action in command._actions for option in action.option_strings):
+        for option in command._option_string_actions:
             assert option.lstrip("-") in script
 
 

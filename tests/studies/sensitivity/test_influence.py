@@ -177,6 +177,6 @@ def test_without_salib_it_is_said_in_one_line(monkeypatch):
     for name in [name for name in sys.modules if name.split(".")[0] == "SALib"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "SALib", None)
-    with pytest.raises(LinkplanError, match=r"SALib, which is not installed \(pip install 'linkplan\[sensitivity\]'\)"):
+    with pytest.raises(LinkplanError, match=r"SALib, which is not installed: pip install 'linkplan\[sensitivity\]'"):
         scheme_of("sobol", 3, False, 1000, seed=0)
     assert len(scheme_of("one-at-a-time", 3, False, 1, seed=0).points) == 7

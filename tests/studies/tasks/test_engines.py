@@ -1,6 +1,5 @@
 """Engines: every task once, refusals in words, workers that die; sites that workers have in common."""
 
-import builtins
 import concurrent.futures
 import contextlib
 import gc
@@ -132,19 +131,6 @@ def test_a_client_that_was_refused_leaves_nothing_to_be_collected_while_the_next
 
 def clients(distributed):
     return [kept for kept in gc.get_objects() if type(kept) is distributed.Client]
-
-
-def test_a_cluster_without_dask_is_refused_with_what_to_install(monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *given, **more):
-        if name == "distributed":
-            raise ImportError(name)
-        return real(name, *given, **more)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(LinkplanError, match=r"needs Dask: pip install 'linkplan\[cluster\]'"):
-        cluster("tcp://head:8786")
 
 
 def test_progress_counts_and_says_what_was_done_before():

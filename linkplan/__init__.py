@@ -1,0 +1,1 @@
+../studies/package/__init__.py

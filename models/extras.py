@@ -1,0 +1,34 @@
+"""Packages that only some features need: each is loaded at its first use, and refused in one line when it is missing."""
+
+import importlib
+from types import ModuleType
+
+from linkplan.models.errors import MissingPackageError
+
+# The package that has a module and the extra of linkplan that installs it: [project.optional-dependencies].
+EXTRAS = {
+    "SALib": ("SALib", "sensitivity"),
+    "av": ("PyAV", "video"),
+    "distributed": ("Dask", "cluster"),
+    "pandas": ("pandas", "pandas"),
+    "pyarrow": ("pyarrow", "parquet"),
+}
+
+
+def load_extra(module: str, feature: str) -> ModuleType:
+    """Return a module of an optional package.
+
+    Args:
+        module: its full name, such as "pyarrow.parquet".
+        feature: what needs it, the subject of a sentence.
+
+    Raises:
+        MissingPackageError: when the package is not installed.
+    """
+    package, extra = EXTRAS[module.partition(".")[0]]
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingPackageError(
+            f"{feature} needs {package}, which is not installed: pip install 'linkplan[{extra}]'"
+        ) from error
