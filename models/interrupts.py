@@ -1,9 +1,9 @@
 """Ctrl-C and SIGTERM: a flag that loops and solvers read, and an exception only where one can be raised safely.
 
 A KeyboardInterrupt that Python raises while CasADi converts a number is swallowed, turned into a SystemError or ends the
-process. While `listening`, a signal therefore sets a flag. `check` reads it, as does the solver's callback; beside
-them the flag is raised as KeyboardInterrupt as soon as no frame of CasADi and no destructor is being run, and again
-until somebody ends the command. `shielded` holds it back while files change places.
+process. While `listening`, the first signal therefore sets a flag. It is raised as KeyboardInterrupt at once where no frame
+of CasADi and no destructor is being run and nothing is `shielded`; otherwise `check` raises it later, and the solver's
+callback reads it. A second Ctrl-C ends the process at once: what it writes is whole at every instant.
 """
 
 import contextlib
@@ -13,10 +13,6 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-# How long after a signal that could not be raised it is tried again, and after one that was and led to nothing [s].
-_SOON_S, _LATER_S = 0.02, 1.0
-# Asked this often, a process that is deep in native code ends at once: what it writes is whole at every instant.
-_AT_ONCE = 3
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
@@ -24,29 +20,23 @@ class _State:
     """What has been asked of this process; there is one, as there is one set of signal handlers."""
 
     asked: int | None = None  # the signal's number
-    last: int | None = None  # of the last listening
-    times = 0
-    listening = False
+    is_read = False  # whether signals set the flag now
     shields = 0
 
 
 def asked() -> int | None:
     """Return the number of the signal that asks this process to end, or None; None in threads, which hear no signals."""
-    return _State.asked if threading.current_thread() is threading.main_thread() else None
+    return _State.asked if _State.is_read and threading.current_thread() is threading.main_thread() else None
 
 
 def ended_by() -> int | None:
-    """Return the number of the signal that came while it was last listened to, or None."""
-    # An interrupt raised just where listening ends leaves it where it was.
-    return _State.asked if _State.last is None else _State.last
+    """Return the number of the signal that came while signals were last listened to, or None."""
+    return _State.asked
 
 
 def check() -> None:
     """Raise KeyboardInterrupt where a signal has asked this process to end, unless it is held back."""
     if asked() is not None and not _State.shields:
-        if _State.listening and hasattr(signal, "setitimer"):
-            # Not again at once: what is to be put in order on the way out must first be reached.
-            signal.setitimer(signal.ITIMER_REAL, _LATER_S)
         raise KeyboardInterrupt
 
 
@@ -68,29 +58,20 @@ def listening(*, to_the_end: bool = False) -> Iterator[None]:
     Args:
         to_the_end: whether the process ends afterwards: signals are then ignored from there on, not handled as before.
     """
-    if threading.current_thread() is not threading.main_thread() or _State.listening:
+    if threading.current_thread() is not threading.main_thread() or _State.is_read:
         yield
         return
-    _State.asked, _State.last, _State.times, _State.listening = None, None, 0, True
-    before = {number: signal.getsignal(number) for number in _SIGNALS}
     # What was ignored stays ignored: nohup, and jobs in the background of a shell without job control.
-    heard = [number for number, handler in before.items() if handler is not signal.SIG_IGN]
+    heard = {number: before for number in _SIGNALS if (before := signal.getsignal(number)) is not signal.SIG_IGN}
+    _State.asked, _State.is_read = None, True
     for number in heard:
-        signal.signal(number, _remember)
-    timer = hasattr(signal, "setitimer")
-    if timer:
-        before[signal.SIGALRM] = signal.signal(signal.SIGALRM, _again)
+        signal.signal(number, _remember_and_raise)
     try:
         yield
     finally:
-        _State.listening = False  # from here on nothing is raised
-        _State.last, _State.asked = _State.asked, None
-        if timer:
-            signal.setitimer(signal.ITIMER_REAL, 0.0)
-            heard.append(signal.SIGALRM)
-        for number in heard:
-            handler = before[number]
-            signal.signal(number, signal.SIG_IGN if to_the_end else signal.SIG_DFL if handler is None else handler)
+        _State.is_read = False  # from here on nothing is raised
+        for number, before in heard.items():
+            signal.signal(number, signal.SIG_IGN if to_the_end else signal.SIG_DFL if before is None else before)
 
 
 @contextlib.contextmanager
@@ -100,7 +81,7 @@ def solving() -> Iterator[None]:
     Outside of `listening` (in a program of the user's) that holds for Ctrl-C, and the user's own handler is called after
     the solver has stopped.
     """
-    if _State.listening or threading.current_thread() is not threading.main_thread():
+    if _State.is_read or threading.current_thread() is not threading.main_thread():
         yield
         check()
         return
@@ -108,42 +89,33 @@ def solving() -> Iterator[None]:
     if before in (signal.SIG_IGN, None):
         yield
         return
-    _State.asked = None
-    signal.signal(signal.SIGINT, _only_remember)
+    _State.asked, _State.is_read = None, True
+    signal.signal(signal.SIGINT, _remember)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
-        interrupted, _State.asked = _State.asked, None
-    if interrupted is not None:
+        _State.is_read = False
+    if _State.asked is not None:
         if callable(before):
             before(signal.SIGINT, None)
         raise KeyboardInterrupt
 
 
-def _only_remember(number: int, frame: FrameType | None) -> None:
+def _remember(number: int, frame: FrameType | None) -> None:
     del frame
     _State.asked = number
 
 
-def _remember(number: int, frame: FrameType | None) -> None:
+def _remember_and_raise(number: int, frame: FrameType | None) -> None:
+    if not _State.is_read:
+        return
     if _State.asked is None:
         _State.asked = number
-    _State.times += 1
-    if _State.times >= _AT_ONCE and not _State.shields:
+        if not _State.shields and can_raise(frame):
+            raise KeyboardInterrupt
+    elif number == signal.SIGINT and not _State.shields:
         os._exit(128 + _State.asked)
-    _again(number, frame)
-
-
-def _again(number: int, frame: FrameType | None) -> None:
-    del number
-    if _State.asked is None or not _State.listening:
-        return
-    may = not _State.shields and can_raise(frame)
-    if hasattr(signal, "setitimer"):
-        signal.setitimer(signal.ITIMER_REAL, _LATER_S if may else _SOON_S)
-    if may:
-        raise KeyboardInterrupt
 
 
 def can_raise(frame: FrameType | None) -> bool:

@@ -133,13 +133,21 @@ def finish(folder: Path, target: Path, write: Callable[[Path], None], record: st
 def remove(folder: Path) -> None:
     """Remove the parts of a result that is whole, and their folder where nothing else is in it."""
     sweep(folder)
-    for left in (*(folder / PARTS).glob("part-[0-9]*.*"), folder / ASKED, folder / _LOCK):
+    for left in (folder / PARTS).glob("part-[0-9]*.*"):
         left.unlink(missing_ok=True)
     with contextlib.suppress(OSError, PlanFileError):  # somebody put something into it
         remove_result(folder / PLAN)
-    for left in (folder / PARTS, folder):
+    _remove_empty(folder / PLAN, folder / PARTS)
+    # The record goes last: without it, what a kill leaves is not known for linkplan's.
+    for left in (folder / ASKED, folder / _LOCK):
+        left.unlink(missing_ok=True)
+    _remove_empty(folder)
+
+
+def _remove_empty(*folders: Path) -> None:
+    for folder in folders:
         with contextlib.suppress(OSError):
-            left.rmdir()
+            folder.rmdir()
 
 
 def remove_left(folder: Path, asked: Mapping) -> None:
