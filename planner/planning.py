@@ -14,7 +14,7 @@ from linkplan.planner.closed_chain.prescribed_plan import plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.history import Say, Step, silent
+from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.search import attempts, duration_continuation, effort_continuation, starts, waiting
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
@@ -118,7 +118,7 @@ REPAIRS: tuple[Repair, ...] = (
     ),
     Repair(
         name="finer meshes begun next to the coarser one's answer",
-        tried=lambda _search, _problem, plan: attempts.unsound(plan),
+        tried=lambda _problem, plan: attempts.unsound(plan),
         mend=attempts.from_next_to_it,
         always=False,
     ),
@@ -154,27 +154,26 @@ def plan_motion(problem: PlanningProblem, say: Say = silent, rungs: Sequence[Run
     Raises:
         ProblemError: when start, goal or reference contradict the mechanism itself.
     """
-    begun, history = replace(problem, solver=problem.solver.begun()), []
-    try:
-        plan = _planned(begun, say, rungs, history)
-    except OutOfTimeError:
-        message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
-        plan = Plan(problem=problem, status="failed", message=message, history=tuple(history))
+    begun, plans = replace(problem, solver=problem.solver.begun()), []
+    with recording(_with_the_best(say, plans)):
+        try:
+            plan = _planned(begun, rungs, plans)
+        except OutOfTimeError:
+            message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
+            plan = Plan(problem=problem, status="failed", message=message, history=recorded())
     return replace(plan, problem=problem)
 
 
-def _planned(problem: PlanningProblem, say: Say, rungs: Sequence[Rung], history: list[Step]) -> Plan:
-    """Return the plan of a problem with a deadline; `history` takes a note of every solve.
+def _planned(problem: PlanningProblem, rungs: Sequence[Rung], plans: list[Plan]) -> Plan:
+    """Return the plan of a problem with a deadline; `plans` takes those that the rungs lead to.
 
     Raises:
         OutOfTimeError: when the deadline passes before anything is known.
     """
     start_pose = start_pose_of(problem)
     if problem.motion.kind == "track":
-        return plan_prescribed(problem, start_pose, say)
-    plans: list[Plan] = []
-    said = _with_the_best(say, plans)
-    search = Search(problem=problem, start_pose=start_pose, say=said, history=history, repairs=REPAIRS, plans=plans)
+        return plan_prescribed(problem, start_pose)
+    search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
     return reasons.contradicted(search) or reasons.too_short(search) or climb(search, rungs) or _diagnosed(search)
 
 
@@ -190,5 +189,5 @@ def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:
 
 def _diagnosed(search: Search) -> Plan:
     """Return the plan that says why no motion was found."""
-    search.say("no motion found; looking for the limit that forbids one")
+    progress("no motion found; looking for the limit that forbids one")
     return next(plan for diagnosis in DIAGNOSES if (plan := diagnosis(search)) is not None)

@@ -1,6 +1,5 @@
 """The plan of a certified motion: its status by the certificate, its message in words."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from linkplan.planner.certificate.certificate import Certificate
@@ -11,7 +10,7 @@ from linkplan.planner.closed_chain.prescribed import reference_demand
 from linkplan.planner.plan import Plan, tracking_errors
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.refinement.history import Step
+from linkplan.planner.refinement.history import recorded
 from linkplan.planner.trajectory import Trajectory
 
 
@@ -20,7 +19,6 @@ def finished(
     trajectory: Trajectory,
     certificate: Certificate,
     objective: float,
-    history: Sequence[Step],
     message: str | None,
     *,
     optimal: bool = True,
@@ -38,7 +36,7 @@ def finished(
         objective=objective,
         trajectory=trajectory,
         certificate=certificate,
-        history=tuple(history),
+        history=recorded(),
     )
     failure = _failure(plan)
     details: dict[str, float] = {}

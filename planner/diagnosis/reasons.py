@@ -14,6 +14,7 @@ from linkplan.planner.diagnosis.relaxation import RELAXABLE, least_of, violated_
 from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.history import progress, recorded
 from linkplan.planner.search.durations import SURELY_LIMITED, longest, may_swing
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Search
@@ -95,7 +96,7 @@ def efforts_without_other_limits(search: Search) -> Plan | None:
     bare = functools.reduce(lambda kept, what: without(kept, what) or kept, RELAXABLE, problem)
     if bare is problem:
         return None
-    least = least_limit_of_starts(bare, search.smooth, search.history)
+    least = least_limit_of_starts(bare, search.smooth)
     if least is None or least.factor <= 1.0:
         return None
     sentence, details = effort_sentence(bare, least)
@@ -125,7 +126,7 @@ def nothing_found(search: Search) -> Plan:
     stopped = solver_stopped(search)  # on the way to a reason
     if stopped is not None:
         return stopped
-    status = search.history[-1].solver_status if search.history else "no initial guess closes the kinematic loops"
+    status = recorded()[-1].solver_status if recorded() else "no initial guess closes the kinematic loops"
     path = path_effort(search.problem, search.smooth) if np.all(np.isfinite(search.problem.limits.effort)) else None
     asks = "" if path is None or path.factor <= 1 else f"; {path.sentence}"
     return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){asks}")
@@ -143,14 +144,14 @@ def _without(search: Search, what: str) -> Plan | None:
         return None
     mesh, durations = first_mesh(problem, guess)
     word = f"without limits on {what}"
-    found = solve_from(relaxed, guess, mesh, durations, word, search.history, search.say)
+    found = solve_from(relaxed, guess, mesh, durations, word)
     if found is None:
         return None
     motion = found.motion
     if what in RELAXABLE and violated_sentence(problem, motion, what) is not None:
-        search.say(f"looking for the least limit on {what} that admits a motion")
+        progress(f"looking for the least limit on {what} that admits a motion")
         durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
-        motion = least_of(problem, what, motion, mesh, durations, search.history)
+        motion = least_of(problem, what, motion, mesh, durations)
     sentence = violated_sentence(problem, motion, what)
     return None if sentence is None else _infeasible(search, f"infeasible: {sentence}", {})
 
@@ -165,10 +166,9 @@ def _infeasible(search: Search, sentence: str, details: dict[str, float], *, sho
     known, asked = details.get("shortest_duration_s"), longest(problem)
     if known is not None and known <= asked * (1 + _SAME):
         return _failed(search, f"a motion of {known:.7g} s keeps every limit, one of {asked:.7g} s was not found", details)
-    history = tuple(search.history)
-    return Plan(problem=problem, status="infeasible", message=message, history=history, details=details)
+    return Plan(problem=problem, status="infeasible", message=message, history=recorded(), details=details)
 
 
 def _failed(search: Search, reason: str, details: dict[str, float] | None = None) -> Plan:
     said = f"failed: {reason}"
-    return Plan(problem=search.problem, status="failed", message=said, history=tuple(search.history), details=details or {})
+    return Plan(problem=search.problem, status="failed", message=said, history=recorded(), details=details or {})

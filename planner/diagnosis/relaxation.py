@@ -16,7 +16,7 @@ from linkplan.planner.problem.limits import free
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.robust import Robust
 from linkplan.planner.problem.sites import SiteLimit
-from linkplan.planner.refinement.history import Step, step_of
+from linkplan.planner.refinement.history import record, step_of
 from linkplan.planner.solvers.solve import build_solver, run_solver, solve
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
@@ -119,9 +119,7 @@ def without(problem: PlanningProblem, what: str) -> PlanningProblem | None:
     return replace(problem, limits=replace(limits, **{what: freed}))
 
 
-def least_of(
-    problem: PlanningProblem, what: str, motion: Trajectory, mesh: Mesh, durations: np.ndarray, history: list[Step]
-) -> Trajectory:
+def least_of(problem: PlanningProblem, what: str, motion: Trajectory, mesh: Mesh, durations: np.ndarray) -> Trajectory:
     """Return the motion for which a limit has to be relaxed least: bisection of a common factor on it, solved warm.
 
     Args:
@@ -130,7 +128,6 @@ def least_of(
         motion: made without it; what is returned where none comes nearer.
         mesh: of the solves.
         durations: of the mesh's segments in the motion [s].
-        history: takes a note of the first and the best solve.
     """
     factor = _overrun(problem, motion, what)
     if factor is None:
@@ -138,7 +135,7 @@ def least_of(
     near, far = 1.0, factor
     transcribed = transcribe(scaled(problem, what, far), motion_of(motion), mesh, durations)
     best = solve(transcribed, problem.solver)
-    history.append(step_of(f"least {what}", transcribed, best))
+    record(step_of(f"least {what}", transcribed, best))
     if not best.converged:
         return motion
     solver = build_solver(transcribed.program, problem.solver, warm=True)
@@ -151,7 +148,7 @@ def least_of(
             best, far = trial, middle
         else:
             near = middle
-    history.append(step_of(f"least {what}", best.transcribed, best))
+    record(step_of(f"least {what}", best.transcribed, best))
     try:
         return trajectory_of(best.transcribed, best.x, problem.limits.effort)
     except AssemblyError:

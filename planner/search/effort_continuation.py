@@ -29,9 +29,7 @@ def from_least_peak_effort(search: Search, budget: Budget) -> Plan | None:
         whole = factor == 1.0
         limits = problem.limits if whole else replace(problem.limits, effort=factor * problem.limits.effort)
         what = "start from the motion of least peak effort" + ("" if whole else f", {factor:.4g} of the limits")
-        found = solve_from(
-            replace(problem, limits=limits), at.start, least.mesh, at.durations, what, search.history, search.say
-        )
+        found = solve_from(replace(problem, limits=limits), at.start, least.mesh, at.durations, what)
         if found is None:
             return None
         durations = np.bincount(least.mesh.segment, np.diff(found.motion.breaks_s))
@@ -40,7 +38,7 @@ def from_least_peak_effort(search: Search, budget: Budget) -> Plan | None:
     begin = min(least.factor, _BELOW)
     steps = Steps(begin=begin, end=1.0, factor=1.0 / begin, least=begin**-_LEAST_STEP, most=_STEPS)
     path = followed(_Limited(start=motion_of(least.trajectory), durations=least.durations), steps, solve)
-    return certified(problem, path.stages[-1].found, search.history, search.say) if path.arrived else None
+    return certified(problem, path.stages[-1].found) if path.arrived else None
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

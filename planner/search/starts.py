@@ -8,6 +8,7 @@ import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses
 from linkplan.planner.plan import Plan
+from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
 from linkplan.planner.search.detours import detour_may_pay
@@ -105,9 +106,9 @@ def along_power(search: Search, budget: Budget) -> Plan | None:
     for finer in _FINER:
         mesh, durations = mesh_along_power(guess, finer * problem.mesh.intervals)
         what = "the phase plane, its arcs held"
-        found = solve_from(problem, guess, mesh, durations, what, search.history, search.say, warm=True)
+        found = solve_from(problem, guess, mesh, durations, what, warm=True)
         if found is not None:
-            plan = certified(problem, found, search.history, search.say)
+            plan = certified(problem, found)
             if plan.passed and plan.trajectory.duration_s <= (1 + _LATE) * guess.duration_s:
                 return plan
             known = plan if plan.passed else None
@@ -121,14 +122,14 @@ def _the_legs_themselves(search: Search) -> Plan | None:
     """Return the plan of legs along limits on power, which need no solver; None where its certificate does not pass."""
     if search.stopped:
         return None
-    search.say("the phase plane along limits on power, integrated")
+    progress("the phase plane along limits on power, integrated")
     motion = legs_motion(search.problem, search.start_pose)
     if motion is None:
         return None
     problem, said = search.problem, f"motion of {motion.duration_s:.6g} s, integrated along limits on effort and power"
     best = f"time-optimal {said}: the quickest that turns back only where it must"
     objective = problem.objective.weight("time") * motion.duration_s
-    plan = without_solving(problem, motion, objective, search.history, said, best=best)
+    plan = without_solving(problem, motion, objective, said, best=best)
     return plan if plan.passed else None
 
 
@@ -190,7 +191,9 @@ def least_time_plan(search: Search, budget: Budget) -> Plan | None:
         problem = search.within(budget)
         motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         free = search.of_another(replace(problem, objective="time", motion=motion, guess=None))
-        search.least_times.append(plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False))
+        with recording():
+            plan = plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
+        search.least_times.append(plan)
     return search.least_times[0]
 
 
@@ -205,17 +208,17 @@ def best_of_several(search: Search, budget: Budget) -> Plan | None:
     for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(closed, wanted)), start=1):
         mesh, durations = first_mesh(problem, guess)
         word = f"start {number} of {wanted}, {what}"
-        solved = solve_from(problem, guess, mesh, durations, word, search.history, search.say)
+        solved = solve_from(problem, guess, mesh, durations, word)
         if solved is not None:
             found.append((solved.solution.objective, number, solved))
     missed = None
     for _, number, solved in problem.solver.certificate_deadline.take(sorted(found, key=lambda item: item[:2])):
-        search.say(f"refining start {number}")
-        solved, unbounded = with_longer_durations(problem, solved, search.history, search.say)
+        progress(f"refining start {number}")
+        solved, unbounded = with_longer_durations(problem, solved)
         if unbounded is not None:
             search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
             return None
-        plan = certified(problem, solved, search.history, search.say)
+        plan = certified(problem, solved)
         if plan.passed:
             told = {"starts": wanted, "starts_solved": len(found), "best_start": number}
             return replace(plan, details={**plan.details, **told})

@@ -71,7 +71,7 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
         return None
     for what, guess, mesh, durations in _waits(problem, quick, wait):
         for warm in (True, False):
-            found = solve_from(problem, guess, mesh, durations, what, search.history, search.say, warm=warm)
+            found = solve_from(problem, guess, mesh, durations, what, warm=warm)
             plan = None if found is None else refined(search, problem, found)
             if plan is not None and plan.passed:
                 return plan
@@ -100,7 +100,7 @@ def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None
             f"motion of {whole.duration_s:.6g} s: {moving.message} and a rest of {wait:.4g} s"
             f" {'before' if end == 'start' else 'after'} it; that longer motions are no better was not shown"
         )
-        plan = without_solving(problem, whole, objective, search.history, said)
+        plan = without_solving(problem, whole, objective, said)
         if plan.passed:
             return plan
     return None
@@ -116,8 +116,8 @@ def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None
     lengths = np.bincount(mesh.segment, weights=np.diff(quick.trajectory.breaks_s))
     durations = lengths * duration / lengths.sum()
     what = "the least-time motion with a little more time"
-    found = solve_from(problem, start, mesh, durations, what, search.history, search.say, warm=True)
-    plan = None if found is None else certified(problem, found, search.history, search.say, warm=True, kinks=False)
+    found = solve_from(problem, start, mesh, durations, what, warm=True)
+    plan = None if found is None else certified(problem, found, warm=True, kinks=False)
     return plan if plan is not None and plan.passed else None
 
 

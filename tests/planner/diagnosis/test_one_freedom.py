@@ -27,7 +27,7 @@ ACROSS = ("motion.start_deg.O=-60", "motion.goal_deg.O=70")
 
 
 def searching(problem) -> Search:
-    return Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None)
+    return Search(problem=problem, start_pose=start_pose_of(problem))
 
 
 @pytest.mark.parametrize(("short", "status"), [(1e-3, "infeasible"), (-1e-6, "optimal")])

@@ -28,7 +28,7 @@ def problem_of(number: int) -> PlanningProblem:
 
 def search_for(problem: PlanningProblem) -> Search:
     begun = replace(problem, solver=problem.solver.begun())
-    return Search(problem=begun, start_pose=start_pose_of(problem), say=lambda _: None)
+    return Search(problem=begun, start_pose=start_pose_of(problem))
 
 
 def test_a_straight_motion_in_the_open_nears_no_singular_pose():

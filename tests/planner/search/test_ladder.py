@@ -11,6 +11,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
 from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import recording
 from linkplan.planner.search.attempts import with_constant_efforts
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.first_mesh import first_mesh
@@ -27,7 +28,7 @@ TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
 def search_for(problem, seconds: float = 600.0, clock=processor_time_s) -> Search:
     deadline = Deadline(clock=clock).within(seconds)
     timed = replace(problem, solver=replace(problem.solver, deadline=deadline))
-    return Search(problem=timed, start_pose=start_pose_of(problem), say=lambda _: None)
+    return Search(problem=timed, start_pose=start_pose_of(problem))
 
 
 def noting(name: str, called: list[str], plan=None, **conditions) -> Rung:
@@ -113,8 +114,9 @@ def test_no_program_is_built_after_the_deadline():
     search = search_for(load_problem("knee-reach"), seconds=-1.0)
     mesh, durations = first_mesh(search.problem, search.smooth)
     late = search.within(Budget())
-    assert attempt(case_of(late), search.smooth, mesh, durations, "late", search.history, search.say) is None
-    assert search.history == []
+    with recording() as steps:
+        assert attempt(case_of(late), search.smooth, mesh, durations, "late") is None
+    assert steps == []
 
 
 def test_a_certificate_ends_with_the_plans_time_and_says_so():
@@ -200,7 +202,7 @@ def test_efforts_constant_over_intervals_are_the_best_only_where_they_cost_next_
     problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n", f"mesh.intervals={intervals}")
     search = search_for(problem)
     mesh, durations = first_mesh(problem, search.smooth)
-    found = attempt(case_of(problem), search.smooth, mesh, durations, "first", [], lambda _: None)
+    found = attempt(case_of(problem), search.smooth, mesh, durations, "first")
     plan = with_constant_efforts(search, problem, found)
     assert (plan.status, plan.certificate.passed) == (status, True)
     assert ("may cost 4.2%" in plan.message) == (status == "feasible")

@@ -11,7 +11,6 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.motion import Waypoint
-from linkplan.planner.refinement.history import silent
 from linkplan.planner.search import starts
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.legs_motion import legs_motion
@@ -69,7 +68,7 @@ def test_a_limit_that_the_legs_do_not_know_forbids_them(monkeypatch):
     monkeypatch.setattr(starts, "solve_from", lambda *_, **__: None)
     for share, passes in ((1.01, True), (0.99, False)):
         problem = load_problem("knee-sprint", ["limits.power_w.act_O=100", f"limits.speed_deg_s.A={share * peak_speed()}"])
-        search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent)
+        search = Search(problem=problem, start_pose=start_pose_of(problem))
         assert (starts.along_power(search, RUNGS[0].budget) is not None) == passes
 
 
