@@ -203,7 +203,7 @@ def test_efforts_constant_over_intervals_are_the_best_only_where_they_cost_next_
     search = search_for(problem)
     mesh, durations = first_mesh(problem, search.smooth)
     found = attempt(case_of(problem), search.smooth, mesh, durations, "first")
-    plan = with_constant_efforts(search, problem, found)
+    plan = with_constant_efforts(problem, found)
     assert (plan.status, plan.certificate.passed) == (status, True)
     assert ("may cost 4.2%" in plan.message) == (status == "feasible")
     assert ("optimal" in plan.message) == (status == "optimal")
