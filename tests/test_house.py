@@ -28,7 +28,7 @@ ROOMS = {
     ),
     "planner": (
         "transcription", "trajectory", "keys", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain",
-        "ode", "search", "diagnosis", "planning", "robustness", "files", "motion_step", "replan", "batch",
+        "ode", "phase_plane", "search", "diagnosis", "planning", "robustness", "files", "motion_step", "replan", "batch",
     ),
     "controllers": (
         "reference", "trackers", "divergence", "integrator", "sampling", "rollout", "imperfections", "rigid_loop",

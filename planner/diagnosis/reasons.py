@@ -12,6 +12,7 @@ from linkplan.planner.diagnosis.far_too_short import far_too_short, path_effort
 from linkplan.planner.diagnosis.infeasibility import effort_sentence, share_sentence
 from linkplan.planner.diagnosis.relaxation import RELAXABLE, least_of, violated_sentence, without
 from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
+from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import progress, recorded
@@ -19,7 +20,6 @@ from linkplan.planner.search.durations import SURELY_LIMITED, longest, may_swing
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Search
 from linkplan.planner.search.least_limit import least_limit_of_starts
-from linkplan.planner.search.phase_plane import least_share
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import enough_time

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import motion_of
+from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.free_duration import LONGER, bounded_by_guess
 from linkplan.planner.search.continuation import Steps, followed
-from linkplan.planner.search.phase_plane import stretched
 from linkplan.planner.search.solving import Iterate, solve_from
 from linkplan.planner.solvers.solve import Solution
 

@@ -14,12 +14,12 @@ import numpy as np
 from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.models.interrupts import check
 from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
+from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, settled_limit
-from linkplan.planner.search.phase_plane import least_time_guess
 from linkplan.planner.search.solving import Iterate
 from linkplan.planner.solvers.outcome import INVALID, OF_TIME, OUT_OF_TIME
 

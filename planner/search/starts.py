@@ -7,17 +7,17 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses
+from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess, stretched
+from linkplan.planner.phase_plane.detours import detour_may_pay
+from linkplan.planner.phase_plane.legs_motion import legs_motion
+from linkplan.planner.phase_plane.power_legs import knows_pins, power_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
-from linkplan.planner.search.detours import detour_may_pay
 from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
 from linkplan.planner.search.first_mesh import first_mesh, mesh_along_power
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
-from linkplan.planner.search.legs_motion import legs_motion
-from linkplan.planner.search.phase_plane import phase_plane_applies, phase_plane_guess, stretched
-from linkplan.planner.search.power_legs import knows_pins, power_guess
 from linkplan.planner.search.solving import solve_from
 
 # Perturbed guesses among the starts of a search with several starts, before they are drawn without end.

@@ -13,13 +13,13 @@ import numpy as np
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.attempts import certified, refined, without_solving
 from linkplan.planner.search.duration_continuation import DURATION_FACTOR
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.least_time import shortest_motion
-from linkplan.planner.search.phase_plane import stretched
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_value

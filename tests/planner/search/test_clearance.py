@@ -6,10 +6,10 @@ import pytest
 
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.attempts import plan_from
 from linkplan.planner.search.ladder import PATIENT, Search
-from linkplan.planner.search.phase_plane import least_time_guess
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.singular_poses import nears_singular
 from tests.support.fourbar_problems import random_case

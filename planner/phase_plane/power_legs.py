@@ -17,9 +17,9 @@ from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
+from linkplan.planner.phase_plane.bang_bang_motions import Guess, Part, parts_of
+from linkplan.planner.phase_plane.leg_field import FORCE, POWER, LegField, PinForces
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.leg_field import FORCE, POWER, LegField, PinForces
-from linkplan.planner.search.phase_plane import Guess, Part, parts_of
 
 # Poses along a part of the way.
 _POSES = 2001

@@ -11,9 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.deadline import Deadline
+from linkplan.planner.phase_plane.leg_field import FORCE
+from linkplan.planner.phase_plane.power_legs import Leg, power_legs
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.leg_field import FORCE
-from linkplan.planner.search.power_legs import Leg, power_legs
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from linkplan.planner.transcription.schemes import scheme

@@ -17,9 +17,9 @@ import numpy as np
 
 from linkplan.models.deadline import Deadline
 from linkplan.planner.closed_chain.guess import Guess
+from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.phase_grid import Plane, grid_of, plane_of
 
 # Legs of a motion at the most.
 _SWINGS = 24

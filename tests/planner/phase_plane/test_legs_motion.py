@@ -9,11 +9,11 @@ from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.search import starts
 from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.legs_motion import legs_motion
 from linkplan.planner.search.presolve import start_pose_of
 from tests.support.least_time import least_time
 

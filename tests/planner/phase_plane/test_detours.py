@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from linkplan.planner.files.problem_file import load_problem, problem_from_tables
-from linkplan.planner.search import detours
-from linkplan.planner.search.detours import detour_may_pay
-from linkplan.planner.search.phase_grid import grid_of, plane_of
-from linkplan.planner.search.phase_plane import least_time_guess, parts_of
+from linkplan.planner.phase_plane import detours
+from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess, parts_of
+from linkplan.planner.phase_plane.detours import detour_may_pay
+from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.search.presolve import start_pose_of
 from tests.support.fourbar_problems import kind_of, random_case
 

@@ -7,9 +7,9 @@ import pytest
 
 from linkplan.planner.closed_chain.case import held_arcs_of
 from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.phase_plane.power_legs import power_guess
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.search.first_mesh import mesh_along_power
-from linkplan.planner.search.power_legs import power_guess
 from linkplan.planner.search.presolve import start_pose_of
 from tests.support.least_time import least_time
 

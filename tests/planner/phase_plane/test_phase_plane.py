@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from linkplan.planner.files.problem_file import load_problem, problem_from_tables
+from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
+from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.motion import Waypoint
-from linkplan.planner.search.phase_grid import grid_of, plane_of
-from linkplan.planner.search.phase_plane import least_time_guess
 from linkplan.planner.search.presolve import start_pose_of
 from tests.support.fourbar_problems import random_case
 from tests.support.tolerances_planner import MINIMUM_TIME, ROUNDING, SAME_FIGURE

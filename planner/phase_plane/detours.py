@@ -8,9 +8,9 @@ longer. The shortest way over a grid of places, the leg from start to goal left 
 
 import numpy as np
 
+from linkplan.planner.phase_plane.bang_bang_motions import parts_of
+from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.search.phase_grid import Plane, grid_of, plane_of
-from linkplan.planner.search.phase_plane import parts_of
 
 # Cells of the grid, and places on it where a motion may rest.
 _CELLS, _PLACES = 400, 60
