@@ -27,17 +27,19 @@ class Stepper(Protocol):
     """
 
     n: int
+    n_q: int
+    n_s: int
     n_u: int
     rows: np.ndarray | slice
     independent: np.ndarray | slice
     lost: str  # why a machine's state is no number
 
-    def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return copies of the poses (r, n_q) and velocities (r, n_s) of the machines that run."""
+    def read(self, pose: np.ndarray, velocity: np.ndarray) -> None:
+        """Fill in the poses (r, n_q) and velocities (r, n_s) of the machines that run."""
         ...
 
-    def hold(self, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Move the machines on by a period under commands (r, n_u); return mean efforts and actuator speeds (r, n_u)."""
+    def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
+        """Move the machines on by a period under commands (r, n_u), and fill in mean efforts and actuators' speeds."""
         ...
 
     def keep(self, running: np.ndarray) -> None:
@@ -49,8 +51,10 @@ class LoopLog:
     """The log of n machines at t instants, NaN where a machine was frozen. Filled by `run_loop`."""
 
     def __init__(self, instants: int, n: int, n_q: int, n_s: int, n_u: int) -> None:
-        self.pose, self.velocity = np.full((instants, n, n_q), np.nan), np.full((instants, n, n_s), np.nan)
-        self.commanded, self.applied, self.speed = (np.full((instants, n, n_u), np.nan) for _ in range(3))
+        # States and commands of an instant lie together: one sum of squares finds what is no number among them.
+        self.instants = np.full((instants, n, n_q + n_s + n_u), np.nan)
+        self.pose, self.velocity, self.commanded = np.split(self.instants, [n_q, n_q + n_s], axis=2)
+        self.applied, self.speed = np.full((instants, n, n_u), np.nan), np.full((instants, n, n_u), np.nan)
         self.asked_s = np.full(instants, np.nan)
         self.done = np.full(n, instants)
         self.failure: list[str | None] = [None] * n
@@ -67,43 +71,57 @@ def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: S
         instants: how many.
         sensors: of the machines that run; None where all states are measured as they are.
     """
-    rows, memory = stepper.rows, law.start(stepper.n)
-    memory = memory if isinstance(rows, slice) else memory[rows]
-    q, v = stepper.read()
-    log = LoopLog(instants, stepper.n, q.shape[1], v.shape[1], stepper.n_u)
-    asked_s, independent, n_u = log.asked_s, stepper.independent, stepper.n_u
-    bound = LARGEST_STATE**2
-    for k in range(instants):
-        if not len(q):
-            break
+    log = LoopLog(instants, stepper.n, stepper.n_q, stepper.n_s, stepper.n_u)
+    memory = law.start(stepper.n)
+    memory = memory if isinstance(stepper.rows, slice) else memory[stepper.rows]
+    independent, n_u, bound, clock = stepper.independent, stepper.n_u, LARGEST_STATE**2, time.perf_counter
+    logs = (log.pose, log.velocity, log.commanded, log.applied, log.speed)
+    for k, (row, *logged) in enumerate(zip(log.instants.reshape(instants, -1), *logs, strict=True)):
         check()
+        # What is logged is filled in where it stands; where some machines are frozen, beside it first.
+        rows = stepper.rows
+        here = logged if isinstance(rows, slice) else [one[rows] for one in logged]
+        q, v, command, applied, speed = here
+        stepper.read(q, v)
         s, rate = q[:, independent], v
         if sensors is not None:
             s, rate = measure(sensors, k, s, rate)
-        begin = time.perf_counter()
-        command, memory, failed = _asked(law, k, s, rate, memory, n_u)
-        asked_s[k] = time.perf_counter() - begin
-        # Sums of squares that are small and finite leave no state or command beyond.
-        if not (np.vdot(q, q) < bound and np.vdot(v, v) < bound and np.vdot(command, command) < bound):
+        begin = clock()
+        asked, memory, failed = _asked(law, k, s, rate, memory, n_u)
+        log.asked_s[k] = clock() - begin
+        command[...] = asked
+        # A sum of squares that is small and finite leaves no state or command beyond.
+        if here is not logged or not row.dot(row) < bound:
             sound = (np.abs(q) < LARGEST_STATE).all(axis=1) & (np.abs(v) < LARGEST_STATE).all(axis=1)
             running = sound & np.isfinite(command).all(axis=1)
             if not running.all():
-                here = np.arange(stepper.n)[rows]
                 for i in np.flatnonzero(~running):
+                    machine = np.arange(stepper.n)[rows][i]
                     error = failed.get(int(i))
                     said = _said(error) if error else "the tracker gave an effort that is no number"
-                    log.failure[here[i]], log.error[here[i]] = (said, error) if sound[i] else (stepper.lost, None)
-                    log.done[here[i]] = k
+                    log.failure[machine], log.error[machine] = (said, error) if sound[i] else (stepper.lost, None)
+                    log.done[machine] = k
                 stepper.keep(running)
                 rows = stepper.rows
-                q, v, command, memory = q[running], v[running], command[running], memory[running]
+                here = q, v, command, applied, speed = [one[running] for one in here]
+                log.instants[k] = np.nan
+                memory = memory[running]
                 sensors = None if sensors is None else sensors.kept(running)
                 if not len(q):
                     break
-        log.pose[k, rows], log.velocity[k, rows], log.commanded[k, rows] = q, v, command
-        log.applied[k, rows], log.speed[k, rows] = stepper.hold(command)
-        q, v = stepper.read()
+        stepper.hold(command, applied, speed)
+        if here is not logged:
+            for whole, part in zip(logged, here, strict=True):
+                whole[rows] = part
     return log
+
+
+def states_of(stepper: Stepper) -> tuple[np.ndarray, np.ndarray]:
+    """Return the poses (r, n_q) and velocities (r, n_s) of the machines that run."""
+    n = len(np.arange(stepper.n)[stepper.rows])
+    pose, velocity = np.empty((n, stepper.n_q)), np.empty((n, stepper.n_s))
+    stepper.read(pose, velocity)
+    return pose, velocity
 
 
 def _asked(

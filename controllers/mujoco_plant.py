@@ -162,6 +162,7 @@ class MujocoStepper:
         model = models[0] if base is None else base.model
         driven = mechanism.actuators[:actuators]
         self.n, self.n_u, self.rows = len(plants), len(driven), slice(None)
+        self.n_q, self.n_s = mechanism.n_q, len(mechanism.independent if independent is None else independent)
         self.independent = _columns(mechanism.independent if independent is None else independent)
         self.model, self.timestep_s = model, np.array([one.opt.timestep for one in models])
         self._mechanism, self._substeps, self._pushes, self._drives = mechanism, substeps, pushes, drives
@@ -202,48 +203,48 @@ class MujocoStepper:
             take(self._drives, self.k, command)
             self.k += 1
 
-    def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return poses and velocities of the machines that run."""
-        qpos, qvel = self._qpos[self.rows], self._qvel[self.rows]
-        if self._mechanism.coordinates.trivial:
-            return qpos.copy(), qvel[:, self.independent].copy()
+    def read(self, pose: np.ndarray, velocity: np.ndarray) -> None:
+        """Fill in poses and velocities of the machines that run."""
+        mechanism, rows = self._mechanism, self.rows
+        if mechanism.coordinates.trivial:
+            pose[...], velocity[...] = self._qpos[rows], self._qvel[rows][:, self.independent]
+            return
         # One after another: rounding of ball joints' rotations must not depend on what stands beside them.
-        poses = [self._mechanism.q_of(one, near) for one, near in zip(qpos, self._near, strict=True)]
-        self._near = q = np.array(poses).reshape(len(qpos), self._mechanism.n_q)
-        rates = [self._mechanism.rates_of(*one) for one in zip(q, qvel, strict=True)]
-        return q, np.array(rates).reshape(q.shape)[:, self.independent]
+        for i, (qpos, qvel) in enumerate(zip(self._qpos[rows], self._qvel[rows], strict=True)):
+            pose[i] = mechanism.q_of(qpos, self._near[i])
+            velocity[i] = mechanism.rates_of(pose[i], qvel)[self.independent]
+        self._near = pose.copy()
 
-    def hold(self, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Move the machines on by a period under commands; return the mean efforts and the speeds at its start."""
-        drives, k, rows = self._drives, self.k, self.rows
+    def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
+        """Move the machines on by a period under commands; speeds are those at its start."""
+        drives, k, rows, servos = self._drives, self.k, self.rows, self._servos
         take(drives, k, command)
-        first = speed = command
         beyond: np.ndarray | float = 0.0
         for j, count in self._stretches:
-            effort = act(drives, k, j)
-            ctrl = effort
-            if self._servos is not None:
+            effort = ctrl = act(drives, k, j)
+            if servos is not None:
                 length, rate = self._lengths[rows][:, self._outputs], self._speeds[rows][:, self._outputs]
-                ctrl, effort = self._servos.controls(effort, length, rate)
+                ctrl, effort = servos.controls(effort, length, rate)
                 effort = np.minimum(np.maximum(effort, drives.clamp[..., 0]), drives.clamp[..., 1])
+                if j == 0:  # MuJoCo works them out anew after a step
+                    speed[...] = rate
             elif not self._direct:
                 ctrl = (effort - self._bias) * self._scale
             _put(self.ctrl, rows, self._channels, ctrl)
             if self._pushes is not None:
-                self._forces[rows], self._efforts[rows] = self._pushes.over((k * self._substeps) + j)
-            if self._servos is not None and j == 0:  # the stage after a step makes them those of its end
-                speed = self._speeds[rows][:, self._outputs].copy()
+                self._forces[rows], self._efforts[rows] = self._pushes.over(k * self._substeps + j)
             self._batch.step(self._ids, count, self._stage)
-            if j == 0:
-                first = effort  # a held effort is its own mean, to the last bit
-                speed = self._speeds[rows][:, self._outputs] if self._servos is None else speed
-                speed = speed.copy() if self._substeps > 1 else speed
-            else:
-                beyond = beyond + count * (effort - first)
+            if j:
+                beyond = beyond + count * (effort - applied)
+                continue
+            applied[...] = effort
+            if servos is None:
+                speed[...] = self._speeds[rows][:, self._outputs]
+        if len(self._stretches) > 1:  # a held effort is its own mean, to the last bit
+            applied += beyond / self._substeps
         self.k += 1
         if self._watch is not None:
             self._watch.note()
-        return (first + beyond / self._substeps if self._substeps > 1 else first), speed
 
     def keep(self, running: np.ndarray) -> None:
         """Freeze all but some of the machines that run."""

@@ -48,7 +48,7 @@ class RigidStepper:
     def __init__(self, plant: RigidPlant, reference: SampledReference, machines: Sequence[Imperfections]) -> None:
         mechanism, clocks = plant.mechanism, [one.clock for one in machines]
         self.n, self.n_u, self.rows = len(machines), mechanism.n_u, slice(None)
-        self.independent, self._n_q = mechanism.independent, mechanism.n_q
+        self.independent, self.n_q, self.n_s = mechanism.independent, mechanism.n_q, mechanism.dof
         self._periods = reference.period_s * np.array([clock.period_factor for clock in clocks])
         delays = [plant.delay_periods + clock.delay_periods for clock in clocks]
         unlimited = np.tile([-np.inf, np.inf], (mechanism.n_u, 1))
@@ -62,12 +62,12 @@ class RigidStepper:
         self._onward = mapped(_onward(mechanism, steps), self.n)
         self._k = 0
 
-    def read(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return poses and velocities of the machines that run."""
-        state = self._state[self.rows].copy()
-        return state[:, : self._n_q], state[:, self._n_q :]
+    def read(self, pose: np.ndarray, velocity: np.ndarray) -> None:
+        """Fill in poses and velocities of the machines that run."""
+        state = self._state[self.rows]
+        pose[...], velocity[...] = state[:, : self.n_q], state[:, self.n_q :]
 
-    def hold(self, command: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
         """Move the machines on by a period; actuators' speeds are not known here."""
         commands = np.zeros((self.n, self.n_u))
         commands[self.rows] = command
@@ -83,8 +83,8 @@ class RigidStepper:
         self._state = self._start.copy()
         self._state[self.rows] = np.where(lost[:, None], np.nan, state)[self.rows]
         self._k += 1
-        applied = share[:, None] * before + (1.0 - share)[:, None] * acting
-        return applied[self.rows], np.full_like(command, np.nan)
+        applied[...] = (share[:, None] * before + (1.0 - share)[:, None] * acting)[self.rows]
+        speed[...] = np.nan
 
     def keep(self, running: np.ndarray) -> None:
         """Freeze all but some of the machines that run."""

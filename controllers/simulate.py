@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from linkplan.controllers.divergence import divergence_expected
-from linkplan.controllers.feedback_loop import Stepper, run_loop
+from linkplan.controllers.feedback_loop import Stepper, run_loop, states_of
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.sensing import sensing
 from linkplan.controllers.mujoco_plant import MujocoPlant, PlantAsItStands, simulation_conditions
@@ -80,7 +80,7 @@ def simulate(
     A machine that cannot be built is one that failed before its first instant.
     """
     stepper, failure = plant.begin(reference, machines)
-    q, v = stepper.read()
+    q, v = states_of(stepper)
     sensors = sensing([one.sensors for one in machines], q[:, stepper.independent], v, reference.period_s)
     built = np.array([said is None for said in failure])
     if not built.all():

@@ -15,7 +15,7 @@ from linkplan.controllers.imperfections.stacking import stacked
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Driving:
-    """Drives of simulations (n,), all arrays (n, n_u) but `whole`, `late` and `fraction` (n,), and `queue` (n, p, n_u).
+    """Drives of simulations (n,), all arrays (n, n_u) but `whole`, `late` and `fraction` (n,), and `queue` (n, p, n_u), p = `n_queued`.
 
     A command acts after `whole` periods, `late` simulator steps and a `fraction` of one; slot k mod p of the queue holds the
     command of instant k. `left` is what a lag leaves over a step, `mean` its mean over the step; `most` the largest change
@@ -23,7 +23,8 @@ class Driving:
     many of them, None where that differs. `take` and `act` fill `queue` and `output`, the only arrays that change.
     """
 
-    limit: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
     resolution: np.ndarray
     factor: np.ndarray
     whole: np.ndarray
@@ -37,13 +38,14 @@ class Driving:
     lagged: bool
     scaled: bool
     rounded: bool
+    n_queued: int
     queue: np.ndarray
     output: np.ndarray
 
     @property
     def clamp(self) -> np.ndarray:
         """The simulator's own limits (n, n_u, 2) [N.m or N]: those of the current at each machine's torque constant."""
-        return np.maximum(1.0, self.factor)[:, :, None] * self.limit
+        return np.maximum(1.0, self.factor)[:, :, None] * np.stack([self.low, self.high], axis=1)
 
     def kept(self, rows: np.ndarray) -> "Driving":
         """Return the drives of some of these simulations, by a mask (n,)."""
@@ -73,7 +75,8 @@ def driving(
     resolution, factor = of_all("resolution"), of_all("constant_factor")
     n_queued = int(whole.max(initial=0)) + 2
     return Driving(
-        limit=np.array(limit, dtype=float),
+        low=np.array(limit[:, 0], dtype=float),
+        high=np.array(limit[:, 1], dtype=float),
         resolution=resolution,
         factor=factor,
         whole=whole,
@@ -87,6 +90,7 @@ def driving(
         lagged=bool(np.any(np.isfinite(bandwidth)) or np.any(np.isfinite(rate))),
         scaled=bool(np.any(factor != 1.0)),
         rounded=bool(np.any(resolution > 0)),
+        n_queued=n_queued,
         queue=np.zeros((len(drives), n_queued, n_u)),
         output=np.zeros((len(drives), n_u)),
     )
@@ -108,12 +112,12 @@ def take(drives: Driving, k: int, command: np.ndarray) -> None:
     if drives.rounded:
         step = np.where(drives.resolution > 0, drives.resolution, 1.0)
         command = np.where(drives.resolution > 0, step * np.round(command / step), command)
-    command = np.minimum(np.maximum(command, drives.limit[:, 0]), drives.limit[:, 1])
+    slot = drives.queue[:, k % drives.n_queued]
+    np.maximum(command, drives.low, out=slot)
+    np.minimum(slot, drives.high, out=slot)
     if k == 0:
         # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.
-        drives.queue[:], drives.output[:] = command[:, None], command
-    else:
-        drives.queue[:, k % drives.queue.shape[1]] = command
+        drives.queue[:], drives.output[:] = slot[:, None].copy(), slot
 
 
 def act(drives: Driving, k: int, j: int) -> np.ndarray:
@@ -135,7 +139,7 @@ def act(drives: Driving, k: int, j: int) -> np.ndarray:
 
 def arrived(drives: Driving, k: int) -> np.ndarray:
     """Return the commands (n, n_u) that have arrived by period k."""
-    p = drives.queue.shape[1]
+    p = drives.n_queued
     if drives.together is not None:
         return drives.queue[:, (k - drives.together) % p]
     return drives.queue[np.arange(len(drives.queue)), (k - drives.whole) % p]

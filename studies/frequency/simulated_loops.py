@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.feedback_loop import run_loop
+from linkplan.controllers.feedback_loop import run_loop, states_of
 from linkplan.controllers.imperfections.driving import driving
 from linkplan.controllers.imperfections.imperfections import Drives
 from linkplan.controllers.imperfections.plant import Plant, prepare
@@ -86,7 +86,7 @@ class SimulatedLoops:
     def state(self) -> np.ndarray:
         """Return x = (s, v) (n, 2 n_s) now, NaN of simulations that run no more."""
         stepper = self._stepper
-        q, v = stepper.read()
+        q, v = states_of(stepper)
         x = np.full((stepper.n, 2 * v.shape[1]), np.nan)
         x[stepper.rows] = np.concatenate([q[:, stepper.independent], v], axis=1)
         return x

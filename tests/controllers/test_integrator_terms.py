@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import pytest
 
+from linkplan.controllers.feedback_loop import states_of
 from linkplan.controllers.imperfections.driving import driving
 from linkplan.controllers.imperfections.imperfections import Drives
 from linkplan.controllers.imperfections.plant import Plant, prepare
@@ -48,8 +49,8 @@ def differences(mechanism, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     def stepped(x: np.ndarray) -> np.ndarray:
         start = Plant(model=model, pose=x[:2], rates=x[2:4])
         stepper = MujocoStepper(mechanism, [start], driving([Drives()], [0.0], [STEP_S], 1, UNLIMITED), 1)
-        stepper.hold(x[4:][None])
-        return np.concatenate(stepper.read(), axis=1)[0]
+        stepper.hold(x[4:][None], np.empty((1, 2)), np.empty((1, 2)))
+        return np.concatenate(states_of(stepper), axis=1)[0]
 
     at = np.concatenate([q, np.zeros(2), u])
     return np.array([(stepped(at + e) - stepped(at - e)) / (2 * SMALL) for e in SMALL * np.eye(6)]).T
