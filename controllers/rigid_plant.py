@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import casadi as ca
+import mujoco
 import numpy as np
 
 from linkplan.controllers.imperfections.driving import arrived, driving, take
@@ -54,7 +55,8 @@ class RigidStepper:
         unlimited = np.tile([-np.inf, np.inf], (mechanism.n_u, 1))
         # A simulator step is a whole period here: what is left of a delay is a fraction of one.
         self._drives = driving([Drives()] * self.n, delays, self._periods, 1, unlimited)
-        starts = [start_of(mechanism.model, mechanism, reference, one) for one in machines]
+        data = mujoco.MjData(mechanism.model)
+        starts = [start_of(mechanism.model, data, mechanism, reference, one) for one in machines]
         self._start = np.array([np.concatenate([pose, rates[mechanism.independent]]) for pose, rates in starts])
         self._state = self._start.copy()
         self.timestep_s = float(mechanism.model.opt.timestep) * np.ones(self.n)

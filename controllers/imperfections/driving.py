@@ -15,14 +15,13 @@ from linkplan.controllers.imperfections.stacking import stacked
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Driving:
-    """Drives of n simulations: arrays (n, n_u), but `whole`, `late` and `fraction` (n,) and `queue` (n, p, n_u).
+    """Drives of simulations (n,): arrays (n, n_u), but `whole`, `late` and `fraction` (n,), `low` and `high` (n_u,).
 
-    p is `n_queued`.
-
-    A command acts after `whole` periods, `late` simulator steps and a `fraction` of one; slot k mod p of the queue holds the
-    command of instant k. `left` is what a lag leaves over a step, `mean` its mean over the step; `most` the largest change
-    in a step; `output` the lagged effort. `punctual`: all commands act at the beginning of a period; `together`: after so
-    many of them, None where that differs. `take` and `act` fill `queue` and `output`, the only arrays that change.
+    `queue` (n, p, n_u) holds the last p = `n_queued` commands. A command acts after `whole` periods, `late` simulator steps
+    and a `fraction` of one; slot k mod p of the queue holds the command of instant k. `left` is what a lag leaves over a
+    step, `mean` its mean over the step; `most` the largest change in a step; `output` the lagged effort. `punctual`: all
+    commands act at the beginning of a period; `together`: after so many of them, None where that differs. `take` and `act`
+    fill `queue` and `output`, the only arrays that change.
     """
 
     low: np.ndarray

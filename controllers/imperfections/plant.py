@@ -51,7 +51,9 @@ def plant(
         LinkplanError: for a body that is not there, no payload where one is shifted, or a loop that does not close.
     """
     machine, clock = imperfect.machine, imperfect.clock
-    model = scaled_model(mechanism, loop.mass_factor * machine.mass_factor)
+    model = copy.deepcopy(mechanism.model)
+    data = mujoco.MjData(model)  # for all that follows: to make one takes longer than to work something out in it
+    scale_masses(model, data, loop.mass_factor * machine.mass_factor)
     timestep_s = clock.period_factor * reference.period_s / substeps
     constants = np.broadcast_to(imperfect.drives.constant_factor, (mechanism.n_u,))
     prepare(model, mechanism, timestep_s, np.maximum(1.0, constants)[:, None] * loop.effort_limit)
@@ -59,8 +61,8 @@ def plant(
     _rub(model, machine)
     _stiffen(model, machine)
     if machine.com_shift_m is not None or machine.length_factor:
-        _build_otherwise(model, machine)
-    pose, rates = start_of(model, mechanism, reference, imperfect)
+        _build_otherwise(model, data, machine)
+    pose, rates = start_of(model, data, mechanism, reference, imperfect)
     return Plant(model=model, pose=pose, rates=rates)
 
 
@@ -76,7 +78,7 @@ def prepare(model: mujoco.MjModel, mechanism: Mechanism, timestep_s: float, effo
 
 
 def start_of(
-    model: mujoco.MjModel, mechanism: Mechanism, reference: SampledReference, imperfect: Imperfections
+    model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, reference: SampledReference, imperfect: Imperfections
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the closed pose (n_q,) and consistent rates (n_q,) that a machine starts with.
 
@@ -97,22 +99,20 @@ def start_of(
     poses, arrived = led(mechanism, reference.pose[0], s[None])
     pose, rates = np.array(poses[0] if arrived else reference.pose[0]), np.zeros(mechanism.n_q)
     pose[mechanism.independent], rates[mechanism.independent] = s, v
-    pose = closed_pose(model, mechanism, pose)
-    return pose, closed_rates(model, mechanism, pose, rates)
+    pose = closed_pose(model, data, mechanism, pose)
+    return pose, closed_rates(model, data, mechanism, pose, rates)
 
 
-def scaled_model(mechanism: Mechanism, factor: float) -> mujoco.MjModel:
-    """Return a copy of the mechanism's model with mass and inertia multiplied: the payload's, or all moving bodies'."""
-    model = copy.deepcopy(mechanism.model)
+def scale_masses(model: mujoco.MjModel, data: mujoco.MjData, factor: float) -> None:
+    """Multiply mass and inertia in a model: the payload's, or all moving bodies'; `data` is overwritten."""
     if factor == 1.0:
-        return model
+        return
     bodies = [body for body in range(1, model.nbody) if model.body_weldid[body] != 0]
     payload = [body for body in bodies if model.body(body).name == BODY_NAME]
     for body in payload or bodies:
         model.body_mass[body] *= factor
         model.body_inertia[body] *= factor
-    mujoco.mj_setConst(model, mujoco.MjData(model))
-    return model
+    mujoco.mj_setConst(model, data)
 
 
 def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) -> None:
@@ -163,7 +163,7 @@ def _stiffen(model: mujoco.MjModel, machine: Machine) -> None:
     model.eq_solref[:] = machine.loop_solref
 
 
-def _build_otherwise(model: mujoco.MjModel, machine: Machine) -> None:
+def _build_otherwise(model: mujoco.MjModel, data: mujoco.MjData, machine: Machine) -> None:
     """Scale links and move the payload's centre of mass; then MuJoCo's derived constants, the closures' points kept."""
     for name, factor in machine.length_factor.items():
         body = body_index(model, name)
@@ -177,7 +177,7 @@ def _build_otherwise(model: mujoco.MjModel, machine: Machine) -> None:
         model.body_ipos[body] += machine.com_shift_m
         _frames_apart(model, body)
     kept = model.eq_data.copy()
-    mujoco.mj_setConst(model, mujoco.MjData(model))
+    mujoco.mj_setConst(model, data)
     model.eq_data[:] = kept
 
 

@@ -1,14 +1,18 @@
 """Many machines at once: each is the run of its own loop, whatever runs beside it, and whatever fails beside it."""
 
+import copy
+import dataclasses
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 import pytest
 
+from linkplan.controllers.feedback_loop import states_of
 from linkplan.controllers.imperfections.imperfections import Imperfections, Push, Start
-from linkplan.controllers.mujoco_plant import DIVERGED
+from linkplan.controllers.mujoco_plant import DIVERGED, MujocoPlant
 from linkplan.controllers.rollout import ControlLoop
-from linkplan.controllers.simulate import Ensemble
+from linkplan.controllers.simulate import Ensemble, simulate
 from linkplan.models.mechanism import load_mechanism
 from tests.support.machines import LOOP, everything, feedback, follower, reach, run_alone, run_machines
 from tests.support.tolerances_loops import SAME_RUN
@@ -141,3 +145,32 @@ def test_a_tracker_s_memory_is_held_by_the_loop_single_or_many():
     single = run_alone(mechanism, reference, _Counting(), LOOP)
     assert np.array_equal(many.commanded[:, 0, 0], np.arange(reference.n))
     assert np.array_equal(single.commanded[:, 0], np.arange(reference.n))
+
+
+def test_trackers_that_run_one_after_another_share_the_machines():
+    mechanism, reference = reach()
+    plant = MujocoPlant(mechanism=mechanism, loop=LOOP)
+    machines = [Imperfections(), everything(1), Imperfections(), everything(2)]
+    simulate(plant, feedback(), reference, machines)
+    first = dict(plant.built)
+    simulate(plant, follower(), reference, machines)
+    assert len(first) == 3, "machines as modelled are one"
+    assert all(plant.built[key] is one for key, one in first.items())
+    simulate(plant, follower(), reference, machines[:2])
+    assert len(plant.built) == 2, "the memory of machines that run no more is given back"
+
+
+def test_a_machine_of_many_closes_its_loop_by_a_sparse_jacobian_as_by_a_dense_one():
+    mechanism, reference = reach()
+    found = []
+    for kind in (mujoco.mjtJacobian.mjJAC_DENSE, mujoco.mjtJacobian.mjJAC_SPARSE):
+        model = copy.deepcopy(mechanism.model)
+        model.opt.jacobian = kind
+        stepper, failure = MujocoPlant(mechanism=dataclasses.replace(mechanism, model=model), loop=LOOP).begin(
+            reference, [everything(1)]
+        )
+        assert failure == [None]
+        found.append(states_of(stepper))
+    assert np.abs(found[0][0] - mechanism.home).max() > 1e-3
+    for dense, sparse in zip(*found, strict=True):
+        assert sparse == pytest.approx(dense, abs=1e-12)

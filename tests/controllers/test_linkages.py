@@ -1,5 +1,7 @@
 """The closed loop in MuJoCo on linkages with servos, tendons, welds and ball joints."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import mujoco
 import numpy as np
 import pytest
@@ -73,6 +75,17 @@ def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
     assert np.abs(free.applied[:, 1] - 0.9).max() < ROUNDING
     assert abs(cut.applied[0, 1] - 5 * 0.01) < ROUNDING, "kp times the end of its range, at rest at home"
     assert cut.commanded[0, 1] == 0.9
+
+
+def test_servos_that_run_in_threads_of_their_own_do_not_meddle_with_each_other():
+    mechanism = load_mechanism(hard(GRIPPER, 1e-4, "implicitfast"))
+    efforts = [wave(mechanism, size) for size in (0.02, 0.05, 0.08, 0.1)]
+    alone = [scripted(mechanism, each) for each in efforts]
+    with ThreadPoolExecutor(len(efforts)) as threads:
+        together = list(threads.map(lambda each: scripted(mechanism, each), efforts))
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(other.pose, one.pose)
+    assert np.ptp([run.pose[-1, 0] for run in alone]) > 1e-4
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """The closed loop in MuJoCo: what acts and when, on which masses; loops closed, limits kept, verdicts right."""
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -8,14 +9,16 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.imperfections.plant import scaled_model
+from linkplan.controllers.imperfections.imperfections import Imperfections
+from linkplan.controllers.imperfections.plant import scale_masses
+from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.tracker import Tracker
-from linkplan.models.mechanism import load_mechanism
+from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import BODY_NAME
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.fourbar import KNEE_PROBLEMS
@@ -335,6 +338,12 @@ def by_body(values: Callable[[mujoco.MjModel], np.ndarray], before: mujoco.MjMod
         return {after.body(i).name: values(after)[i] / values(before)[i] for i in range(1, after.nbody)}
 
 
+def scaled_model(mechanism: Mechanism, factor: float) -> mujoco.MjModel:
+    model = copy.deepcopy(mechanism.model)
+    scale_masses(model, mujoco.MjData(model), factor)
+    return model
+
+
 @pytest.mark.parametrize("factor", [0.5, 1.3])
 def test_a_mass_factor_scales_the_payload_and_nothing_else(factor):
     mechanism = optimal("knee-reach").problem.mechanism
@@ -359,7 +368,9 @@ def test_without_a_payload_a_mass_factor_scales_every_moving_body():
 def test_a_mass_factor_leaves_the_mechanism_s_own_model_alone():
     mechanism = optimal("knee-reach").problem.mechanism
     before = np.array(mechanism.model.body_mass)
-    scaled_model(mechanism, 2.0)
+    plant = MujocoPlant(mechanism=mechanism, loop=loop_of("knee-reach", mass_factor=2.0))
+    stepper, _ = plant.begin(reference_of("knee-reach"), [Imperfections()])
+    assert stepper.model.body_mass.max() == pytest.approx(2.0 * before.max())
     np.testing.assert_array_equal(mechanism.model.body_mass, before)
 
 
