@@ -25,8 +25,10 @@ def load_extra(module: str, feature: str) -> ModuleType:
     Raises:
         MissingPackageError: when the package is not installed.
     """
-    package, extra = EXTRAS[module.partition(".")[0]]
+    root = module.partition(".")[0]
+    package, extra = EXTRAS[root]
     try:
+        importlib.import_module(root)
         return importlib.import_module(module)
     except ImportError as error:
         raise MissingPackageError(

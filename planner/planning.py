@@ -15,15 +15,7 @@ from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import Say, Step, silent
-from linkplan.planner.search import (
-    attempts,
-    duration_continuation,
-    last_resorts,
-    margin_continuation,
-    starts,
-    touches,
-    waiting,
-)
+from linkplan.planner.search import attempts, duration_continuation, effort_continuation, starts, waiting
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
@@ -38,6 +30,13 @@ Climb = Callable[[Search, Budget], Plan | None]
 
 def _one_start(search: Search) -> bool:
     return search.problem.solver.starts == 1 and search.starts_are_worth_it
+
+
+def _the_phase_plane_may_help(search: Search) -> bool:
+    """Return whether the phase plane has a motion where no plan passes, or a quicker one than the plan that passes."""
+    if search.solved:
+        return starts.is_slow(search) and not reasons.other_limits(search.problem)
+    return _one_start(search) and search.quickest is not None and not starts.no_time(search)
 
 
 def _sparing(start: Climb) -> Climb:
@@ -68,20 +67,14 @@ RUNGS: tuple[Rung, ...] = (
         budget=PATIENT,
     ),
     Rung(
-        name="the guess given",
-        tried=lambda search: _one_start(search) and search.problem.guess is not None,
-        climb=starts.from_the_guess,
-        budget=PATIENT,
-    ),
-    Rung(
-        name="a smooth path",
+        name="the guess given, then a smooth path",
         tried=_one_start,
-        climb=_sparing(starts.from_a_smooth_path),
+        climb=_sparing(starts.from_first_starts),
         budget=PATIENT,
     ),
     Rung(
         name="the phase plane, its bang efforts fixed",
-        tried=lambda search: _one_start(search) and search.quickest is not None and not starts.no_time(search),
+        tried=_the_phase_plane_may_help,
         climb=starts.from_the_phase_plane,
         budget=HURRIED,
     ),
@@ -89,29 +82,6 @@ RUNGS: tuple[Rung, ...] = (
         name="swings",
         tried=lambda search: _one_start(search) and not starts.no_time(search),
         climb=_sparing(starts.from_swings),
-        budget=HURRIED,
-    ),
-    Rung(
-        name="perturbed guesses",  # what a fixed duration forbids, other starts forbid too
-        tried=lambda search: (
-            _one_start(search)
-            and not search.missed
-            and search.problem.motion.duration_s is None
-            and not starts.no_time(search)
-        ),
-        climb=starts.from_perturbed_guesses,
-        budget=HURRIED,
-    ),
-    Rung(
-        name="the phase plane's quicker motion",
-        tried=lambda search: starts.is_slow(search) and not reasons.other_limits(search.problem),
-        climb=starts.quicker_by_the_phase_plane,
-        budget=PATIENT,
-    ),
-    Rung(
-        name="limits touched in an instant, passed there",
-        tried=touches.may_touch,
-        climb=touches.through_touches,
         budget=HURRIED,
     ),
     Rung(
@@ -134,18 +104,8 @@ RUNGS: tuple[Rung, ...] = (
     ),
     Rung(
         name="continuation in the effort limits",
-        tried=lambda search: _nothing_found(search) and last_resorts.efforts_suffice(search),
-        climb=last_resorts.from_least_peak_effort,
-        budget=HURRIED,
-    ),
-    Rung(
-        name="continuation in the margin to singular poses",
-        tried=lambda search: (
-            _nothing_found(search)
-            and margin_continuation.may_be_kept_clear(search.problem)
-            and (search.least_limit is None or last_resorts.efforts_suffice(search))
-        ),
-        climb=margin_continuation.from_margins,
+        tried=lambda search: _nothing_found(search) and effort_continuation.efforts_suffice(search),
+        climb=effort_continuation.from_least_peak_effort,
         budget=HURRIED,
     ),
 )
@@ -155,11 +115,6 @@ REPAIRS: tuple[Repair, ...] = (
         name="limits on power and pin force kept at every instant",
         tried=attempts.may_be_enclosed,
         mend=attempts.enclosed,
-    ),
-    Repair(
-        name="without phase boundaries where efforts bend",
-        tried=lambda _search, problem, plan: attempts.unsound(plan) and attempts.lost_at_kinks(problem),
-        mend=attempts.without_kinks,
     ),
     Repair(
         name="finer meshes begun next to the coarser one's answer",

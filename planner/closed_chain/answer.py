@@ -42,7 +42,7 @@ def finished(
     )
     failure = _failure(plan)
     details: dict[str, float] = {}
-    best = f"{problem.objective.name.replace('_', ' ')}-optimal " if optimal else ""
+    best = optimality(problem) if optimal else ""
     sentence = message or f"{best}motion of {trajectory.duration_s:.6g} s"
     errors = tracking_errors(plan)
     if errors is not None and message is None and problem.objective.has("tracking"):
@@ -70,6 +70,11 @@ def finished(
     if failure is not None:
         return replace(plan, status="failed", message=f"failed: {failure}", details=details)
     return replace(plan, message=sentence, details=details)
+
+
+def optimality(problem: PlanningProblem) -> str:
+    """Return the words with which the message of an optimal plan begins."""
+    return f"{problem.objective.name.replace('_', ' ')}-optimal "
 
 
 def _failure(plan: Plan) -> str | None:

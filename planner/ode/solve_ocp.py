@@ -97,10 +97,7 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     contradiction = _contradiction(problem)
     if contradiction is not None:
         return OdePlan(problem=problem, status="infeasible", message=contradiction)
-    begun = problem.solver.begun()
-    plan = _planned(replace(problem, solver=begun), say)
-    if plan.status in ("failed", "feasible") and begun.deadline.passed and OF_TIME not in plan.message:
-        plan = replace(plan, message=f"{plan.message}; the plan ran out of its {problem.solver.max_time_s:g} s {OF_TIME}")
+    plan = _planned(replace(problem, solver=problem.solver.begun()), say)
     return replace(plan, problem=problem)
 
 
@@ -274,12 +271,19 @@ def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say
     return OdePlan(
         problem=problem,
         status=status,
-        message=message,
+        message=message if status == "optimal" else message + _out_of_time(problem),
         objective=objective,
         trajectory=trajectory,
         certificate=certificate,
         history=tuple(history),
     )
+
+
+def _out_of_time(problem: OdeProblem) -> str:
+    """Return the words on a time limit that has passed; empty before it has."""
+    if not problem.solver.deadline.passed:
+        return ""
+    return f"; the plan ran out of its {problem.solver.max_time_s:g} s {OF_TIME}"
 
 
 def _moved(refined: Refined[OdeTrajectory, OdeCertificate]) -> str:
@@ -304,7 +308,6 @@ def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: S
     # Of the first start: those after it were given less time.
     status = history[0].solver_status if history else OUT_OF_TIME
     stopped = why_stopped(status, problem.solver.max_time_s)
-    reason = f"failed: {stopped or f'no start led to a solution ({status})'}"
     if stopped is None and np.all(np.isfinite(problem.effort_limit)):
         say("no solution found; looking for the least effort that admits one")
         case = OdeCase(problem, problem, units_of(problem, guess))
@@ -323,13 +326,15 @@ def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: S
             # then.
             message = f"infeasible: {found}" if fixed else f"failed: no solution was found; {found}, which is no proof"
             status = "infeasible" if fixed else "failed"
+            message += _out_of_time(problem)
             return OdePlan(problem=problem, status=status, message=message, history=tuple(history))
         if solution.converged:
             start = case.start_from(case.motion(solution))
             solved = attempt(case, start, mesh, durations, "start from the least limits", history, say)
             if solved is not None:
                 return _refined(problem, FirstSolution(case=case, found=solved), history, say)
-    return OdePlan(problem=problem, status="failed", message=reason, history=tuple(history))
+    reason = stopped or f"no start led to a solution ({status}){_out_of_time(problem)}"
+    return OdePlan(problem=problem, status="failed", message=f"failed: {reason}", history=tuple(history))
 
 
 def _least_time(
@@ -357,6 +362,6 @@ def _lengthened(
         return _refined(problem, FirstSolution(case=case, found=solved), history, say)
     message = (
         f"failed: no start led to a solution of {problem.duration[1]:.8g} s; a motion of {shorter.motion.duration_s:.8g} s"
-        " is known, the shortest found"
+        f" is known, the shortest found{_out_of_time(problem)}"
     )
     return OdePlan(problem=problem, status="failed", message=message, history=tuple(history))

@@ -80,14 +80,15 @@ def _towards_a_certificate(state: RefinementState) -> Action | None:
     if higher is not None:
         return RaiseDegree(higher)
     marked = _marked(state, uneven if state.target.enclosed and uneven.any() else inexact | uneven, over)
-    if not marked.any() and at.overruns:
+    crowded = state.target.enclosed and grown(at.found.mesh, marked) > _comfortable(state)
+    if at.overruns and (crowded or not marked.any()):
         return Tighten()
     if not marked.any():
         marked = np.ones(at.n_intervals, dtype=bool)
     if grown(at.found.mesh, marked) > _most_intervals(state):
         if at.passed and _may_read_better(state) and _switches_are_open(state):
             return ReadSwitches()
-        return Tighten() if state.target.enclosed and at.overruns else None
+        return None
     late = state.rounds - state.read_in >= HALVINGS_BEFORE_TIGHTENING * (2 if over.any() else 1)
     return Halve(marked, tightens=late and at.overruns and not state.target.enclosed, tells=not np.any(uneven & ~marked))
 

@@ -123,7 +123,8 @@ def observed(
     state: RefinementState[MotionT, CertificateT], at: CertifiedIterate[MotionT, CertificateT], *, tells: bool = True
 ) -> RefinementState[MotionT, CertificateT]:
     """Return the state after a new iterate; `tells` says that its mesh is finer wherever the objective depends on it."""
-    new = replace(state, at=at, falls=at is state.at or error_of(at) <= FALLING_ERROR * error_of(state.at))
+    first = state.rounds <= 1  # the error on the first mesh is too coarse to compare with
+    new = replace(state, at=at, falls=first or error_of(at) <= FALLING_ERROR * error_of(state.at))
     if not at.passed:
         return new
     solution = at.found.solution

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.collisions import unavoidable
-from linkplan.planner.closed_chain.answer import finished
+from linkplan.planner.closed_chain.answer import finished, optimality
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
 from linkplan.planner.closed_chain.transcribe import own_objective
@@ -121,16 +121,16 @@ def certified(
     solution = better.solution
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
     against = better.against
-    plan = finished(problem, better.motion, better.certificate, objective, history, None, optimal=not len(against))
     moved = change if better.solution is not solved_for else better.moved
+    optimal = not len(against) and moved <= _NOT_SETTLED
+    plan = finished(problem, better.motion, better.certificate, objective, history, None, optimal=optimal)
     said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > MOVES else ""
     if len(against):
         said += (
             f"; the arc at t = {against[0]:.4g} s would rather leave its limit (Pontryagin's principle): not a local optimum"
         )
     if plan.passed:
-        unsettled = plan.status == "optimal" and moved > _NOT_SETTLED
-        plan = only_feasible(plan, said) if unsettled else replace(plan, message=plan.message + said)
+        plan = replace(plan, message=plan.message + said)
     return replace(plan, solved=replace(solution.transcribed, start=solution.x))
 
 
@@ -154,7 +154,7 @@ def without_solving(
 
 def only_feasible(plan: Plan, why: str) -> Plan:
     """Return a plan that passes as one that is not known to be the best, and the words on why."""
-    return replace(plan, status="feasible", message=(plan.message.partition("-optimal ")[2] or plan.message) + why)
+    return replace(plan, status="feasible", message=plan.message.removeprefix(optimality(plan.problem)) + why)
 
 
 def unsound(plan: Plan) -> bool:
@@ -162,20 +162,10 @@ def unsound(plan: Plan) -> bool:
     return plan.certificate is not None and plan.certificate.mendable
 
 
-def lost_at_kinks(problem: PlanningProblem) -> bool:
-    """Return whether the only switches looked for are kinks of efforts that do not jump: worth a thousandth at the most."""
-    return case_of(problem).target.switches and not case_of(problem, kinks=False).target.switches
-
-
-def without_kinks(search: Search, problem: PlanningProblem, found: Iterate) -> Plan:
-    """Return the plan of a motion whose efforts' kinks are not looked for."""
-    return certified(problem, found, search.history, search.say, kinks=False)
-
-
 def from_next_to_it(search: Search, problem: PlanningProblem, found: Iterate) -> Plan | None:
     """Return the plan whose finer meshes begin next to the coarser one's answer; None where it does not pass."""
-    kinks = not lost_at_kinks(problem)
-    plan = certified(problem, found, search.history, search.say, warm=True, kinks=kinks)
+    # Kinks of efforts that do not jump are not looked for: they are worth a thousandth of the objective at the most.
+    plan = certified(problem, found, search.history, search.say, warm=True, kinks=False)
     return plan if plan.passed else None
 
 

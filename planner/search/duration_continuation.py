@@ -23,8 +23,8 @@ from linkplan.planner.search.durations import longest
 from linkplan.planner.search.first_mesh import PER_SWING, graded_mesh
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.least_time import shortest_motion
-from linkplan.planner.search.margin_continuation import nears_singular
 from linkplan.planner.search.phase_plane import stretched
+from linkplan.planner.search.singular_poses import nears_singular
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import least_time_motion, no_time, with_switch_times
 from linkplan.planner.transcription.mesh import Mesh, uniform

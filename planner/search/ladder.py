@@ -181,7 +181,7 @@ def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
     best = search.best
     if best is None:
         return None
-    cut = search.stopped == OUT_OF_TIME and OF_TIME not in best.message
+    cut = search.stopped == OUT_OF_TIME and best.trajectory is not None  # without a motion the message says so already
     found = "the best found within" if best.passed else "the search ran out of"
     said = f"; {found} its {search.problem.solver.max_time_s:g} s {OF_TIME}" if cut else ""
     return replace(best, problem=search.problem, history=tuple(search.history), message=best.message + said)

@@ -6,14 +6,14 @@ import numpy as np
 
 from linkplan.planner.plan import Plan
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Rung, Search, climb
-from linkplan.planner.search.starts import along_power, from_a_smooth_path, from_the_phase_plane, is_along_power
+from linkplan.planner.search.starts import along_power, from_first_starts, from_the_phase_plane, is_along_power
 
 # Rungs that look for it.
 _RUNGS = (
     Rung(
         name="the phase plane along limits on power and pin force", tried=is_along_power, climb=along_power, budget=HURRIED
     ),
-    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_a_smooth_path, budget=PATIENT),
+    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_first_starts, budget=PATIENT),
     Rung(
         name="the phase plane",
         tried=lambda search: search.starts_are_worth_it and search.quickest is not None,

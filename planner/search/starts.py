@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses, users_guess
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses
 from linkplan.planner.plan import Plan
 from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
@@ -19,7 +19,7 @@ from linkplan.planner.search.phase_plane import phase_plane_applies, phase_plane
 from linkplan.planner.search.power_legs import knows_pins, power_guess
 from linkplan.planner.search.solving import solve_from
 
-# Perturbed guesses tried after the first failure, where the user asks for no further starts.
+# Perturbed guesses among the starts of a search with several starts, before they are drawn without end.
 _PERTURBATIONS = 3
 # Perturbed guesses tried for one that closes the loops, per one that is wanted.
 _MOST_TRIED = 20
@@ -55,19 +55,18 @@ def enough_time(search: Search) -> bool:
     return search.quickest is not None and longest(search.problem) >= SURELY * search.quickest.duration_s
 
 
-def from_the_guess(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the user's guess leads to; None where it does not close the loops."""
-    guess = users_guess(search.problem, search.start_pose)
-    return None if guess is None else plan_from(search, budget, "the guess given", guess, mended=not search.only_time_counts)
-
-
-def from_a_smooth_path(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the smoothest path leads to."""
-    return plan_from(search, budget, "a smooth path", search.smooth, mended=not search.only_time_counts)
+def from_first_starts(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan that the user's guess leads to, or else the smoothest path."""
+    return _first_of(search, budget, search.first_starts(), mended=not search.only_time_counts)
 
 
 def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the phase plane's motion leads to; where it swings, first that of the motion of least time."""
+    """Return the plan that the phase plane's motion leads to; where a plan passes already, only a quicker one.
+
+    Where it swings and the objective is not time, the first start is the motion of least time.
+    """
+    if search.solved:
+        return _quicker_by_the_phase_plane(search, budget)
     return _first_of(search, budget, _of_the_phase_plane(search, budget))
 
 
@@ -139,12 +138,7 @@ def from_swings(search: Search, budget: Budget) -> Plan | None:
     return _first_of(search, budget, (("a swing", swing) for swing in swings))
 
 
-def from_perturbed_guesses(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the smooth path leads to, perturbed at random."""
-    return _first_of(search, budget, itertools.islice(perturbed_guesses(search.problem, search.start_pose), _PERTURBATIONS))
-
-
-def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]]) -> Plan | None:
+def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, mended: bool = True) -> Plan | None:
     """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
     missed = None
     for what, guess in search.deadline.take(starts):
@@ -152,7 +146,7 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
             search.plans.append(missed)
             if not search.starts_are_worth_it:
                 return None
-        missed = plan_from(search, budget, what, guess)
+        missed = plan_from(search, budget, what, guess, mended=mended)
         if search.verdicts or search.stopped or (missed is not None and missed.passed):
             break
     return missed
@@ -167,7 +161,7 @@ def is_slow(search: Search) -> bool:
     return search.quickest is not None and search.best.trajectory.duration_s > _SLOW * search.quickest.duration_s
 
 
-def quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
+def _quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     """Return a least-time plan that is quicker than the one found; None where there is none."""
     known = search.best.trajectory.duration_s
     plan = plan_from(search, budget, "the phase plane", search.quickest, worth=_WORTH * known, mended=False)

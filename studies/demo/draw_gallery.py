@@ -24,7 +24,7 @@ SHOWN = (
 )
 # Instants at which a motion is drawn.
 _INSTANTS = 9
-FOLDER = Path(__file__).parent.parent / "gallery"  # studies/gallery
+FOLDER = Path(__file__).resolve().parent.parent / "gallery"  # studies/gallery: the package is reached by links
 
 
 def gallery_figure(plan: Plan, path: Path) -> None:

@@ -26,7 +26,7 @@ from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.ladder import PATIENT, Rung
 from linkplan.planner.search.presolve import start_pose_of
-from linkplan.planner.search.starts import from_a_smooth_path
+from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.outcome import OF_TIME
 from linkplan.studies.new.hanging import at_rest, driven_columns, hanging_columns, hung, is_equilibrium, rests_by_itself
 
@@ -53,7 +53,7 @@ _GRAVITY = 9.81
 _PATIENCE_S, _SHARE_OF_TIME, _LEAST_LEFT_S = 40.0, 0.5, 1.0
 # Motions of many joints are moved together by less: the whole of it is that of so many.
 _AT_ONCE = 2
-_SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_a_smooth_path, budget=PATIENT),)
+_SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_first_starts, budget=PATIENT),)
 _SHUT = "every straight way from home is shut: by a singular pose, a joint's range, a contact or too great a weight"
 # A feedback loop's natural frequency times the motion's duration.
 _CYCLES = 8.0

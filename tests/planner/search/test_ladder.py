@@ -16,7 +16,7 @@ from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import Budget, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
-from linkplan.planner.search.starts import from_a_smooth_path
+from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.outcome import OUT_OF_TIME
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
@@ -40,7 +40,7 @@ def noting(name: str, called: list[str], plan=None, **conditions) -> Rung:
 
 def test_a_rung_is_one_function_and_one_row():
     called = []
-    plan = plan_motion(load_problem("knee-reach"), rungs=(noting("mine", called, from_a_smooth_path), *RUNGS))
+    plan = plan_motion(load_problem("knee-reach"), rungs=(noting("mine", called, from_first_starts), *RUNGS))
     assert called == ["mine"]
     assert plan.status == "optimal"
     assert [step.what for step in plan.history] == ["first solve"]  # no other rung was climbed after it
@@ -48,7 +48,7 @@ def test_a_rung_is_one_function_and_one_row():
 
 def test_progress_after_a_plan_that_passes_ends_in_its_objective():
     told = []
-    again = Rung(name="again", climb=from_a_smooth_path, budget=Budget())
+    again = Rung(name="again", climb=from_first_starts, budget=Budget())
     plan = plan_motion(load_problem("knee-reach"), told.append, rungs=(again, again))
     assert "best certified" not in told[0]
     assert float(told[1].rpartition("; best certified ")[2]) == pytest.approx(plan.objective, rel=1e-5)
