@@ -31,8 +31,8 @@ ROOMS = {
         "ode", "phase_plane", "search", "diagnosis", "planning", "robustness", "files", "motion_step", "replan", "batch",
     ),
     "controllers": (
-        "reference", "trackers", "divergence", "integrator", "sampling", "rollout", "imperfections", "rigid_loop",
-        "ensemble", "batch", "controls", "playback",
+        "reference", "trackers", "divergence", "integrator", "sampling", "rollout", "imperfections",
+        "feedback_loop", "rigid_plant", "mujoco_plant", "simulate", "controls", "playback",
     ),
     "studies": (
         "output", "check", "tasks", "compare", "batch", "sensitivity", "experiment", "decompose", "frequency", "bode",

@@ -25,7 +25,7 @@ from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label, 
 FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
 NO_BIAS, AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
 # A fraction of its nominal gain below which a servo's gain counts as none: no ctrl then gives an effort.
-_LEAST_GAIN = 1e-9
+LEAST_GAIN = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -81,7 +81,7 @@ class Actuator:
         """
         state = np.array([1.0, length, velocity])
         gain = float(state @ self.gains)
-        if abs(gain) <= _LEAST_GAIN * abs(self.gain):
+        if abs(gain) <= LEAST_GAIN * abs(self.gain):
             return 0.0
         return min(max((effort - float(state @ self.biases)) / gain, self.control_lower), self.control_upper)
 

@@ -1,16 +1,17 @@
-"""Many loops at once are the loop of `rollout.run`, each."""
+"""Many loops at once, moved on piece by piece, are each the run of its own loop."""
 
 import numpy as np
 import pytest
 
-from linkplan.controllers.batch import BatchControlLoop
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.rollout import ControlLoop, run
+from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.sampling import sampling
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.frequency.feedback_loops import operating_point, pd_gain
+from linkplan.studies.frequency.simulated_loops import SimulatedLoops
+from tests.support.machines import run_alone
 
 # States and commands against rollout's own, where the order of sums differs. Measured 1e-16 and 3e-15.
 SAME = 1e-12
@@ -32,13 +33,13 @@ def test_every_simulation_is_the_run_of_its_own_loop(delay):
     references = [kicked(point, speed) for point, speed in zip(points, (0.01, 0.5, -4.0), strict=True)]
     trackers = [Feedforward(reference=r, feedback=pd(mechanism, r, KP, KD)) for r in references]
     loop = ControlLoop(effort_limit=np.array([[-30.0, 30.0]]), delay_periods=delay)
-    runs = [run(mechanism, r, tracker, loop) for r, tracker in zip(references, trackers, strict=True)]
-    batch = BatchControlLoop(
+    runs = [run_alone(mechanism, r, tracker, loop) for r, tracker in zip(references, trackers, strict=True)]
+    batch = SimulatedLoops(
         mechanism,
         pose=np.array([r.pose[0] for r in references]),
         velocity=np.array([r.velocity[0] for r in references]),
         gain=np.array([pd_gain(tracker.feedback.map[0], KP, KD) for tracker in trackers]),
-        first_effort=np.array([rollout.commanded[0] for rollout in runs]),
+        under_way=np.array([rollout.commanded[0] for rollout in runs]),
         timing=sampling(mechanism, 1e-4, delay),
         effort_limit=loop.effort_limit,
     )
@@ -52,22 +53,22 @@ def test_every_simulation_is_the_run_of_its_own_loop(delay):
     assert runs[2].saturated_fraction > 0
 
 
-def test_a_simulation_left_out_stays_where_it_is():
+def test_a_simulation_left_out_runs_no_more():
     mechanism = load_mechanism("optimus-knee")
     point = operating_point(mechanism, np.radians([3.6]))
-    batch = BatchControlLoop(
+    batch = SimulatedLoops(
         mechanism,
         pose=np.tile(point.pose, (2, 1)),
         velocity=np.full((2, 1), 0.1),
         gain=np.tile(pd_gain(np.eye(1), KP, 1.0), (2, 1, 1)),
-        first_effort=np.tile(point.hold, (2, 1)),
+        under_way=np.tile(point.hold, (2, 1)),
         timing=sampling(mechanism, 1e-4),
         effort_limit=mechanism.effort_limit,
     )
-    before = batch.state(np.arange(2))
+    before = batch.state()
     batch.run(np.array([1]), np.tile(point.state, (5, 1, 1)), np.tile(point.hold, (5, 1, 1)))
-    after = batch.state(np.arange(2))
-    assert np.array_equal(after[0], before[0])
+    after = batch.state()
+    assert np.all(np.isnan(after[0]))
     assert not np.array_equal(after[1], before[1])
 
 
@@ -87,13 +88,13 @@ def test_a_servo_s_simulations_are_the_runs_of_its_loop_whatever_the_integrator(
     reference = SampledReference(period_s=period, cycle=None, **arrays)
     tracker = Feedforward(reference=reference, feedback=pd(mechanism, reference, 20.0, 0.5))
     loop = ControlLoop(effort_limit=np.array([[-9.0, 9.0]]))
-    rollout = run(mechanism, reference, tracker, loop)
-    batch = BatchControlLoop(
+    rollout = run_alone(mechanism, reference, tracker, loop)
+    batch = SimulatedLoops(
         mechanism,
         pose=reference.pose[:1],
         velocity=reference.velocity[:1],
         gain=pd_gain(tracker.feedback.map[0], 20.0, 0.5)[None],
-        first_effort=rollout.commanded[:1],
+        under_way=rollout.commanded[:1],
         timing=sampling(mechanism, period, 0),
         effort_limit=loop.effort_limit,
     )
