@@ -3,15 +3,17 @@
 Its duration, its reference, the pose in the middle of a periodic motion, and the objective's value as an integral.
 """
 
+import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.boundary import exactly, missed
-from linkplan.planner.certificate.margins import actuator_speeds
-from linkplan.planner.problem.objective import QUADRATIC
+from linkplan.planner.limits.effort_rate import effort_rates
+from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.terms import motor_losses
 from linkplan.planner.trajectory import Trajectory
 
 # Durations are numbers of a program, found to rounding and kept in full.
@@ -80,10 +82,10 @@ def _off_objective(problem: PlanningProblem, trajectory: Trajectory, said: float
     except AssemblyError:  # a motion off its loops has failed its certificate already
         return []
     objective = problem.objective
-    share = _KINKED_SHARE if objective.has("work") else _OBJECTIVE_SHARE
+    kinked = any(term.positive_power for term in objective.terms.values())
+    share = _KINKED_SHARE if kinked else _OBJECTIVE_SHARE
     nothing = negligible_objective(problem, trajectory)
-    smoothed = objective.has("tracking", "work") and not objective.has(*QUADRATIC)
-    low = (_SMOOTHED_SHARE if smoothed else 1.0 - share) * said - nothing
+    low = (_SMOOTHED_SHARE if objective.is_smoothed else 1.0 - share) * said - nothing
     if low <= value <= (1.0 + share) * said + nothing:
         return []
     return [f"its objective is said to be {said:.6g}, and that of the motion is {value:.6g}"]
@@ -122,39 +124,19 @@ def objective_value(problem: PlanningProblem, trajectory: Trajectory) -> float:
     """Return the objective of a motion [SI], integrated by Gauss-Legendre quadrature on every interval.
 
     Raises:
-        AssemblyError: when the motion leaves what the loops allow, and a term needs its poses.
+        AssemblyError: when the motion leaves what the loops allow.
     """
     nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
     time = trajectory.times_at(0.5 + 0.5 * nodes)
     width = (np.diff(trajectory.breaks_s)[:, None] * 0.5 * weights).ravel()
-    u, objective = trajectory.effort_at(time), problem.objective
-    integrands: dict[str, np.ndarray] = {"time": np.ones_like(time)}
-    if objective.has("effort"):
-        integrands["effort"] = np.sum(u**2, axis=1)
-    if objective.has("copper_loss"):
-        integrands["copper_loss"] = u**2 @ np.array([0.0 if motor is None else motor.loss for motor in problem.motors])
-    if objective.has("effort_rate"):
-        effort = trajectory.effort
-        degree = len(effort) - 1
-        rate = degree * np.diff(effort, axis=0) / np.diff(trajectory.breaks_s)[:, None] if degree else 0 * effort
-        slope = Trajectory(
-            breaks_s=trajectory.breaks_s,
-            position=trajectory.position,
-            velocity=trajectory.velocity,
-            effort=rate,
-            start_pose=trajectory.start_pose,
-            periodic=trajectory.periodic,
-        )
-        integrands["effort_rate"] = np.sum(slope.effort_at(time) ** 2, axis=1)
-    if objective.has("tracking"):
-        off = trajectory.position_at(time) - problem.reference.derivative(time)
-        integrands["tracking"] = np.sum(off**2, axis=1)
-    if objective.has("work", "closure_force"):
-        s, v, a = (f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
-        q = follow(problem.mechanism, s, trajectory.start_pose)
-        if objective.has("work"):
-            integrands["work"] = np.maximum(u * actuator_speeds(problem, q, v), 0.0).sum(axis=1)
-        if objective.has("closure_force"):
-            force = sampled(problem.mechanism.dynamics.closure_force, q, v, a, u)[:, :, 0]
-            integrands["closure_force"] = np.sum(force**2, axis=1)
-    return float(sum(weight * (width @ integrands[term]) for term, weight in objective.weights.items()))
+    objective, reference = problem.objective, problem.reference
+    at, symbols = free_instant(problem.mechanism, motor_losses(problem.motors))
+    integrand = sum(objective.weight(name) * term.integrand(at) for name, term in objective.terms.items())
+    s, v, a, u = (
+        f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at, trajectory.effort_at)
+    )
+    q = follow(problem.mechanism, s, trajectory.start_pose)
+    rate, _ = effort_rates(trajectory, time)
+    wanted = s if reference is None else reference.derivative(time)
+    values = sampled(ca.Function("objective", symbols, [ca.densify(integrand)]), q, v, a, u, rate, wanted)
+    return float(width @ values.reshape(-1))

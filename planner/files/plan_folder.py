@@ -15,7 +15,6 @@ from linkplan.models.poses.contacts import Meeting
 from linkplan.models.reading import shown
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.collisions import with_contacts
-from linkplan.planner.certificate.margins import Margin
 from linkplan.planner.certificate.saved import disagreements
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.files.folders import complete, plain_record, write_json
@@ -24,6 +23,7 @@ from linkplan.planner.files.plan_record import FORMAT, PlanRecord, history_of, r
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
+from linkplan.planner.limits.path_limit import Margin
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory

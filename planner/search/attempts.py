@@ -183,7 +183,7 @@ def may_be_enclosed(search: Search, problem: PlanningProblem, plan: Plan) -> boo
     """Return whether limits on power or pin force, overrun between the nodes, may be kept there by rows on coefficients."""
     del search
     margins = () if plan.certificate is None else plan.certificate.margins
-    overrun = any(margin.what in ("power", "closure_force") and not margin.kept for margin in margins)
+    overrun = any(margin.of.enclosable and not margin.kept for margin in margins)
     return problem.mesh.effort == "polynomial" and overrun and not case_of(problem).enclosed
 
 

@@ -11,8 +11,9 @@ from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, is_open, reach
 from linkplan.models.poses.singular_poses import all_regular
-from linkplan.planner.certificate.margins import singularity_ratios
-from linkplan.planner.certificate.site_margins import SITE_SLACK, title
+from linkplan.planner.certificate.site_ends import SITE_SLACK
+from linkplan.planner.limits.samples import singularity_ratios
+from linkplan.planner.limits.site import site_title
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.sites import SiteLimit, SitePoint
 from linkplan.planner.search.turning import check_turns
@@ -258,7 +259,7 @@ def _beyond(problem: PlanningProblem, limit: SiteLimit, poses: np.ndarray, when:
     if off <= SITE_SLACK * problem.mechanism.extent_m:
         return None
     value = f"{float(values[k]):.6g} m {when}"
-    return f"infeasible: {title(limit)} is {value}, {off:.4g} m beyond its limit of {float(nearest[k]):.6g}"
+    return f"infeasible: {site_title(limit)} is {value}, {off:.4g} m beyond its limit of {float(nearest[k]):.6g}"
 
 
 def _beyond_ctrl(problem: PlanningProblem) -> str | None:

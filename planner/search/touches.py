@@ -11,7 +11,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.margins import block_ratios
+from linkplan.planner.limits.samples import block_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.attempts import plan_from
