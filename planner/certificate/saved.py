@@ -13,6 +13,7 @@ from linkplan.planner.certificate.boundary import exactly, missed
 from linkplan.planner.limits.effort_rate import effort_rates
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.scales import Scales
 from linkplan.planner.problem.terms import motor_losses
 from linkplan.planner.trajectory import Trajectory
 
@@ -78,15 +79,14 @@ def _off_states(problem: PlanningProblem, trajectory: Trajectory) -> list[str]:
 
 def _off_objective(problem: PlanningProblem, trajectory: Trajectory, said: float) -> list[str]:
     try:
-        value = objective_value(problem, trajectory)
+        value, size = objective_value(problem, trajectory)
     except AssemblyError:  # a motion off its loops has failed its certificate already
         return []
-    objective = problem.objective
-    kinked = any(term.positive_power for term in objective.terms.values())
-    share = _KINKED_SHARE if kinked else _OBJECTIVE_SHARE
+    objective, size = problem.objective, max(abs(said), size)
+    share = _KINKED_SHARE if any(term.positive_power for term in objective.terms.values()) else _OBJECTIVE_SHARE
     nothing = negligible_objective(problem, trajectory)
-    low = (_SMOOTHED_SHARE if objective.is_smoothed else 1.0 - share) * said - nothing
-    if low <= value <= (1.0 + share) * said + nothing:
+    below = (_SMOOTHED_SHARE if objective.is_smoothed else share) * size + nothing
+    if said - below <= value <= said + share * size + nothing:
         return []
     return [f"its objective is said to be {said:.6g}, and that of the motion is {value:.6g}"]
 
@@ -106,22 +106,17 @@ def negligible_objective(problem: PlanningProblem, trajectory: Trajectory) -> fl
     largest = np.abs(problem.limits.effort).max(axis=1)
     asked = np.maximum(np.abs(trajectory.effort).max(axis=(0, 1)), inertial / max(maps.max(initial=0.0), 1e-300))
     effort = np.where(np.isfinite(largest), largest, asked)
-    loads = maps @ effort
-    losses = np.array([0.0 if motor is None else motor.loss for motor in problem.motors])
-    small = _NEGLIGIBLE_SHARE
-    floors = {
-        "effort": T * np.sum((small * effort) ** 2),
-        "copper_loss": T * losses @ (small * effort) ** 2,
-        "effort_rate": np.sum((small * effort) ** 2) / T,
-        "tracking": T * np.sum((small * unit) ** 2),
-        "work": small * float(loads @ unit),
-        "closure_force": T * (small * loads.max(initial=0.0) / mechanism.extent_m) ** 2,
-    }
-    return float(sum(weight * floors.get(term, 0.0) for term, weight in problem.objective.weights.items()))
+    natural = Scales(time_s=T, position=unit, effort=effort, residual=maps @ effort, length_m=mechanism.extent_m)
+    floors = [
+        problem.objective.weight(name) * _NEGLIGIBLE_SHARE**term.order * np.sum(term.size(natural, problem.motors))
+        for name, term in problem.objective.terms.items()
+        if term.order
+    ]
+    return float(sum(floors))
 
 
-def objective_value(problem: PlanningProblem, trajectory: Trajectory) -> float:
-    """Return the objective of a motion [SI], integrated by Gauss-Legendre quadrature on every interval.
+def objective_value(problem: PlanningProblem, trajectory: Trajectory) -> tuple[float, float]:
+    """Return the integrals of a motion's objective and of its terms' absolute values [SI], by Gauss-Legendre quadrature.
 
     Raises:
         AssemblyError: when the motion leaves what the loops allow.
@@ -131,12 +126,12 @@ def objective_value(problem: PlanningProblem, trajectory: Trajectory) -> float:
     width = (np.diff(trajectory.breaks_s)[:, None] * 0.5 * weights).ravel()
     objective, reference = problem.objective, problem.reference
     at, symbols = free_instant(problem.mechanism, motor_losses(problem.motors))
-    integrand = sum(objective.weight(name) * term.integrand(at) for name, term in objective.terms.items())
+    integrands = ca.vertcat(*(objective.weight(name) * term.integrand(at) for name, term in objective.terms.items()))
     s, v, a, u = (
         f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at, trajectory.effort_at)
     )
     q = follow(problem.mechanism, s, trajectory.start_pose)
     rate, _ = effort_rates(trajectory, time)
     wanted = s if reference is None else reference.derivative(time)
-    values = sampled(ca.Function("objective", symbols, [ca.densify(integrand)]), q, v, a, u, rate, wanted)
-    return float(width @ values.reshape(-1))
+    values = sampled(ca.Function("objective", symbols, [ca.densify(integrands)]), q, v, a, u, rate, wanted)[:, :, 0]
+    return float(width @ values.sum(axis=1)), float(width @ np.abs(values).sum(axis=1))

@@ -24,8 +24,6 @@ from linkplan.planner.problem.scales import Scales
 from linkplan.planner.problem.terms import Term
 from linkplan.planner.transcription.system import System, node_symbols
 
-__all__ = ["NodeTerms", "Scales", "mechanism_system", "node_numbers"]
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NodeTerms:

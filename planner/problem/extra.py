@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import casadi as ca
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import choose
+from linkplan.models.reading import shown
 from linkplan.planner.problem.instant import Instant, free_instant
 
 # Names stand in sentences.
@@ -75,6 +77,7 @@ class ExtraLimit:
         unit: of the expression, for messages.
     """
 
+    kind: ClassVar[str] = "limit"
     name: str
     expression: Expression
     lower: float = -np.inf
@@ -82,7 +85,7 @@ class ExtraLimit:
     unit: str = ""
 
     def __post_init__(self) -> None:
-        _check_words(self, "limit")
+        _check_words(self)
         for field in ("lower", "upper"):
             object.__setattr__(self, field, _number(getattr(self, field), f"extra limit '{self.name}': {field}"))
         if not (self.lower < self.upper and np.isfinite([self.lower, self.upper]).any()):
@@ -107,13 +110,14 @@ class ExtraCost:
         unit: of the integral, for messages.
     """
 
+    kind: ClassVar[str] = "cost"
     name: str
     expression: Expression
     weight: float = 1.0
     unit: str = ""
 
     def __post_init__(self) -> None:
-        _check_words(self, "cost")
+        _check_words(self)
         object.__setattr__(self, "weight", _number(self.weight, f"extra cost '{self.name}': weight"))
         if not (np.isfinite(self.weight) and self.weight > 0):
             raise ProblemError(f"extra cost '{self.name}': weight is a positive number, got {self.weight:g}")
@@ -128,7 +132,7 @@ def expressed(extra: Extra, at: Instant) -> ca.SX:
     Raises:
         ProblemError: for a name that the mechanism has not, or an expression that is no scalar of the motion.
     """
-    what = f"extra {'limit' if isinstance(extra, ExtraLimit) else 'cost'} '{extra.name}'"
+    what = f"extra {extra.kind} '{extra.name}'"
     try:
         found = extra.expression(NamedInstant(at))
     except ProblemError as error:
@@ -152,8 +156,7 @@ def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
     depends = {name: ca.depends_on(found, one) for name, one in zip("qvau", symbols, strict=False)}
     if not any(depends.values()):
         raise ProblemError(
-            f"extra {'limit' if isinstance(extra, ExtraLimit) else 'cost'} '{extra.name}': its expression depends on"
-            " position, velocity or effort, got a constant"
+            f"extra {extra.kind} '{extra.name}': its expression depends on position, velocity or effort, got a constant"
         )
     return depends
 
@@ -165,7 +168,7 @@ def checked_extras(extras: Sequence[Extra], kind: type, where: str) -> tuple:
         ProblemError: for anything that is none, or two of one name.
     """
     if isinstance(extras, str) or not isinstance(extras, Sequence) or not all(isinstance(one, kind) for one in extras):
-        raise ProblemError(f"{where} is a list of linkplan.{kind.__name__}, got {extras!r}")
+        raise ProblemError(f"{where} is a list of linkplan.{kind.__name__}, got {shown(repr(extras))}")
     names = [one.name for one in extras]
     for name in names:
         if names.count(name) > 1:
@@ -173,22 +176,31 @@ def checked_extras(extras: Sequence[Extra], kind: type, where: str) -> tuple:
     return tuple(extras)
 
 
+def extras_said(extras: Sequence) -> str:
+    """Return extra limits and costs, or their records, in words: "the extra limit 'a' and the extra cost 'b'"."""
+    *words, last = [f"the extra {one.kind} '{shown(one.name)}'" for one in extras]
+    return f"{', '.join(words)} and {last}" if words else last
+
+
 def _joints(mechanism: Mechanism) -> tuple[str, ...]:
     return tuple(joint.name for joint in mechanism.joints)
 
 
-def _check_words(extra: Extra, what: str) -> None:
-    if not isinstance(extra.name, str) or not extra.name.strip() or not extra.name.isprintable():
-        raise ProblemError(f"an extra {what}'s name is a word that can be shown, got {extra.name!r}")
-    if len(extra.name) > MAX_NAME_CHARACTERS:
-        raise ProblemError(f"an extra {what}'s name has at most {MAX_NAME_CHARACTERS} characters, got {len(extra.name)}")
+def _check_words(extra: Extra) -> None:
+    kind, name = extra.kind, extra.name
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
+        raise ProblemError(f"an extra {kind}'s name is a word that can be shown, got {shown(repr(name))}")
+    if len(name) > MAX_NAME_CHARACTERS:
+        raise ProblemError(f"an extra {kind}'s name has at most {MAX_NAME_CHARACTERS} characters, got {len(name)}")
     if not callable(extra.expression):
-        raise ProblemError(f"extra {what} '{extra.name}': expression is a function of an instant, got {extra.expression!r}")
+        raise ProblemError(
+            f"extra {kind} '{name}': expression is a function of an instant, got {shown(repr(extra.expression))}"
+        )
     if not isinstance(extra.unit, str) or not extra.unit.isprintable():
-        raise ProblemError(f"extra {what} '{extra.name}': unit is a word, got {extra.unit!r}")
+        raise ProblemError(f"extra {kind} '{name}': unit is a word, got {shown(repr(extra.unit))}")
 
 
 def _number(value: object, what: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer) or np.isnan(value):
-        raise ProblemError(f"{what} is a number, got {value!r}")
+        raise ProblemError(f"{what} is a number, got {shown(repr(value))}")
     return float(value)

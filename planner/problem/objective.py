@@ -1,13 +1,13 @@
 """What a motion is best in: a weighted sum of terms, each an integral over the motion in SI units."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
-from linkplan.planner.problem.extra import ExtraCost
+from linkplan.planner.problem.extra import ExtraCost, checked_extras
 from linkplan.planner.problem.terms import TERMS, Term, term_of_cost
 
 
@@ -16,14 +16,14 @@ class Objective:
     """The sum of terms out of `TERMS` and of `extra` costs, each with its positive weight, per SI unit of the term."""
 
     weights: Mapping[str, float]
-    extra: tuple[ExtraCost, ...] = ()
+    extra: Sequence[ExtraCost] = ()
     terms: Mapping[str, Term] = field(init=False)
 
     def __post_init__(self) -> None:
-        weights = dict(self.weights)
-        if not weights:
+        weights, extra = dict(self.weights), checked_extras(self.extra, ExtraCost, "extra_costs")
+        if not weights and not extra:
             raise ProblemError(f"objective.minimize names at least one of {', '.join(TERMS)}")
-        own = {cost.name: cost for cost in self.extra}
+        own = {cost.name: cost for cost in extra}
         for term, weight in weights.items():
             if term not in TERMS and term not in own:
                 raise ProblemError(f"objective.minimize is one of {', '.join(TERMS)}, got '{term}'{nearest(term, TERMS)}")
@@ -34,6 +34,7 @@ class Objective:
                 raise ProblemError(f"extra cost '{name}' has the name of a term of objective.minimize")
         weights |= {name: cost.weight for name, cost in own.items()}
         object.__setattr__(self, "weights", weights)
+        object.__setattr__(self, "extra", extra)
         terms = {name: term_of_cost(own[name]) if name in own else TERMS[name] for name in weights}
         object.__setattr__(self, "terms", terms)
 
@@ -67,12 +68,12 @@ class Objective:
         return " + ".join(term if weight == 1 else f"{weight:g} {term}" for term, weight in self.weights.items())
 
 
-def objective_from(value: object) -> Objective:
-    """Return the objective that a term's name or a table of weights means."""
+def objective_from(value: object, extra: Sequence[ExtraCost] = ()) -> Objective:
+    """Return the objective that a term's name or a table of weights means, with extra costs beside it."""
     if isinstance(value, Objective):
         return value
     if isinstance(value, str):
-        return Objective(weights={value: 1.0})
+        return Objective(weights={value: 1.0}, extra=extra)
     if not isinstance(value, Mapping):
         raise ProblemError(f"objective.minimize is a term ({', '.join(TERMS)}) or a table of term = weight, got {value!r}")
-    return Objective(weights=value)
+    return Objective(weights=value, extra=extra)

@@ -1,7 +1,7 @@
 """The continuous problem: which motion of which mechanism, best in which sense, within which limits."""
 
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.keys.reading import checked
 from linkplan.planner.problem.corner_efforts import corner_out_of_reach
-from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, checked_extras, uses
+from linkplan.planner.problem.extra import Extra, ExtraLimit, checked_extras, uses
 from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.objective import Objective, objective_from
@@ -51,7 +51,7 @@ class PlanningProblem:
     motion: Motion
     objective: Objective  # a term's name or a mapping of weights will do
     limits: Limits
-    extra_limits: tuple[ExtraLimit, ...] = ()
+    extra_limits: Sequence[ExtraLimit] = ()
     robust: Robust = field(default_factory=Robust)
     motors: tuple[Motor | None, ...] = ()
     reference: Sine | None = None
@@ -196,8 +196,13 @@ class PlanningProblem:
     def _check_extras(self) -> None:
         """Refuse extra limits and costs that this mechanism cannot have."""
         object.__setattr__(self, "extra_limits", checked_extras(self.extra_limits, ExtraLimit, "extra_limits"))
-        for extra in (*self.extra_limits, *checked_extras(self.objective.extra, ExtraCost, "extra_costs")):
+        for extra in self.extras:
             uses(extra, self.mechanism)
+
+    @property
+    def extras(self) -> tuple[Extra, ...]:
+        """The users' own limits and costs."""
+        return (*self.extra_limits, *self.objective.extra)
 
     def _check_shapes(self) -> None:
         motion, mechanism = self.motion, self.mechanism

@@ -26,6 +26,8 @@ class Term:
         integrand: at an instant, in SI.
         size: from a program's units and the motors: what the integral is, in SI, where the scaled integrand is one; of an
             `exact` term one figure for each actuator.
+        order: 2 of squares, 1 of what is linear in the motion's quantities; 0 where it has no size below which it counts as
+            none.
         exact: the cost of an interval (`COSTS`) that integrates it exactly; None of an integral by quadrature at nodes.
         needs: out of `NEEDS` of a planning problem.
         efforts: whether efforts "jump" between limits where it counts, "bend" where they reach one, or are "smooth".
@@ -37,6 +39,7 @@ class Term:
     unit: str
     integrand: Callable[[Instant], ca.SX]
     size: Callable[[Scales, Motors], np.ndarray | float]
+    order: int = 0
     exact: str | None = None
     needs: tuple[str, ...] = ()
     efforts: str = ""
@@ -59,6 +62,7 @@ TERMS: Mapping[str, Term] = {
         unit="N2 m2 s",
         integrand=lambda at: ca.sumsqr(at.u),
         size=lambda scales, _: scales.time_s * scales.effort**2,
+        order=2,
         exact="effort",
         efforts="bend",
     ),
@@ -76,6 +80,7 @@ TERMS: Mapping[str, Term] = {
         unit="rad2 s",
         integrand=lambda at: ca.sumsqr(at.q[at.mechanism.independent.tolist()] - at.reference),
         size=lambda scales, _: scales.time_s * float(scales.position.max()) ** 2,
+        order=2,
         needs=("reference", "fixed duration"),
         chatters=True,
     ),
@@ -84,6 +89,7 @@ TERMS: Mapping[str, Term] = {
         unit="J",
         integrand=lambda at: ca.sum1(at.positive_powers),
         size=lambda scales, _: scales.time_s * scales.power,
+        order=1,
         efforts="jump",
         chatters=True,
         positive_power=True,
@@ -93,6 +99,7 @@ TERMS: Mapping[str, Term] = {
         unit="J",
         integrand=lambda at: ca.dot(ca.DM(at.losses), at.u**2),
         size=lambda scales, motors: scales.time_s * scales.effort**2 * motor_losses(motors),
+        order=2,
         exact="effort",
         needs=("motors",),
         efforts="bend",
@@ -102,6 +109,7 @@ TERMS: Mapping[str, Term] = {
         unit="N2 m2 / s",
         integrand=lambda at: ca.sumsqr(at.effort_rate),
         size=lambda scales, _: scales.effort**2 / scales.time_s,
+        order=2,
         exact="effort_rate",
         needs=("changing efforts",),
         efforts="smooth",
@@ -111,6 +119,7 @@ TERMS: Mapping[str, Term] = {
         unit="N2 s",
         integrand=lambda at: ca.sumsqr(at.closure_force),
         size=lambda scales, _: scales.time_s * scales.force**2,
+        order=2,
         needs=("closures",),
     ),
 }
@@ -124,4 +133,5 @@ def term_of_cost(cost: ExtraCost) -> Term:
         unit=cost.unit,
         integrand=lambda at: expressed(cost, at),
         size=lambda scales, _: scales.time_s,
+        chatters=True,
     )

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.files.toml_text import toml_text
+from linkplan.planner.files.problem_file import file_text
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.studies.report.animation import animation, frames_of
 from linkplan.studies.report.certificate_list import certificate_list
@@ -235,7 +235,7 @@ def _mesh(plan: Plan, group: str, period: float | None) -> Plot:
 
 def _problem(plan: Plan) -> list[Block]:
     try:
-        text = toml_text(_without_none(plain_record(plan.problem.source)))
+        text = file_text(plan.problem, _without_none(plain_record(plan.problem.source)))
     except ProblemError as error:
         return [Text(text=f"The problem has no form as a file: {error}", tone="note")]
     return [Code(title="The problem as a file", text=text)]

@@ -5,10 +5,11 @@ import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.closed_chain import lifted
-from linkplan.planner.closed_chain.mechanics import NodeTerms, Scales, mechanism_system
+from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.scales import Scales
 from tests.support.hexapod import hexapod
 from tests.support.tolerances_planner import ROWS, SAME_FIGURE
 
