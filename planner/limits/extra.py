@@ -5,7 +5,9 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar, Self
 
 import casadi as ca
+import numpy as np
 
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.path_limit import (
     BETWEEN_NODES,
@@ -58,11 +60,14 @@ class ExtraPathLimit(PathLimit):
 
     def margin(self, samples: Samples) -> Margin:
         limit = samples.problem.extra_limits[self.item]
-        at, symbols = free_instant(samples.problem.mechanism)
-        motion = symbols[:4]
-        function = ca.Function("extra", motion, [ca.densify(expressed(limit, at))])
-        values = sampled(function, samples.q, samples.v, samples.a, samples.u).reshape(-1)
+        values = self.values(samples.problem.mechanism, samples.q, samples.v, samples.a, samples.u)
         return margin_of(self, limit.name, values, (limit.lower, limit.upper), limit.unit, samples, limit.size)
+
+    def values(self, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
+        """Return its expression (n,) along q (n, n_q), v and a (n, n_s), u (n, n_u); q is enough where it is of the pose."""
+        at, symbols = free_instant(mechanism)
+        function = ca.Function("extra", symbols[: len(motion)], [ca.densify(expressed(self.extra, at))])
+        return sampled(function, *motion).reshape(-1)
 
     @classmethod
     def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:

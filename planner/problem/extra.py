@@ -153,6 +153,8 @@ def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
     """
     instant, symbols = free_instant(mechanism)
     found = expressed(extra, instant)
+    if ca.Function("extra", symbols, [found], {"allow_free": True}).has_free():
+        raise ProblemError(f"extra {extra.kind} '{extra.name}': its expression has no symbols but the instant's, got others")
     depends = {name: ca.depends_on(found, one) for name, one in zip("qvau", symbols, strict=False)}
     if not any(depends.values()):
         raise ProblemError(

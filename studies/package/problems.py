@@ -159,7 +159,6 @@ class Problem:
         mesh: Mapping | None = None,
         solver: Mapping | None = None,
         tracking: Mapping | None = None,
-        extra_costs: Sequence[ExtraCost] | None = None,
         extra_limits: Sequence[ExtraLimit] | None = None,
         name: str | None = None,
     ) -> Problem:
