@@ -8,7 +8,7 @@ from linkplan.planner.closed_chain.lifted import n_lifted
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system, n_algebraic, node_numbers
 from linkplan.planner.closed_chain.site_end import coordinate_row, site_endpoint
 from linkplan.planner.limits.kinds import limits_of
-from linkplan.planner.limits.path_limit import PathLimit, Tightened
+from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.problem.limits import free
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.scales import Scales
@@ -46,24 +46,16 @@ def formulate(
     mechanism, objective, motion = problem.mechanism, problem.objective, problem.motion
     n_s, n_u = mechanism.dof, mechanism.n_u
     limits = limits_of(problem, enclosed=enclosed, position_rows=position_rows)
-    passed = sorted({(site, axis) for w in motion.waypoints for site, axis, _ in w.open_coordinates})
-    asked = NodeTerms(
-        running=() if least_limit else tuple(term for term in objective.terms.values() if term.exact is None),
-        limits=tuple(limit for limit in limits if limit.at_nodes or limit.n_unknowns),
-        passed=tuple(passed),
-    )
+    asked = _node_terms(problem, limits, least_limit=least_limit)
     n_z = n_algebraic(mechanism, asked)
     value = sum(objective.weight(name) * term.scale(scales, problem.motors) for name, term in objective.terms.items())
     costs = {} if least_limit else _exact_costs(problem, scales, smoothing if objective.is_smoothed else None, value)
     rows, own, own_tightening = _interval_rows(problem, scales, limits, n_z - asked.n_unknowns, tuple(costs), tightenings)
-    of_nodes = [TightenedRow(limit.kind, limit.item, limit.tightened) for limit in asked.rows]
     n_works = n_u if asked.works else 0
-    others = [TightenedRow("passed", k, Tightened.BY_SHARE) for k in range(len(passed))]
-    others += [TightenedRow("work", j, Tightened.BY_SHARE) for j in range(n_works)]
-    bounds = np.array([limit.bounds(problem, scales) for limit in asked.rows]).reshape(-1, 2)
     position, speed, rate = problem.limits.position, problem.limits.speed, scales.position / scales.time_s
     independent, dependent, positive = mechanism.independent, mechanism.dependent, np.tile([0.0, np.inf], (n_works, 1))
-    path = np.vstack([bounds, free(len(passed)), positive])
+    bounds = np.array([limit.bounds(problem, scales) for limit in asked.rows]).reshape(-1, 2)
+    path = np.vstack([bounds, free(len(asked.passed)), positive])
     endpoint, places = site_endpoint(problem, scales.position, n_z)
     adrift = tuple(np.flatnonzero(problem.goes_on).tolist())
     returns = tuple(i for i in range(2 * n_s) if i not in adrift)
@@ -92,18 +84,37 @@ def formulate(
         smooth=objective.is_smoothed or objective.efforts("smooth") or bool(rows.rate_columns),
         eta=np.concatenate([np.zeros(0), *costs.values(), *(limit.interval_numbers(problem, scales) for limit in limits)]),
         theta=_theta(problem, asked, scales, value),
-        tightening=tightening_over(tightenings, of_nodes + others, path),
+        tightening=tightening_over(tightenings, [_tightened_row(limit) for limit in asked.rows], path),
         own_tightening=own_tightening,
         position_path=tuple(k for k, limit in enumerate(asked.rows) if limit.of_position),
-        passed=tuple(
-            (k + 1, len(of_nodes) + passed.index((site, axis)), coordinate_row(mechanism, site, axis, at))
-            for k, waypoint in enumerate(motion.waypoints)
-            for site, axis, at in waypoint.open_coordinates
-        ),
+        passed=_passed_rows(problem, asked),
         endpoint=endpoint,
         endpoint_bounds=np.zeros((len(places), 2)),
         endpoint_parameters=places,
     )
+
+
+def _node_terms(problem: PlanningProblem, limits: tuple[PathLimit, ...], *, least_limit: bool) -> NodeTerms:
+    """Return what is looked at in a node."""
+    passed = {(site, axis) for waypoint in problem.motion.waypoints for site, axis, _ in waypoint.open_coordinates}
+    return NodeTerms(
+        running=() if least_limit else tuple(term for term in problem.objective.terms.values() if term.exact is None),
+        limits=tuple(limit for limit in limits if limit.at_nodes or limit.n_unknowns),
+        passed=tuple(sorted(passed)),
+    )
+
+
+def _passed_rows(problem: PlanningProblem, asked: NodeTerms) -> tuple[tuple[int, int, float], ...]:
+    """Return for each coordinate of a site that a waypoint asks for: its phase boundary, its path quantity, its value."""
+    return tuple(
+        (k + 1, len(asked.rows) + asked.passed.index((site, axis)), coordinate_row(problem.mechanism, site, axis, at))
+        for k, waypoint in enumerate(problem.motion.waypoints)
+        for site, axis, at in waypoint.open_coordinates
+    )
+
+
+def _tightened_row(limit: PathLimit) -> TightenedRow:
+    return TightenedRow(limit.kind, limit.item, limit.tightened)
 
 
 def _interval_rows(
@@ -126,7 +137,7 @@ def _interval_rows(
             fields.setdefault(row[0], []).append(row[1])
             bounds.setdefault(limit.key, []).append(limit.bounds(problem, scales))
             if limit.enclosable:
-                enclosed.setdefault(limit.key, []).append(TightenedRow(limit.kind, limit.item, limit.tightened))
+                enclosed.setdefault(limit.key, []).append(_tightened_row(limit))
     at_nodes = [limit for limit in limits if limit.at_nodes]
     rows = IntervalRows(
         costs=costs,

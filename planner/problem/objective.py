@@ -38,6 +38,9 @@ class Objective:
         terms = {name: term_of_cost(own[name]) if name in own else TERMS[name] for name in weights}
         object.__setattr__(self, "terms", terms)
 
+    def __reduce__(self) -> tuple:
+        return objective_from, (self.weights, self.extra)  # terms are functions, which are not pickled
+
     def has(self, *terms: str) -> bool:
         """Return whether any of the terms is in the sum."""
         return any(term in self.weights for term in terms)

@@ -84,12 +84,12 @@ def tightening_over(
 ) -> Callable[[np.ndarray], np.ndarray] | None:
     """Return a function from breaks (n + 1,) [s] to how much (n, n_path) the bounds `path` (n_path, 2) are tightened.
 
-    `rows` say for each path quantity which limit it is.
+    `rows` say of which limits the first of these quantities are; the others are never tightened.
     """
     if not tightenings:
         return None
     size = np.where(np.isfinite(path), np.where(path == 0, 1.0, np.abs(path)), 0.0)
-    size[[row.tightened is Tightened.IN_UNITS for row in rows]] = 1.0
+    size[[column for column, row in enumerate(rows) if row.tightened is Tightened.IN_UNITS]] = 1.0
     factor = [2.0 if row.tightened is Tightened.SQUARED else 1.0 for row in rows]
     columns = {(row.what, row.item): column for column, row in enumerate(rows)}
     most = np.where(np.all(np.isfinite(path), axis=1), _MOST * (path[:, 1] - path[:, 0]), np.inf)

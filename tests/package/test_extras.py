@@ -1,5 +1,7 @@
 """`extra_limits` and `extra_costs`: refused in one line, carried by variants, said in files, given again to a saved plan."""
 
+import pickle
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -114,6 +116,15 @@ def test_variants_of_a_problem_keep_its_extras_until_they_are_taken_back(knee):
         assert variant.planning.extras == (LIMIT, COST)
     assert problem.replace(extra_limits=None).planning.extras == (COST,)
     assert problem.replace(extra_costs=[]).planning.extras == (LIMIT,)
+
+
+def test_a_problem_whose_expressions_are_functions_of_a_module_goes_to_another_process(knee):
+    cost = ExtraCost(name="lean", expression=angle, weight=1e-6)
+    problem = Problem.reach(knee, **REACH, extra_limits=[LIMIT], extra_costs=[cost])
+    again = pickle.loads(pickle.dumps(problem))
+    assert [one.name for one in again.planning.extras] == ["wide", "lean"]
+    assert again.planning.objective.weights == problem.planning.objective.weights
+    assert linkplan.plan(again).objective == linkplan.plan(problem).objective
 
 
 def test_a_problem_as_a_file_says_what_it_is_without(knee):
