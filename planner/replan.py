@@ -226,6 +226,8 @@ def structure(problem: PlanningProblem) -> tuple:
     ends = (tuple(point.index for point in motion.goal_at), motion.goal_rows)
     lines = tuple(motor is not None and motor.has_line for motor in problem.motors)
     corners = problem.robust.corners
+    extra_limits = tuple((one.expression, *np.isfinite([one.lower, one.upper])) for one in problem.extra_limits)
+    extra = extra_limits + tuple(one.expression for one in problem.objective.extra)
     mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
     terms = tuple(problem.objective.weights)
     payload = problem.mechanism.payload
@@ -237,4 +239,4 @@ def structure(problem: PlanningProblem) -> tuple:
         terms,
         problem.reference is None,
     )
-    return (*of, finite, corners, sites, ends, given, motion.min_duration_s is None, via, lines, mesh)
+    return (*of, finite, corners, extra, sites, ends, given, motion.min_duration_s is None, via, lines, mesh)

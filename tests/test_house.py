@@ -27,8 +27,9 @@ ROOMS = {
         "source_table", "mechanism", "poses",
     ),
     "planner": (
-        "transcription", "trajectory", "keys", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain",
-        "ode", "phase_plane", "search", "diagnosis", "planning", "robustness", "files", "motion_step", "replan", "batch",
+        "transcription", "trajectory", "keys", "problem", "limits", "certificate", "solvers", "refinement", "plan",
+        "closed_chain", "ode", "phase_plane", "search", "diagnosis", "planning", "robustness", "files", "motion_step",
+        "replan", "batch",
     ),
     "controllers": (
         "reference", "trackers", "divergence", "integrator", "sampling", "rollout", "imperfections",

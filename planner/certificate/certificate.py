@@ -11,23 +11,16 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, joint_rates, least_effort, sampled
-from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.certificate.boundary import exactly, missed
 from linkplan.planner.certificate.integration import integrate
-from linkplan.planner.certificate.margins import (
-    Margin,
-    actuator_speeds,
-    closure_forces,
-    least_between,
-    margins,
-    sample_points,
-    singularity_ratios,
-)
-from linkplan.planner.certificate.site_margins import ends_off_m, site_margins, waypoint_off_m, waypoint_times
+from linkplan.planner.certificate.site_ends import ends_off_m, waypoint_off_m, waypoint_times
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
+from linkplan.planner.limits.kinds import margins
+from linkplan.planner.limits.path_limit import Margin
+from linkplan.planner.limits.samples import least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
@@ -105,11 +98,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         OutOfTimeError: when the deadline of judging passes before its poses are known.
     """
     mechanism, limits, until = problem.mechanism, problem.limits, problem.solver.certificate_deadline
-    points = sample_points(trajectory.velocity.shape[0] - 1)
-    time = trajectory.times_at(points)
-    s, v, a = (f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
-    u = trajectory.effort_at(time)
-    q = follow(mechanism, s, trajectory.start_pose, problem.solver.judging_deadline)
+    samples = samples_of(problem, trajectory)
+    time, q, v, a, u = samples.time, samples.q, samples.v, samples.a, samples.u
     worst: dict[str, float] = {}
 
     def peak(name: str, values: np.ndarray) -> float:
@@ -128,11 +118,10 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
     (position_margin, position_overrun), (speed_margin, speed_overrun) = _margins(
-        mechanism, limits, trajectory, points, q, v, time, worst
+        mechanism, limits, trajectory, samples.points, q, v, time, worst
     )
     ratio = float(singularity_ratios(problem, q).min())
-    others = margins(problem, trajectory, points, time, q, v, a, u) + site_margins(problem, trajectory, points, time, q)
-    forces = closure_forces(problem, q, v, a, u)
+    others = margins(samples)
     speed = max(float(np.abs(v).max()), _STILL / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = _boundary_error(problem, trajectory, speed)
@@ -211,8 +200,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         speed_margin=speed_margin,
         singularity_ratio=ratio,
         peak_effort=np.abs(u).max(axis=0),
-        peak_power=np.abs(u * actuator_speeds(problem, q, v)).max(axis=0),
-        peak_closure_force=forces.max(axis=0, initial=0.0),
+        peak_power=np.abs(u * samples.actuator_speeds).max(axis=0),
+        peak_closure_force=samples.closure_forces.max(axis=0, initial=0.0),
         margins=others,
         speed_overrun=speed_overrun,
         position_overrun=position_overrun,

@@ -3,15 +3,18 @@
 None of them returns a motion. What they compute is how far the limits would have to give, on motions made without them.
 """
 
-import functools
 from dataclasses import replace
 
 import numpy as np
 
 from linkplan.planner.diagnosis.far_too_short import far_too_short, path_effort
 from linkplan.planner.diagnosis.infeasibility import effort_sentence, share_sentence
-from linkplan.planner.diagnosis.relaxation import RELAXABLE, least_of, violated_sentence, without
+from linkplan.planner.diagnosis.relaxation import least_of
 from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
+from linkplan.planner.limits.control import ControlLimit
+from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
+from linkplan.planner.limits.kinds import relaxed_kinds
+from linkplan.planner.limits.path_limit import PathLimit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
@@ -31,7 +34,7 @@ _SAME = 1e-9
 
 def other_limits(problem: PlanningProblem) -> bool:
     """Return whether a motion has limits that the phase plane does not know of, which may be what makes it slow."""
-    return any(without(problem, what) is not None for what in RELAXABLE if what != "speed")
+    return any(kind is not SpeedLimit for kind in relaxed_kinds(problem))
 
 
 def contradicted(search: Search) -> Plan | None:
@@ -59,16 +62,13 @@ def solver_stopped(search: Search) -> Plan | None:
 
 def one_limit(search: Search) -> Plan | None:
     """Return the plan that names the limit without which there is a motion, and the least that it would have to be."""
-    for what in RELAXABLE:
-        plan = _without(search, what)
-        if plan is not None:
-            return plan
-    return None
+    found = (_without(search, kind) for kind in relaxed_kinds(search.problem))
+    return next((plan for plan in found if plan is not None), None)
 
 
 def efforts_contradicted(search: Search) -> Plan | None:
     """Return the plan that says that the solver missed a motion which the phase plane knows."""
-    if not _over(search) or not enough_time(search) or without(search.problem, "control") is not None:
+    if not _over(search) or not enough_time(search) or ControlLimit.of(search.problem):
         return None
     known = search.quickest.duration_s
     return _failed(search, f"by the phase plane a motion of {known:.5g} s keeps the effort limits, but it was not found")
@@ -93,9 +93,11 @@ def efforts(search: Search) -> Plan | None:
 def efforts_without_other_limits(search: Search) -> Plan | None:
     """Return the plan that says what efforts are missing even without the other limits."""
     problem = search.within(HURRIED)
-    bare = functools.reduce(lambda kept, what: without(kept, what) or kept, RELAXABLE, problem)
-    if bare is problem:
+    kinds, bare = relaxed_kinds(problem), problem
+    if not kinds:
         return None
+    for kind in kinds:
+        bare = kind.without(bare)
     least = least_limit_of_starts(bare, search.smooth)
     if least is None or least.factor <= 1.0:
         return None
@@ -105,7 +107,7 @@ def efforts_without_other_limits(search: Search) -> Plan | None:
 
 def ranges(search: Search) -> Plan | None:
     """Return the plan that names the joint whose range forbids the motion."""
-    return _without(search, "position")
+    return _without(search, RangeLimit) if RangeLimit.of(search.problem) else None
 
 
 def efforts_by_the_phase_plane(search: Search) -> Plan | None:
@@ -136,23 +138,20 @@ def _over(search: Search) -> bool:
     return search.named_limit is not None and search.named_limit.factor > 1.0
 
 
-def _without(search: Search, what: str) -> Plan | None:
+def _without(search: Search, kind: type[PathLimit]) -> Plan | None:
     """Return the plan that says by how much a motion made without a limit overruns it; None where it is not to blame."""
     problem, guess = search.within(HURRIED), search.smooth
-    relaxed = without(problem, what)
-    if relaxed is None:
-        return None
     mesh, durations = first_mesh(problem, guess)
-    word = f"without limits on {what}"
-    found = solve_from(relaxed, guess, mesh, durations, word)
+    word = f"without limits on {kind.key}"
+    found = solve_from(kind.without(problem), guess, mesh, durations, word)
     if found is None:
         return None
     motion = found.motion
-    if what in RELAXABLE and violated_sentence(problem, motion, what) is not None:
-        progress(f"looking for the least limit on {what} that admits a motion")
+    if kind in relaxed_kinds(problem) and kind.violation(problem, motion) is not None:
+        progress(f"looking for the least limit on {kind.key} that admits a motion")
         durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
-        motion = least_of(problem, what, motion, mesh, durations)
-    sentence = violated_sentence(problem, motion, what)
+        motion = least_of(problem, kind, motion, mesh, durations)
+    sentence = kind.violation(problem, motion)
     return None if sentence is None else _infeasible(search, f"infeasible: {sentence}", {})
 
 

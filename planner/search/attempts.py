@@ -169,7 +169,7 @@ def from_next_to_it(problem: PlanningProblem, found: Iterate) -> Plan | None:
 def may_be_enclosed(problem: PlanningProblem, plan: Plan) -> bool:
     """Return whether limits on power or pin force, overrun between the nodes, may be kept there by rows on coefficients."""
     margins = () if plan.certificate is None else plan.certificate.margins
-    overrun = any(margin.what in ("power", "closure_force") and not margin.kept for margin in margins)
+    overrun = any(margin.of.enclosable and not margin.kept for margin in margins)
     return problem.mesh.effort == "polynomial" and overrun and not case_of(problem).enclosed
 
 

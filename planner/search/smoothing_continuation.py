@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.planner.closed_chain.case import MechanismCase
-from linkplan.planner.closed_chain.formulate import SMOOTHING, is_smoothed
+from linkplan.planner.closed_chain.formulate import SMOOTHING
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import attempt
@@ -42,7 +42,7 @@ def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
     Where no smoothing is in the objective, or the motion does not pass, it is returned as it is, with no change.
     """
     problem: PlanningProblem = case.problem
-    if not (is_smoothed(problem.objective) and problem.objective.has("tracking") and refined.certificate.passed):
+    if not (problem.objective.is_smoothed and problem.objective.has("tracking") and refined.certificate.passed):
         return refined, 0.0
     unit = refined.solution.transcribed.units.objective
 

@@ -18,9 +18,9 @@ from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.collisions import noted
-from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
+from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem

@@ -5,9 +5,9 @@ import pytest
 
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.certificate.margins import closure_forces
 from linkplan.planner.closed_chain.case import held_arcs_of
 from linkplan.planner.files.problem_file import load_problem, problem_from_tables
+from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import power_guess
 from linkplan.planner.planning import plan_motion
