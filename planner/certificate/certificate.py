@@ -20,7 +20,7 @@ from linkplan.planner.certificate.site_ends import ends_off_m, waypoint_off_m, w
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.limits.kinds import margins
 from linkplan.planner.limits.path_limit import Margin
-from linkplan.planner.limits.samples import least_between, samples_of, singularity_ratios
+from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
@@ -125,11 +125,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     speed = max(float(np.abs(v).max()), _STILL / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = _boundary_error(problem, trajectory, speed)
-    if problem.motion.turns is not None:  # the dependent joints must be back too
-        gone, span = q[-1] - q[0], max(float(np.ptp(q)), _STILL)
-        moved = np.abs(np.array(mechanism.dynamics.velocity_map(q[0]))[:, problem.goes_on]).max(axis=1, initial=0.0) > 0
-        off = np.where(moved, 0.0, gone - whole_turns(mechanism, gone))
-        boundary_error = max(boundary_error, float(np.abs(off).max()) / span)
+    if problem.motion.turns is not None:
+        boundary_error = max(boundary_error, _turn_error(problem, q))
     site_error, sites_off = ends_off_m(problem, trajectory, time, q)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     allowed_error = np.where(hinge, np.radians(INTEGRATION_DEG), INTEGRATION_M)
@@ -172,17 +169,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
                     f"joint {joint.name} leaves its {what} by {-joint.shown(value):.3g} {joint.unit}"
                     f"{'/s' if 'speed' in what else ''} at t = {worst[f'{what} of {joint.name}']:.4g} s"
                 )
-    servos = any(a.is_servo for a in mechanism.actuators)
-    cut = control_excess(mechanism, q, v, u) if servos else np.zeros_like(u)
-    unmendable = []
-    for j in np.flatnonzero(cut.max(axis=0) > RANGE_SLACK):
-        if mechanism.actuators[j].limits_control:
-            continue  # a limit of the program, among the margins
-        at = int(np.argmax(cut[:, j]))
-        unmendable.append(
-            f"{mechanism.actuators[j].name} would need a ctrl {cut[at, j]:.3g} beyond its range at t = {time[at]:.4g} s to"
-            " give the planned effort"
-        )
+    unmendable = _ctrl_failures(samples)
     failures += unmendable + [margin.sentence() for margin in others if not margin.kept]
     return Certificate(
         effort_excess=effort_excess,
@@ -211,6 +198,31 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         failures=tuple(failures),
         unmendable=tuple(unmendable),
     )
+
+
+def _turn_error(problem: PlanningProblem, q: np.ndarray) -> float:
+    """Return by how much poses (n, n_q) of whole turns end beside their start, as a share of their range."""
+    mechanism, moved_by = problem.mechanism, q[-1] - q[0]
+    spins = np.abs(np.array(mechanism.dynamics.velocity_map(q[0]))[:, problem.goes_on]).max(axis=1, initial=0.0) > 0
+    error = np.where(spins, 0.0, moved_by - whole_turns(mechanism, moved_by))
+    return float(np.abs(error).max()) / max(float(np.ptp(q)), _STILL)
+
+
+def _ctrl_failures(samples: Samples) -> list[str]:
+    """Return a sentence for each servo that would need a ctrl beyond a range that is no limit of the program."""
+    actuators, failures = samples.problem.mechanism.actuators, []
+    if not any(actuator.is_servo for actuator in actuators):
+        return failures
+    excess = control_excess(samples.problem.mechanism, samples.q, samples.v, samples.u)
+    for j in np.flatnonzero(excess.max(axis=0) > RANGE_SLACK):
+        if actuators[j].limits_control:
+            continue
+        k = int(np.argmax(excess[:, j]))
+        failures.append(
+            f"{actuators[j].name} would need a ctrl {excess[k, j]:.3g} beyond its range at t = {samples.time[k]:.4g} s to"
+            " give the planned effort"
+        )
+    return failures
 
 
 def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v, time, worst):

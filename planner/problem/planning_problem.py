@@ -82,7 +82,6 @@ class PlanningProblem:
         object.__setattr__(self, "tracking", self.tracking.tracked())
         checked("limits.contacts", self.contacts)
         checked("limits.unhonoured", self.unhonoured)
-        motion, objective = self.motion, self.objective
         falsifying = _falsifying(self.mechanism)
         if falsifying and self.unhonoured == "refuse":
             raise ProblemError(
@@ -94,6 +93,17 @@ class PlanningProblem:
             raise ProblemError(f"mechanism '{self.mechanism.name}' has no usable actuator; a plan needs one")
         self._check_extras()
         self._check_objective()
+        self._check_motion()
+        self._check_shapes()
+        self._check_periods()
+        self._check_robust()
+        self._check_node_at_end()
+
+    def _check_motion(self) -> None:
+        """Refuse a motion whose kind does not go with its ends, its reference or its objective."""
+        motion, objective = self.motion, self.objective
+        if motion.kind == "periodic":
+            self._check_periodic()
         if motion.kind == "reach" and (motion.start is None or motion.goal is None):
             raise ProblemError(
                 "motion.kind 'reach' needs motion.start_deg and motion.goal_deg, or motion.start_at and motion.goal_at"
@@ -102,30 +112,35 @@ class PlanningProblem:
             raise ProblemError("motion.kind 'track' needs a [reference]")
         if motion.kind == "track" and list(objective.weights) != ["tracking"]:
             raise ProblemError(f"motion.kind 'track' prescribes the motion: minimize is 'tracking', got '{objective.name}'")
-        if motion.kind == "periodic" and motion.waypoints and motion.goal is not None:
+        if motion.turns is not None and self.reference is not None:
+            raise ProblemError("motion.turns goes on turn after turn, and a [reference] returns: keep one of them")
+
+    def _check_periodic(self) -> None:
+        """Refuse a periodic motion without anything that makes it move, or with ends that do not fit."""
+        motion, objective = self.motion, self.objective
+        if motion.waypoints and motion.goal is not None:
             raise ProblemError(
                 "motion.kind 'periodic' with motion.waypoints ends where it starts: it takes no motion.goal_deg"
             )
         turns = motion.turns is not None
-        if turns and self.reference is not None:
-            raise ProblemError("motion.turns goes on turn after turn, and a [reference] returns: keep one of them")
         one_end = (motion.start is None) != (motion.goal is None) and not (turns and motion.goal is None)
-        if motion.kind == "periodic" and not motion.waypoints and one_end:
+        if not motion.waypoints and one_end:
             raise ProblemError("motion.kind 'periodic' takes motion.start_deg and motion.goal_deg together, or neither")
         moves = motion.goal is not None or bool(motion.waypoints) or turns
-        if motion.kind == "periodic" and self.reference is None and not moves:
+        if self.reference is None and not moves:
             raise ProblemError(
                 "motion.kind 'periodic' needs a [reference], or motion.start_deg and motion.goal_deg, or motion.waypoints"
                 " or motion.turns"
             )
-        if motion.kind == "periodic" and not objective.has("tracking") and not moves:
+        if not objective.has("tracking") and not moves:
             raise ProblemError(
                 f"motion.kind 'periodic' with minimize '{objective.name}' needs motion.start_deg and motion.goal_deg to move"
                 " between, or motion.waypoints: without them the optimum is to stand still"
             )
-        self._check_shapes()
-        self._check_periods()
-        self._check_robust()
+
+    def _check_node_at_end(self) -> None:
+        """Refuse a scheme without a node at an interval's end if a pose there is left open."""
+        motion = self.motion
         needs_node = ["motion.goal_at that leaves a loop's pose open"]
         needs_node = needs_node if motion.goal_is_free and len(self.mechanism.dependent) else []
         opened = [f"motion.waypoints[{k}].at" for k, waypoint in enumerate(motion.waypoints) if waypoint.at_rows]
