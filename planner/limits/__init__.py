@@ -1,5 +1,5 @@
-"""The limits on every instant of a motion, one file a kind: rows and bounds, margin, relaxation, sentence.
+"""The limits on every instant of a motion, one kind in each file: rows and bounds, margin, relaxation, sentence.
 
-In: a problem, units, samples of a motion. Out: `limits_of` a problem, which the program, the certificate, the tightening of
-constraints and the diagnosis loop over; `Margin`s.
+In: a problem, units, samples of a motion. Out: the limits of a problem and their margins. The program, the certificate, the
+constraint tightening and the diagnosis loop over them.
 """

@@ -8,7 +8,7 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, ranged_control
 from linkplan.planner.limits.path_limit import (
-    ALL_BUT_FREE,
+    RELAXED_FACTOR,
     Bounds,
     Instant,
     Margin,
@@ -19,8 +19,8 @@ from linkplan.planner.limits.path_limit import (
     margin_of,
 )
 
-# Where a servo gives the clamp of its force whatever its ctrl, a planned effort is the clamp to this share of it: a motion
-# enters there between two nodes. Efforts may be off by 200 times as much between nodes (DYNAMICS_SHARE). Measured 4e-5.
+# An effort within this share of the clamp of a servo's force counts as clamped, where ctrl has no effect: a motion enters
+# the clamp between two nodes. Efforts may be off by 200 times as much between nodes (DYNAMICS_SHARE). Measured 4e-5.
 _CLAMPED_SHARE = 1e-4
 
 
@@ -65,7 +65,7 @@ class ControlLimit(PathLimit):
 
     @classmethod
     def without(cls, problem: PlanningProblem) -> PlanningProblem:
-        return cls.scaled(problem, ALL_BUT_FREE)
+        return cls.scaled(problem, RELAXED_FACTOR)
 
 
 def _ctrl(actuator: Actuator, u: Any, length: Any, speed: Any) -> Any:
@@ -81,7 +81,7 @@ def _unit(actuator: Actuator) -> float:
 
 
 def _ranged(actuator: Actuator, ctrl: np.ndarray, u: np.ndarray, n_points: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return what a servo's ctrlrange bounds (n,), and where (n,) all of its range is beyond a clamp of its force."""
+    """Return the quantity that a servo's ctrlrange bounds (n,), and the samples (n,) at which its force is clamped."""
     ranged = ranged_control(actuator, ctrl, u, actuator.gain, np.maximum)
     bent = ranged != ctrl
     beside = np.repeat(bent.reshape(-1, n_points).any(axis=1), n_points)

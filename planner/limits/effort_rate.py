@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from linkplan.planner.limits.path_limit import (
-    ALL_BUT_FREE,
+    RELAXED_FACTOR,
     Bounds,
     Margin,
     PathLimit,
@@ -51,7 +51,7 @@ class EffortRateLimit(PathLimit):
 
     @classmethod
     def without(cls, problem: PlanningProblem) -> PlanningProblem:
-        return cls.scaled(problem, ALL_BUT_FREE)
+        return cls.scaled(problem, RELAXED_FACTOR)
 
     def narrowed(self, problem: PlanningProblem, amount: float) -> PlanningProblem:
         rate = np.array(problem.limits.effort_rate)

@@ -1,4 +1,4 @@
-"""Users' own limits: rows at nodes, in units of their larger bound."""
+"""Users' own limits: rows at nodes, each in units of its larger bound."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +10,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.path_limit import (
-    BETWEEN_NODES,
+    BETWEEN_NODES_FACTOR,
     Bounds,
     Instant,
     Margin,
@@ -64,7 +64,7 @@ class ExtraPathLimit(PathLimit):
         return margin_of(self, limit.name, values, (limit.lower, limit.upper), limit.unit, samples, limit.size)
 
     def values(self, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
-        """Return its expression (n,) along q (n, n_q), v and a (n, n_s), u (n, n_u); q is enough where it is of the pose."""
+        """Evaluate the expression (n,) along q (n, n_q), v and a (n, n_s), u (n, n_u); q alone suffices if `of_position`."""
         at, symbols = free_instant(mechanism)
         function = ca.Function("extra", symbols[: len(motion)], [ca.densify(expressed(self.extra, at))])
         return sampled(function, *motion).reshape(-1)
@@ -83,4 +83,4 @@ class ExtraPathLimit(PathLimit):
 
     @classmethod
     def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
-        return 1 + BETWEEN_NODES * max(-m.left / problem.extra_limits[m.item].size for m in over)
+        return 1 + BETWEEN_NODES_FACTOR * max(-m.left / problem.extra_limits[m.item].size for m in over)

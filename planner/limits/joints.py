@@ -1,4 +1,4 @@
-"""Limits on joints' positions and speeds; what is left of them a certificate has by joint.
+"""Limits on joints' positions and speeds, whose margins a certificate has by joint.
 
 Independent ones are unknowns of the program, whose coefficients are bounded at every instant. Dependent positions are
 unknowns at nodes, dependent speeds rows there.
@@ -15,7 +15,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.path_limit import (
-    BETWEEN_NODES,
+    BETWEEN_NODES_FACTOR,
     Bounds,
     Instant,
     PathLimit,
@@ -25,8 +25,8 @@ from linkplan.planner.limits.path_limit import (
     limited_rows,
 )
 
-# Samples of an interval at which a motion made without a limit is looked at.
-_SAMPLES = 8
+# Samples per interval at which a motion without a limit is compared with that limit.
+_SAMPLES_PER_INTERVAL = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class SpeedLimit(PathLimit):
         with np.errstate(divide="ignore", invalid="ignore"):
             ratios = np.maximum(rates / bounds[:, 1], rates / bounds[:, 0])
         largest = float(np.nan_to_num(ratios, posinf=0.0, neginf=0.0).max())
-        return BETWEEN_NODES * largest if largest > 1 else None
+        return BETWEEN_NODES_FACTOR * largest if largest > 1 else None
 
     @classmethod
     def violation(cls, problem: PlanningProblem, motion: Trajectory) -> str | None:
@@ -108,7 +108,7 @@ def own_column(mechanism: Mechanism, j: int) -> int | None:
 
 def _along(problem: PlanningProblem, motion: Trajectory, *, speeds: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return times (n,) [s] of a motion and the positions or rates (n, n_q) of all joints."""
-    time = motion.dense_times(_SAMPLES)
+    time = motion.dense_times(_SAMPLES_PER_INTERVAL)
     poses = follow(problem.mechanism, motion.position_at(time), motion.start_pose, problem.solver.deadline)
     return time, joint_rates(problem.mechanism, poses, motion.velocity_at(time)) if speeds else poses
 

@@ -28,8 +28,8 @@ KINDS: tuple[type[PathLimit], ...] = (
     SitePathLimit,
     ExtraPathLimit,
 )
-# In the order in which a diagnosis takes them away, to see which of them forbids a motion. The efforts' limits and the
-# joints' ranges come after these.
+# In the order in which a diagnosis removes them, to find out which of them forbids a motion. The efforts' limits and the
+# joints' ranges follow after these.
 RELAXED: tuple[type[PathLimit], ...] = (
     RobustLimit,
     SpeedLimit,
@@ -56,6 +56,6 @@ def relaxed_kinds(problem: PlanningProblem) -> list[type[PathLimit]]:
 
 
 def margins(samples: Samples) -> tuple[Margin, ...]:
-    """Return what is left of every limit along a motion, but for those of efforts and joints."""
+    """Return the margins of all limits along a motion, except those on efforts and joints."""
     found = [limit.margin(samples) for limit in limits_of(samples.problem)]
     return tuple(margin for margin in found if margin is not None)

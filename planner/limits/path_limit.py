@@ -1,8 +1,7 @@
 """A limit on every instant of a motion: one object, which the program, the certificate and the diagnosis ask.
 
-A limit that the program imposes at its nodes is a row there; one that it keeps at every instant is a row of each interval,
-on Bernstein coefficients. Objects hold what is structure of a program and are equal where that is; numbers come from the
-problem.
+A limit at nodes is a row of each node. A limit at every instant is a row of each interval, on Bernstein coefficients.
+Objects hold the structure of a program and are equal if that is equal; numbers come from the problem.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ __all__ = ["Bounds", "Instant", "Margin", "PathLimit", "PlanningProblem", "Sampl
 
 Bounds = tuple[float, float]
 MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # q (n, n_q), v and a (n, n_s), u (n, n_u)
-# A limit is kept where it is overrun by no more than this share of itself: rounding.
-SLACK = 1e-9
-# A motion comes to a little more between the nodes than at them: a limit that is to admit it is wider by this factor.
-BETWEEN_NODES = 1.001
-# Where a limit cannot be taken away as a whole, it is made so many times as wide.
-ALL_BUT_FREE = 1e3
+# A limit counts as kept if it is overrun by at most this share of itself, which is rounding.
+ROUNDING_SHARE = 1e-9
+# A motion exceeds its values at the nodes a little between them. A limit that shall admit it is wider by this factor.
+BETWEEN_NODES_FACTOR = 1.001
+# Limits that cannot be removed from a problem are made so many times as wide.
+RELAXED_FACTOR = 1e3
 
 
 class Tightened(Enum):
@@ -67,21 +66,21 @@ class Margin:
 
     @property
     def item(self) -> int:
-        """Which one of its kind."""
+        """The number of the limit within its kind."""
         return self.of.item
 
     @property
     def kept(self) -> bool:
         """Whether the limit is kept, but for rounding."""
-        return self.left >= -SLACK * max(1.0, abs(self.limit))
+        return self.left >= -ROUNDING_SHARE * max(1.0, abs(self.limit))
 
     @property
     def title(self) -> str:
-        """What is limited, in words."""
+        """The limited quantity in words."""
         return self.of.words.format(self.name)
 
     def sentence(self, verb: str = "comes to") -> str:
-        """Return what the limit comes to, in words."""
+        """Return the sentence on the value, when it is worst, and its limit."""
         signed = self.of.tightened is Tightened.IN_UNITS
         value, limit = (self.value, self.limit) if signed else (abs(self.value), abs(self.limit))
         amount = f"{value:.4g} {self.unit}".rstrip()
@@ -92,9 +91,14 @@ class Margin:
 class PathLimit(Protocol):
     """One limit of one problem; a kind of limit is a final class that says what differs from this.
 
-    Names of the class: `key`, of the limit in a problem file; `words`, a title with a place for a name; `beyond`, the word
-    for an overrun. `enclosable` says that it may be kept at every instant by rows of the intervals, `jumps_with_effort` that
-    its row jumps where the effort does, `of_position` that its row follows from the pose alone.
+    Args:
+        key: of the limit in a problem file.
+        words: a title, {} standing for a name.
+        beyond: the word for an overrun.
+        enclosable: rows of the intervals can keep it at every instant.
+        jumps_with_effort: its row jumps where the effort does.
+        of_position: its row is a function of the pose alone.
+        item: its number within its kind.
     """
 
     key: ClassVar[str]
@@ -117,7 +121,7 @@ class PathLimit(Protocol):
 
     @property
     def tightened(self) -> Tightened | None:
-        """How its row is tightened where it is overrun between the nodes; None where the problem is (`narrowed`)."""
+        """How its row is tightened if it is overrun between the nodes; None if the problem is `narrowed` instead."""
         return Tightened.BY_SHARE
 
     @classmethod
@@ -145,7 +149,7 @@ class PathLimit(Protocol):
         return ()
 
     def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
-        """Return its row at a node."""
+        """Return the scaled row at a node."""
         ...
 
     def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
@@ -153,7 +157,7 @@ class PathLimit(Protocol):
         ...
 
     def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
-        """Return the field of `IntervalRows` that it belongs in and its entry there; None where it is no such row."""
+        """Return its field of `IntervalRows` and its entry there; None if it is a row at nodes."""
         return None
 
     def interval_numbers(self, problem: PlanningProblem, scales: Scales) -> Sequence[float]:
@@ -166,7 +170,7 @@ class PathLimit(Protocol):
         return 0
 
     def unknowns(self, at: Instant, numbers: ca.SX) -> tuple[str, list[ca.SX]]:
-        """Return the kind of equation, and what each of those unknowns is."""
+        """Return the kind of equation, and the expression that each of those unknowns equals."""
         return "", []
 
     def start_of_unknowns(self, problem: PlanningProblem, scales: Scales, motion: MotionArrays) -> np.ndarray:
@@ -176,7 +180,7 @@ class PathLimit(Protocol):
     # The certificate.
 
     def margin(self, samples: Samples) -> Margin | None:
-        """Return what is left of it along a motion; None of joints' limits, which a certificate has by joint."""
+        """Return the margin along a motion; None for joints' limits, which a certificate has by joint."""
         return None
 
     # The diagnosis: what all limits of the kind come to when they are relaxed together.
@@ -193,19 +197,19 @@ class PathLimit(Protocol):
 
     @classmethod
     def factor(cls, problem: PlanningProblem, motion: Trajectory) -> float | None:
-        """Return the factor with which a motion keeps the limits of this kind, a little beyond; None where there is none."""
+        """Return the factor on the limits of this kind with which a motion keeps them; None if it keeps them as they are."""
         over = [m for m in overrun_margins(cls, problem, motion) if np.isfinite(m.value)]
         return cls.factor_of(problem, over) if over else None
 
     @classmethod
     def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
-        """Return that factor by the margins that are overrun."""
+        """Return that factor from the margins that are overrun."""
         ratios = [m.value / m.limit for m in over if m.limit]
-        return BETWEEN_NODES * max(ratios) if ratios else None
+        return BETWEEN_NODES_FACTOR * max(ratios) if ratios else None
 
     @classmethod
     def violation(cls, problem: PlanningProblem, motion: Trajectory) -> str | None:
-        """Return the sentence on what a motion without the limits of this kind comes to; None where it keeps them."""
+        """Return the sentence on how far a motion overruns the limits of this kind; None if it keeps them."""
         try:
             over = overrun_margins(cls, problem, motion)
         except AssemblyError:
@@ -213,7 +217,7 @@ class PathLimit(Protocol):
         return over[0].sentence("would have to come to") if over else None
 
     def narrowed(self, problem: PlanningProblem, amount: float) -> PlanningProblem:
-        """Return a problem with both ends of this limit moved inwards, where rows are not `tightened`."""
+        """Return a problem with both ends of this limit moved inwards, if `tightened` is None."""
         return problem
 
 
@@ -244,10 +248,10 @@ def margin_of(
     size: float | None = None,
     bent: np.ndarray | None = None,
 ) -> Margin:
-    """Return what is left of a limit [low, high] of values (n,), sampled along a motion.
+    """Return the margin of values (n,) along a motion to a limit [low, high].
 
-    `size` is what overruns are shares of, the limit's own by default. Where samples are `bent` (n,), beside a kink, no
-    parabola is laid through those of the interval.
+    Overruns are shares of `size`, by default of the limit itself. Intervals with a `bent` sample (n,) have a kink: their
+    least margin is that of the samples, without interpolation by parabolas.
     """
     (low, high), points = bounds, samples.points
     inside = np.minimum(values - low, high - values)

@@ -29,8 +29,8 @@ from linkplan.planner.limits.path_limit import (
 class PowerLimit(PathLimit):
     """The power of one actuator, kept at nodes or at every instant.
 
-    At every instant, the speed of an actuator that drives a coordinate itself is that `column`'s, a polynomial of the
-    program; that of others is the sum of `levers`, each an algebraic unknown, times the columns' speeds.
+    An actuator that drives a coordinate directly has the speed of that `column`, a polynomial of the program. The speed of
+    any other is the sum of `levers`, each an algebraic unknown, times the columns' speeds.
     """
 
     key: ClassVar[str] = "power"

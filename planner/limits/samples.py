@@ -1,4 +1,4 @@
-"""A motion sampled densely: what margins are measured on."""
+"""A motion sampled densely, on which margins are measured."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,15 +12,15 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 
 # At how many instants of an interval limits are checked: at least, and for each node.
-_SAMPLES, _SAMPLES_A_NODE = 12, 3
+_SAMPLES_PER_INTERVAL, _SAMPLES_PER_NODE = 12, 3
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Samples:
     """A motion of a problem at `time` (n,) [s], at the shares `points` of every interval.
 
-    Poses `q` (n, n_q), independent speeds and accelerations `v`, `a` (n, n_s), efforts `u` (n, n_u). What follows from them
-    is computed once, when it is first asked for.
+    Poses `q` (n, n_q), independent speeds and accelerations `v`, `a` (n, n_s), efforts `u` (n, n_u). Everything else is
+    computed once, at its first use.
     """
 
     problem: PlanningProblem
@@ -82,7 +82,7 @@ def sample_points(n_nodes: int) -> np.ndarray:
 
     There the nodes of high degrees stand close, and what a polynomial does between them.
     """
-    n = max(_SAMPLES, _SAMPLES_A_NODE * n_nodes)
+    n = max(_SAMPLES_PER_INTERVAL, _SAMPLES_PER_NODE * n_nodes)
     points = 0.5 - 0.5 * np.cos(np.pi * np.arange(n + 1) / n)
     points[-1] = 1.0 - 1e-12  # the interval's own side of its end
     return points

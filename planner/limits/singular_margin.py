@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.planner.limits.path_limit import (
-    BETWEEN_NODES,
+    BETWEEN_NODES_FACTOR,
     Bounds,
     Instant,
     Margin,
@@ -57,4 +57,4 @@ class SingularMarginLimit(PathLimit):
 
     @classmethod
     def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
-        return min(m.value / m.limit for m in over) / BETWEEN_NODES
+        return min(m.value / m.limit for m in over) / BETWEEN_NODES_FACTOR

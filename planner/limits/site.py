@@ -16,7 +16,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.path_limit import (
-    BETWEEN_NODES,
+    BETWEEN_NODES_FACTOR,
     Bounds,
     Instant,
     Margin,
@@ -31,12 +31,12 @@ from linkplan.planner.limits.path_limit import (
 from linkplan.planner.limits.samples import least_between
 from linkplan.planner.problem.sites import SiteLimit
 
-# Where two segments are nearly as far, the mean of squared distances is above the least by 0.28 / k of r^2 at the most: k
-# this large takes 0.14 % off a tube's radius there, and the bend of its wall stays of the order of 1 / r.
-_SHARPNESS = 100.0
-# Samples next to a limit, within this share of its size, are looked at once more with so many between their neighbours:
-# where two segments of a tube's path are as near, its distance has a kink, and no parabola there.
-_NEXT_TO_IT, _CLOSER = 1e-3, 33
+# Between two segments at nearly equal distances, the weighted mean exceeds the least squared distance by at most 0.28 / k of
+# r^2. This k takes 0.14 % off a tube's radius there, and the curvature of its wall stays of the order of 1 / r.
+_TUBE_SHARPNESS = 100.0
+# Intervals within this share of a limit's size are sampled again, with so many samples between the worst one's neighbours:
+# between two segments a tube's distance has a kink, which no parabola fits.
+_NEAR_SHARE, _FINE_SAMPLES = 1e-3, 33
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,10 +85,10 @@ class SitePathLimit(PathLimit):
     def margin(self, samples: Samples) -> Margin:
         mechanism, limit = samples.problem.mechanism, samples.problem.limits.site[self.item]
         values = limit.value(places_of(mechanism, limit.index, samples.q))
-        # A tube's distance has no lower limit; of a slab in space shares are those of the mechanism's size.
+        # A tube's distance has no lower limit. A slab's overruns are shares of the mechanism's size.
         bounds, size = ((-np.inf, limit.high), limit.high) if self.is_tube else ((limit.low, limit.high), mechanism.extent_m)
         margin = margin_of(self, site_title(limit), values, bounds, "m", samples, size)
-        return _looked_at_closer(samples, limit, margin, values, bounds, size)
+        return _margin_sampled_finely(samples, limit, margin, values, bounds, size)
 
     @classmethod
     def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
@@ -103,7 +103,7 @@ class SitePathLimit(PathLimit):
 
     @classmethod
     def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
-        return 1 + BETWEEN_NODES * max(-m.left for m in over) / problem.mechanism.extent_m
+        return 1 + BETWEEN_NODES_FACTOR * max(-m.left for m in over) / problem.mechanism.extent_m
 
 
 def site_title(limit: SiteLimit) -> str:
@@ -128,25 +128,25 @@ def _tube(p: ca.SX, along: np.ndarray, radius: float) -> ca.SX:
         off = p - ca.DM(a) - share * ca.DM(way)
         distances.append(ca.sumsqr(off) / radius**2)
     squares = ca.vertcat(*distances)
-    weights = ca.exp(-_SHARPNESS * (squares - ca.mmin(squares)))
+    weights = ca.exp(-_TUBE_SHARPNESS * (squares - ca.mmin(squares)))
     return ca.dot(weights, squares) / ca.sum1(weights)
 
 
-def _looked_at_closer(
+def _margin_sampled_finely(
     samples: Samples, limit: SiteLimit, margin: Margin, values: np.ndarray, bounds: Bounds, size: float
 ) -> Margin:
-    """Return a margin, its worst instant and that of every interval next to the limit sampled finely between neighbours.
+    """Return a margin measured again on finer samples in every interval near the limit.
 
-    `values` (n,) are those that it was made of.
+    `values` (n,) are the samples of the first measurement.
     """
     problem, trajectory, n_points = samples.problem, samples.trajectory, len(samples.points)
     low, high = bounds
     inside = np.minimum(values - low, high - values).reshape(-1, n_points)
     worst = inside.argmin(axis=1)
-    chosen = np.flatnonzero(inside.min(axis=1) < max(_NEXT_TO_IT * size, float(inside.min()) + _NEXT_TO_IT * size))
+    chosen = np.flatnonzero(inside.min(axis=1) < max(_NEAR_SHARE * size, float(inside.min()) + _NEAR_SHARE * size))
     rows, times = np.arange(len(inside))[chosen], samples.time.reshape(-1, n_points)
     first, last = times[rows, np.maximum(worst[rows] - 1, 0)], times[rows, np.minimum(worst[rows] + 1, n_points - 1)]
-    shares = np.linspace(0.0, 1.0, _CLOSER)
+    shares = np.linspace(0.0, 1.0, _FINE_SAMPLES)
     near = first[:, None] + (last - first)[:, None] * shares
     s, until = trajectory.position_at(near.ravel()), problem.solver.judging_deadline
     q = follow(problem.mechanism, s, trajectory.start_pose, until)

@@ -6,8 +6,8 @@ from typing import ClassVar, Self
 import casadi as ca
 
 from linkplan.planner.limits.path_limit import (
-    ALL_BUT_FREE,
-    BETWEEN_NODES,
+    BETWEEN_NODES_FACTOR,
+    RELAXED_FACTOR,
     Bounds,
     Instant,
     Margin,
@@ -55,8 +55,8 @@ class TendonLimit(PathLimit):
 
     @classmethod
     def without(cls, problem: PlanningProblem) -> PlanningProblem:
-        return cls.scaled(problem, 1.0 + ALL_BUT_FREE)
+        return cls.scaled(problem, 1.0 + RELAXED_FACTOR)
 
     @classmethod
     def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
-        return 1 + BETWEEN_NODES * max(-m.left / problem.mechanism.tendons[m.item].span for m in over)
+        return 1 + BETWEEN_NODES_FACTOR * max(-m.left / problem.mechanism.tendons[m.item].span for m in over)
