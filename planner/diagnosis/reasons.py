@@ -19,7 +19,7 @@ from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import progress, recorded
-from linkplan.planner.search.durations import SURELY_LIMITED, longest, may_swing
+from linkplan.planner.search.durations import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, longest, may_swing
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Search
 from linkplan.planner.search.least_limit import least_limit_of_starts
@@ -116,7 +116,7 @@ def efforts_by_the_phase_plane(search: Search) -> Plan | None:
     It leaves out all limits but those of effort, speed and range, so that what it forbids is forbidden.
     """
     least = least_share(search.problem, search.start_pose, longest(search.problem))
-    if least is None or least[0] <= SURELY_LIMITED:
+    if least is None or least[0] <= GRID_ERROR_FACTOR_AT_SPEED_LIMIT:
         return None
     sentence = share_sentence(search.problem, *least, at_all=search.quickest is None)
     details = {"needed_limit_factor": least[0]}

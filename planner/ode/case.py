@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from linkplan.planner.ode.certificate import (
-    INTEGRATION,
-    OBJECTIVE_SHARE,
-    OVERRUN,
-    SLACK,
+    INTEGRATION_SHARE,
+    LIMIT_SLACK,
+    OBJECTIVE_ERROR_FACTOR,
+    OVERRUN_SHARE,
     OdeCertificate,
     certify_ode,
     running_cost,
@@ -24,12 +24,11 @@ from linkplan.planner.transcription.formulation import Start, Units
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import scheme
 
-# A bound tightened takes a little more than what was overrun.
-_MORE = 1.1
-# An unstable motion whose integrated state is nearer to it, as a share of its size, is seen by its mesh: boundary layers and
-# limits along which it goes have intervals of their own size. Before, high degrees follow another motion between the nodes,
-# and the next mesh's answer is elsewhere; from there on it is next to this one's.
-_SEEN = 1.0
+# A bound is tightened by this multiple of its overrun.
+_TIGHTENING_FACTOR = 1.1
+# The largest integration error, as a share of the state's size, at which an unstable motion is resolved by its mesh. Above
+# it, high degrees follow another motion between the nodes, and the next mesh leads elsewhere.
+_RESOLVED_ERROR = 1.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,7 +52,7 @@ class OdeCase:
             switches=not self.has_switch_times and bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
             bang_bang=False,  # a differential equation's efforts may take a singular arc anywhere
             continuous_efforts=False,  # nothing is known of its costs
-            strictness=INTEGRATION / asked.tolerance,
+            strictness=INTEGRATION_SHARE / asked.tolerance,
             tolerance_given=True,  # the mesh may grow beyond what is comfortable
             objective_tolerance=asked.objective_tolerance,
         )
@@ -112,15 +111,15 @@ class OdeCase:
         return ErrorReport(
             # The objective is to be that of the integrated motion, too.
             exact=certificate.integration_error <= self.asked.tolerance
-            and certificate.objective_error <= OBJECTIVE_SHARE * self.asked.tolerance
-            and certificate.overrun <= OVERRUN,
+            and certificate.objective_error <= OBJECTIVE_ERROR_FACTOR * self.asked.tolerance
+            and certificate.overrun <= OVERRUN_SHARE,
             mendable=not certificate.passed,
             leaves_positions=certificate.leaves_states,
-            overruns=bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -SLACK),
+            overruns=bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -LIMIT_SLACK),
             overrun=over.reshape(len(certificate.growth)),
             touching=certificate.touching,
             unstable=certificate.integration_restarts > 0,
-            unseen=certificate.integration_restarts > 0 and certificate.integration_error > _SEEN,
+            unseen=certificate.integration_restarts > 0 and certificate.integration_error > _RESOLVED_ERROR,
             integration_error=certificate.integration_error,
         )
 
@@ -134,7 +133,7 @@ class OdeCase:
                 share = tightened_share(overrun / (abs(limit[int(upper)]) or 1.0))
                 further.append(Tightening(what="path", item=k, breaks=breaks, share=share, upper=upper))
         inward = np.array([1.0, -1.0])
-        state = self.problem.state_limit + _MORE * np.maximum(0.0, -certificate.state_margin)[:, None] * inward
+        state = self.problem.state_limit + _TIGHTENING_FACTOR * np.maximum(0.0, -certificate.state_margin)[:, None] * inward
         return replace(self, problem=replace(self.problem, state_limit=state), tightenings=(*self.tightenings, *further))
 
     def with_scheme(self, name: str) -> "OdeCase":

@@ -11,16 +11,16 @@ from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.transcription.schemes import Scheme
 
-# The state reached by integration may differ by this share of each state's size; a tolerance below it is refined towards.
-INTEGRATION = 1e-4
-# Limits are kept but for rounding, and what the solver leaves of its own rows.
-SLACK = 1e-8
-# Between the nodes, where the integrated state need not be the polynomial, it may leave a limit by this share of its size.
-OVERRUN = 1e-6
-# A quantity this near to a limit, as a share of its size, is at it.
-TOUCH = 1e-6
-# The objective may differ from that of the integrated motion by so many times what its states may, relative.
-OBJECTIVE_SHARE = 10.0
+# The integrated state may end this share of each state's size from the solution; a smaller tolerance is refined towards.
+INTEGRATION_SHARE = 1e-4
+# Limits may be exceeded by this share: rounding, and what the solver leaves of its rows.
+LIMIT_SLACK = 1e-8
+# Between the nodes the integrated state may exceed a limit by this share of its size.
+OVERRUN_SHARE = 1e-6
+# A quantity within this share of its size from a limit is at the limit.
+AT_LIMIT_SHARE = 1e-6
+# The objective may differ from that of the integrated motion by this multiple of the states' relative error.
+OBJECTIVE_ERROR_FACTOR = 10.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -83,27 +83,29 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     failures = []
     if over > 0:
         failures.append(f"an effort exceeds its limit by {over:.3g}")
-    if not error <= INTEGRATION:
-        failures.append(f"the integrated state ends {error:.3g} of its size from the solution (allowed: {INTEGRATION:g})")
+    if not error <= INTEGRATION_SHARE:
+        failures.append(
+            f"the integrated state ends {error:.3g} of its size from the solution (allowed: {INTEGRATION_SHARE:g})"
+        )
     # The polynomial is no nearer to the motion than its own error; the integrated state is judged by itself.
-    outside = state_margin < -max(SLACK, min(error, OVERRUN)) * size
+    outside = state_margin < -max(LIMIT_SLACK, min(error, OVERRUN_SHARE)) * size
     for name, value, left in zip(problem.states, state_margin, outside, strict=True):
         if left:
             failures.append(f"state {name} leaves its limits by {-value:.3g} between the nodes")
-    if beyond.max() > INTEGRATION:
+    if beyond.max() > INTEGRATION_SHARE:
         failures.append(f"the integrated state leaves its limits by {beyond.max():.3g} of its size between the nodes")
     for k, value in enumerate(path_margin):
-        if value < -SLACK * path_size[k]:
+        if value < -LIMIT_SLACK * path_size[k]:
             failures.append(f"path quantity {k} leaves its limits by {-value:.3g} between the nodes")
-    if not abs(misjudged[-1]) <= OBJECTIVE_SHARE * INTEGRATION:
+    if not abs(misjudged[-1]) <= OBJECTIVE_ERROR_FACTOR * INTEGRATION_SHARE:
         failures.append(f"the objective is {abs(misjudged[-1]):.3g} of its size from that of the integrated motion")
-    if boundary > SLACK:
+    if boundary > LIMIT_SLACK:
         failures.append(f"start, goal or ends are missed by {boundary:.3g}")
     with np.errstate(invalid="ignore"):  # beyond a failed integration, infinity less infinity
-        misjudged_there = np.abs(np.diff(misjudged, prepend=0.0)) / OBJECTIVE_SHARE
-    growth = np.maximum(integrated.defects.max(axis=1), misjudged_there) / INTEGRATION
+        misjudged_there = np.abs(np.diff(misjudged, prepend=0.0)) / OBJECTIVE_ERROR_FACTOR
+    growth = np.maximum(integrated.defects.max(axis=1), misjudged_there) / INTEGRATION_SHARE
     # An overrun at its limit asks for as much refinement as a state at its tolerance.
-    growth = np.maximum(growth, beyond / OVERRUN * problem.tolerance / INTEGRATION)
+    growth = np.maximum(growth, beyond / OVERRUN_SHARE * problem.tolerance / INTEGRATION_SHARE)
     return OdeCertificate(
         effort_excess=max(0.0, float(over)),
         integration_error=error,
@@ -136,7 +138,7 @@ def _inside(value: np.ndarray, limit: np.ndarray) -> np.ndarray:
 
 def _in_part(beside: np.ndarray) -> np.ndarray:
     """Return on which intervals (n,) quantities (n_quantities, n, n_points) are at a limit at a point, but not at all."""
-    at = beside <= TOUCH
+    at = beside <= AT_LIMIT_SHARE
     return np.any(at.any(axis=2) & ~at.all(axis=2), axis=0)
 
 

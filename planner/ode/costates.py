@@ -14,8 +14,8 @@ from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.solvers.solve import Solution
 
-# Steps of Runge and Kutta's rule in an interval: the switching function is looked at after each.
-_STEPS = 8
+# Runge-Kutta steps in an interval; the switching function is evaluated after each of them.
+_STEPS_PER_INTERVAL = 8
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -45,7 +45,7 @@ def switching_of(problem: OdeProblem, motion: OdeTrajectory, solution: Solution)
     last = _costates(problem, solution)
     drive, push = _functions(problem, len(last))
     breaks, p = motion.breaks_s, np.tile(problem.parameters[:, None], (1, len(last)))
-    step = np.diff(breaks) / _STEPS
+    step = np.diff(breaks) / _STEPS_PER_INTERVAL
 
     def at(share: float):
         # A hair inside: at a break the curves are the later interval's.
@@ -53,17 +53,17 @@ def switching_of(problem: OdeProblem, motion: OdeTrajectory, solution: Solution)
         return motion.state_at(time).T, motion.effort_at(time).T, p, time[None]
 
     costate, values = last.T, []
-    for k in range(_STEPS, -1, -1):
-        here = at(k / _STEPS)
+    for k in range(_STEPS_PER_INTERVAL, -1, -1):
+        here = at(k / _STEPS_PER_INTERVAL)
         values.append(np.array(push(*here, costate)).T)
         if k:
-            middle, before = at((k - 0.5) / _STEPS), at((k - 1) / _STEPS)
+            middle, before = at((k - 0.5) / _STEPS_PER_INTERVAL), at((k - 1) / _STEPS_PER_INTERVAL)
             k1 = np.array(drive(*here, costate))
             k2 = np.array(drive(*middle, costate + 0.5 * step * k1))
             k3 = np.array(drive(*middle, costate + 0.5 * step * k2))
             k4 = np.array(drive(*before, costate + step * k3))
             costate = costate + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    time = breaks[:-1, None] + np.diff(breaks)[:, None] * np.linspace(0.0, 1.0, _STEPS + 1)
+    time = breaks[:-1, None] + np.diff(breaks)[:, None] * np.linspace(0.0, 1.0, _STEPS_PER_INTERVAL + 1)
     return Switching(time_s=time, value=np.stack(values[::-1], axis=1))
 
 

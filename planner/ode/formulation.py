@@ -13,8 +13,9 @@ from linkplan.planner.transcription.formulation import Formulation, PhaseBoundar
 from linkplan.planner.transcription.interval import IntervalRows
 from linkplan.planner.transcription.system import Endpoint, System, node_symbols
 
-# Units below this share of the largest number seen would blow a state up that does not matter.
-_LEAST_UNIT = 1e-8
+# The smallest unit of a state as a share of the largest number seen: a smaller one would enlarge a state that does not
+# matter.
+_MIN_UNIT_SHARE = 1e-8
 
 
 def depends_on_time(problem: OdeProblem) -> bool:
@@ -33,10 +34,10 @@ def units_of(problem: OdeProblem, guess: StateGuess) -> Units:
         size = np.where(np.isfinite(ends), ends, 0.0).max(axis=1)
         size = np.maximum(size, np.abs(guess.state).max(axis=0))
         span = problem.state_limit[:, 1] - problem.state_limit[:, 0]
-    size = np.where(size > _LEAST_UNIT, size, np.where(np.isfinite(span) & (span > 0), span, 1.0))
+    size = np.where(size > _MIN_UNIT_SHARE, size, np.where(np.isfinite(span) & (span > 0), span, 1.0))
     effort = np.where(np.isfinite(problem.effort_limit), np.abs(problem.effort_limit), 0.0).max(axis=1)
     guessed = np.abs(guess.effort).max(axis=0)
-    effort = np.where(guessed > _LEAST_UNIT, np.where(effort > 0, np.minimum(effort, guessed), guessed), effort)
+    effort = np.where(guessed > _MIN_UNIT_SHARE, np.where(effort > 0, np.minimum(effort, guessed), guessed), effort)
     effort = np.where(effort > 0, effort, 1.0)
     T = guess.duration_s
     if depends_on_time(problem):
@@ -54,7 +55,7 @@ def units_of(problem: OdeProblem, guess: StateGuess) -> Units:
         cost += T * float(np.mean(np.abs(np.array(running))))
     if problem.final_cost is not None:
         cost += abs(float(problem.at_ends("final_cost")(guess.state[0], guess.state[-1], T, problem.parameters)))
-    cost = cost if np.isfinite(cost) and cost > _LEAST_UNIT else 1.0
+    cost = cost if np.isfinite(cost) and cost > _MIN_UNIT_SHARE else 1.0
     return Units(time_s=T, state=size, effort=effort, objective=cost)
 
 

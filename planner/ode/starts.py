@@ -18,20 +18,20 @@ from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.transcription.formulation import Start
 
-# Rows that a guess is given at least before it is bent.
-_ROWS = 41
-# Durations tried beside the first where nobody said how long a motion takes: what is asked may be quick or slow.
-_LONGER = (4.0, 16.0, 0.25)
-# A free duration whose bounds lie further apart than this says nothing of how long a motion takes.
-_WIDE = 20.0
-# The durations among which the least time is looked for, in shares of the one that was asked; several starts go with them.
-_ABOUT = (0.05, 4.0)
-# Rows of a solution as a guess.
-_SAMPLES = 101
-# Constant efforts from which a motion with a free end is begun, as shares of the way from their lower limits to their upper.
-_SHARES = (0.5, 0.1)
-# Where in an interval the effort is read that is then held over it: the first node of radau-3.
-_READ_AT = 0.155
+# The smallest number of rows of a guess that is perturbed.
+_MIN_ROWS = 41
+# Factors on the first duration if the problem does not bound the duration: a motion may be quick or slow.
+_DURATION_FACTORS = (4.0, 16.0, 0.25)
+# A free duration whose bounds are further apart than this factor is open.
+_OPEN_DURATION_FACTOR = 20.0
+# Bounds of the least time, as shares of the given duration.
+_LEAST_TIME_BOUNDS = (0.05, 4.0)
+# Rows of a solution that serves as a guess.
+_GUESS_ROWS = 101
+# Constant efforts from which a motion with a free end is integrated, as shares of the range from lower to upper limit.
+_EFFORT_SHARES = (0.5, 0.1)
+# The share of an interval at which an effort is read that is held over the interval: the first node of radau-3.
+_FIRST_NODE_SHARE = 0.155
 
 
 def perturbed(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[StateGuess]:
@@ -43,7 +43,7 @@ def perturbed(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[
             yield guess
             continue
         size = np.maximum(np.abs(guess.state).max(axis=0), units_of(problem, guess).state[: problem.n_x])
-        tau = np.linspace(0.0, 1.0, max(_ROWS, len(guess.state)))
+        tau = np.linspace(0.0, 1.0, max(_MIN_ROWS, len(guess.state)))
         at = np.linspace(0.0, 1.0, len(guess.state))
         state = np.column_stack([np.interp(tau, at, column) for column in guess.state.T])
         tightened_share = perturbation(number, tau, size)
@@ -56,13 +56,13 @@ def perturbed(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[
 def is_open(problem: OdeProblem) -> bool:
     """Return whether neither the bounds nor a guess say how long the motion takes."""
     low, high = problem.duration
-    return high > _WIDE * low and not problem.guesses
+    return high > _OPEN_DURATION_FACTOR * low and not problem.guesses
 
 
 def of_other_durations(problem: OdeProblem, guess: StateGuess) -> list[StateGuess]:
     """Return a guess at other durations within the bounds."""
     low, high = problem.duration
-    durations = np.clip([factor * guess.duration_s for factor in _LONGER], low, high)
+    durations = np.clip([factor * guess.duration_s for factor in _DURATION_FACTORS], low, high)
     return [replace(guess, duration_s=float(T)) for T in dict.fromkeys(durations) if T > 0 and guess.duration_s != T]
 
 
@@ -76,9 +76,9 @@ def integrated(problem: OdeProblem) -> Iterator[StateGuess]:
     if problem.guesses or not free or np.any(start[:, 0] != start[:, 1]):
         return
     given = straight_guess(problem)
-    times, rate = np.linspace(0.0, given.duration_s, _SAMPLES), problem.at_instant("rate")
+    times, rate = np.linspace(0.0, given.duration_s, _GUESS_ROWS), problem.at_instant("rate")
     finite = np.all(np.isfinite(limit), axis=1)
-    for share in _SHARES:
+    for share in _EFFORT_SHARES:
         low, high = np.where(finite[:, None], limit, given.effort[0][:, None]).T
         effort = low + share * (high - low)
 
@@ -89,7 +89,7 @@ def integrated(problem: OdeProblem) -> Iterator[StateGuess]:
             rate_under, given.duration_s, start[:, 0], times / given.duration_s, problem.solver.certificate_deadline
         )
         if state is not None:
-            yield replace(given, state=state, effort=np.tile(effort, (_SAMPLES, 1)))
+            yield replace(given, state=state, effort=np.tile(effort, (_GUESS_ROWS, 1)))
 
 
 def of_least_effort(problem: OdeProblem) -> OdeProblem:
@@ -123,7 +123,7 @@ def of_least_time(problem: OdeProblem) -> OdeProblem:
         del x0, xT, p
         return T
 
-    bounds = tuple(share * problem.duration[1] for share in _ABOUT)
+    bounds = tuple(share * problem.duration[1] for share in _LEAST_TIME_BOUNDS)
     return replace(problem, running_cost=None, final_cost=final_cost, duration_s=bounds, objective_tolerance=None)
 
 
@@ -152,7 +152,7 @@ def unbounded_duration(
 
 def sampled_guess(motion: OdeTrajectory) -> StateGuess:
     """Return a motion as a guess."""
-    time = motion.breaks_s[0] + motion.duration_s * np.linspace(0.0, 1.0, _SAMPLES)
+    time = motion.breaks_s[0] + motion.duration_s * np.linspace(0.0, 1.0, _GUESS_ROWS)
     return StateGuess(state=motion.state_at(time), effort=motion.effort_at(time), duration_s=motion.duration_s)
 
 
@@ -167,6 +167,6 @@ def piecewise_constant(case: OdeCase, motion: OdeTrajectory) -> Start:
     def nodes(at: np.ndarray):
         acceleration, rate, algebraic, _ = start.nodes(at)
         k = np.clip(np.searchsorted(breaks, at, side="right") - 1, 0, len(breaks) - 2)
-        return acceleration, rate, algebraic, motion.effort_at(breaks[k] + _READ_AT * np.diff(breaks)[k])
+        return acceleration, rate, algebraic, motion.effort_at(breaks[k] + _FIRST_NODE_SHARE * np.diff(breaks)[k])
 
     return Start(states=start.states, nodes=nodes)

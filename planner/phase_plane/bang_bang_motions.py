@@ -21,18 +21,18 @@ from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
-# Legs of a motion at the most.
-_SWINGS = 24
-# Cells of the grid, and places on it where a motion may turn.
-_CELLS, _PLACES = 1600, 60
-# A speed below this counts as this where times are added up [rad/s or m/s].
-_STILL = 1e-9
-# Shares of the effort limits tried for a motion that may take longer than the least.
-_SHARES = (0.7, 0.4)
-# Factors on the effort limits with which a motion is looked for go up to this, and are halved so often in their logarithm.
-_MOST_SHARE, _HALVINGS = 1024.0, 8
+# The largest number of legs of a motion.
+_MAX_LEGS = 24
+# Cells of the grid, and places on it at which a motion may turn.
+_GRID_CELLS, _TURNING_PLACES = 1600, 60
+# The smallest speed in sums of times [rad/s or m/s].
+_MIN_SPEED = 1e-9
+# Shares of the effort limits tried for a motion that may take longer than the least time.
+_EFFORT_SHARES = (0.7, 0.4)
+# The largest factor on the effort limits with which a motion is searched, and the halvings of its logarithm.
+_MAX_EFFORT_FACTOR, _FACTOR_HALVINGS = 1024.0, 8
 # Energies that differ by less than this share are the same.
-_SAME = 1e-6
+_SAME_ENERGY_SHARE = 1e-6
 
 
 def least_time_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
@@ -70,9 +70,9 @@ def least_share(problem: PlanningProblem, start_pose: np.ndarray, duration: floa
     low, high, best = 1.0, 2.0, None
     while (best := known(high)) is None:
         low, high = high, 2.0 * high
-        if high > _MOST_SHARE:
+        if high > _MAX_EFFORT_FACTOR:
             return None
-    for _ in range(_HALVINGS):
+    for _ in range(_FACTOR_HALVINGS):
         middle = float(np.sqrt(low * high))
         guess = known(middle)
         low, high, best = (low, middle, guess) if guess is not None else (middle, high, best)
@@ -91,14 +91,14 @@ def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest
     if duration is None:
         return quickest
     weaker = _planes(problem, start_pose)
-    known = [quickest, *(guess for share in _SHARES if (guess := weaker(share)) is not None)]
+    known = [quickest, *(guess for share in _EFFORT_SHARES if (guess := weaker(share)) is not None)]
     return stretched(min(known, key=lambda guess: abs(np.log(guess.duration_s / duration))), duration)
 
 
 def _planes(problem: PlanningProblem, start_pose: np.ndarray) -> Callable[[float], Guess | None]:
     """Return the function from a share of the effort limits to the quickest motion; its poses are followed once."""
     parts = parts_of(problem.motion)
-    grid = grid_of(problem, np.concatenate([part.places for part in parts]), start_pose, _CELLS)
+    grid = grid_of(problem, np.concatenate([part.places for part in parts]), start_pose, _GRID_CELLS)
 
     def guess_with(share: float) -> Guess | None:
         if grid is None:
@@ -138,7 +138,7 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
     """
     n, speeds = len(plane.s), part.speeds
     start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
-    rests = sorted({*np.linspace(0, n - 1, _PLACES).round().astype(int).tolist()} - {goal})
+    rests = sorted({*np.linspace(0, n - 1, _TURNING_PLACES).round().astype(int).tolist()} - {goal})
     ends = [(goal, speeds[1]), *((place, 0.0) for place in rests)]
     arriving = {}  # braking legs by where and in which direction they arrive
     for place, v in ends:
@@ -153,7 +153,7 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
         time, _, legs_so_far, at, legs = heapq.heappop(queue)
         if legs and at == goal:
             return legs
-        if known.get(at, np.inf) <= time or legs_so_far == _SWINGS:
+        if known.get(at, np.inf) <= time or legs_so_far == _MAX_LEGS:
             continue
         known[at] = time
         v = speeds[0] if not legs else 0.0
@@ -176,7 +176,7 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
 def _duration(plane: Plane, leg) -> float:
     index, w, _ = leg
     v = np.sqrt(2 * w)
-    return float(np.sum(2 * np.abs(np.diff(plane.s[index])) / np.maximum(v[1:] + v[:-1], _STILL)))
+    return float(np.sum(2 * np.abs(np.diff(plane.s[index])) / np.maximum(v[1:] + v[:-1], _MIN_SPEED)))
 
 
 def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: int, brake: np.ndarray | None):
@@ -193,7 +193,7 @@ def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: i
     if not len(over):
         return None
     k = int(over[0])
-    if not k and pushing[0] > (1 + _SAME) * braking[0]:
+    if not k and pushing[0] > (1 + _SAME_ENERGY_SHARE) * braking[0]:
         return None  # too fast already to stop there
     # Below the braking leg just before, or the way there is not open: it would be met too fast.
     if np.any(np.isnan(pushing[:k])) or (k and np.isnan(braking[k - 1])):
@@ -218,7 +218,7 @@ def _guess(plane: Plane, parts: list[Part], ways: list, start_pose: np.ndarray) 
         for index, w, effort in legs:
             speed = int(np.sign(index[-1] - index[0])) * np.sqrt(2 * w)
             step = np.abs(np.diff(plane.s[index]))
-            times += list(times[-1] + np.cumsum(2 * step / np.maximum(np.abs(speed[1:] + speed[:-1]), _STILL)))
+            times += list(times[-1] + np.cumsum(2 * step / np.maximum(np.abs(speed[1:] + speed[:-1]), _MIN_SPEED)))
             visited += list(index[1:])
             v += list(speed[1:])
             pushes += list(effort[:-1] * 1.0)
@@ -244,7 +244,7 @@ def _guess(plane: Plane, parts: list[Part], ways: list, start_pose: np.ndarray) 
         swings=sum(len(legs) for legs in ways),
     )
     top = np.where(np.array(v) > 0, plane.top[+1][visited], plane.top[-1][visited])
-    if np.any((0.5 * np.square(v) >= (1 - _SAME) * top) & (top > 0)):
+    if np.any((0.5 * np.square(v) >= (1 - _SAME_ENERGY_SHARE) * top) & (top > 0)):
         return guess  # along speed limits efforts are what these ask for
     switched = np.setdiff1d(np.flatnonzero(np.diff(pushed)) + 1, boundaries)
     ends = np.sort(np.concatenate([t[switched], t[boundaries]]))

@@ -12,12 +12,12 @@ from linkplan.planner.phase_plane.bang_bang_motions import parts_of
 from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
-# Cells of the grid, and places on it where a motion may rest.
-_CELLS, _PLACES = 400, 60
-# A bound within this share of a motion's duration asks for a closer look: five times the grid's own error.
-_ROOM = 0.01
-# The time [s] of a way that is shut, where sums of infinities of either sign would be none.
-_SHUT_S = 1e300
+# Cells of the grid, and places on it at which a motion may rest.
+_GRID_CELLS, _RESTING_PLACES = 400, 60
+# A bound within this share of a motion's duration is not decisive: five times the error of the grid.
+_BOUND_TOLERANCE = 0.01
+# The time of a path that is blocked [s]: finite, because infinities of both signs have no sum.
+_BLOCKED_PATH_S = 1e300
 
 
 def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s: float) -> bool:
@@ -32,20 +32,20 @@ def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s:
     if motion.kind != "reach" or motion.stays or motion.waypoints or not np.all(np.isfinite(problem.limits.effort)):
         return True
     (part,) = parts_of(motion)
-    grid = None if any(part.speeds) else grid_of(problem, part.places, start_pose, _CELLS, graded=False)
+    grid = None if any(part.speeds) else grid_of(problem, part.places, start_pose, _GRID_CELLS, graded=False)
     if grid is None:
         return True
     plane = plane_of(problem, *grid, problem.limits.effort)
     if np.any(plane.drag < 0):
         return True
     start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
-    rests = np.linspace(0, len(plane.s) - 1, _PLACES).round().astype(int)
+    rests = np.linspace(0, len(plane.s) - 1, _RESTING_PLACES).round().astype(int)
     places = np.unique(np.concatenate([[start, goal], rests, *_furthest(plane, start)]))
     first, last = np.searchsorted(places, [start, goal])
     straight = _legs(plane, start, np.array([goal]), 1 if goal > start else -1)[0] if goal != start else np.inf
     if not np.isfinite(straight):
         return True  # the way straight there is not open: what was found swings already
-    quick = (1 - _ROOM) * duration_s
+    quick = (1 - _BOUND_TOLERANCE) * duration_s
     if _least_detour(_bounds(plane, places), first, last) >= quick:
         return False
     times = np.full((len(places), len(places)), np.inf)
@@ -94,7 +94,7 @@ def _alone(plane: Plane, places: np.ndarray, way: int, top: int) -> np.ndarray:
         times[:, 1:] = np.cumsum(np.where(number >= at, cells, 0.0), axis=1)
     else:
         times[:, :-1] = np.cumsum(np.where(number < at, cells, 0.0)[:, ::-1], axis=1)[:, ::-1]
-    return np.minimum(times[:, places], _SHUT_S)
+    return np.minimum(times[:, places], _BLOCKED_PATH_S)
 
 
 def _energies(plane: Plane, place: int, way: int) -> tuple[np.ndarray, np.ndarray]:

@@ -14,16 +14,16 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
-# The share of a grid's progress that is even in s; the rest goes where joints or the inertia change most.
-_EVEN = 0.5
-# A crank that turns fully may go so far beyond start and goal [rad].
-_TURNS = 2.0 * np.pi
-# And anything without an end, so many times the way between start and goal.
-_SPANS = 1.5
-# What is left of the difference of two frictions below this share of them is rounding, or their rolling over at low speeds.
-_NOTHING = 1e-6
-# Room kept to the ends of the reach, as a share of it.
-_ROOM = 1e-3
+# The share of a grid's cells that is even in s; the other cells lie where joints or the inertia change most.
+_EVEN_SHARE = 0.5
+# How far a crank that turns fully may go beyond start and goal [rad].
+_FULL_TURN = 2.0 * np.pi
+# How far other unlimited joints may go beyond them, in distances between start and goal.
+_DISTANCES_BEYOND = 1.5
+# A difference of two frictions below this share of them is rounding, or the smooth transition at low speeds.
+_FRICTION_ROUNDING_SHARE = 1e-6
+# The distance of the grid from the ends of the reach, as a share of the reach.
+_DISTANCE_TO_REACH_SHARE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -127,11 +127,11 @@ def grid_of(
     can = reach(mechanism)
     low, high = limits.position[mechanism.independent[0]]
     if can.turns_fully:
-        beyond = max(_TURNS, _SPANS * float(ends[1] - ends[0]))
+        beyond = max(_FULL_TURN, _DISTANCES_BEYOND * float(ends[1] - ends[0]))
         low, high = max(low, ends[0] - beyond), min(high, ends[1] + beyond)
     else:
         low, high = max(low, can.lower.position), min(high, can.upper.position)
-    room = _ROOM * (high - low)
+    room = _DISTANCE_TO_REACH_SHARE * (high - low)
     s = np.linspace(min(low + room, ends[0]), max(high - room, ends[1]), n_cells + 1)
     gridded = _followed(problem, s, places, start_pose)
     if gridded is None:
@@ -172,7 +172,7 @@ def _graded(problem: PlanningProblem, s: np.ndarray, poses: np.ndarray) -> np.nd
     inertia = sampled(problem.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
     steps = np.abs(np.diff(np.column_stack([poses, np.log(inertia)]), axis=0))
     share = (steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)).mean(axis=1)
-    share = (1 - _EVEN) * share / share.sum() + _EVEN * np.diff(s) / (s[-1] - s[0])
+    share = (1 - _EVEN_SHARE) * share / share.sum() + _EVEN_SHARE * np.diff(s) / (s[-1] - s[0])
     progress = np.concatenate([[0.0], np.cumsum(share)])
     return np.interp(np.linspace(0.0, progress[-1], len(s)), progress, s)
 
@@ -212,7 +212,7 @@ def _drag(both: np.ndarray, rub: np.ndarray) -> np.ndarray:
     if not rub.any():
         return both
     damped = np.minimum(both + rub, 0.0)
-    return np.where(damped < -_NOTHING * rub, damped, 0.0)
+    return np.where(damped < -_FRICTION_ROUNDING_SHARE * rub, damped, 0.0)
 
 
 def _top(problem: PlanningProblem, poses: np.ndarray) -> np.ndarray:

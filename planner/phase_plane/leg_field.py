@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-# What an actuator is held at: its effort's limit (1 upper, -1 lower), its power's, or, from this number on, the force of a
-# limited closure, at the larger effort at which it is reached (positive) or the smaller one (negative).
-POWER, FORCE = 2, 3
-# Efforts, powers and forces beyond their limit by no more than this share keep it.
-_KEPT = 1e-6
+# What an actuator is held at: the limit of its effort (1 upper, -1 lower), of its power, or, from this number on, of the
+# force of a closure, at the larger effort that reaches it (positive) or the smaller one (negative).
+AT_POWER, AT_FORCE = 2, 3
+# Efforts, powers and forces may exceed their limits by this share: rounding.
+_LIMIT_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -70,29 +70,29 @@ class LegField:
         upper = (maps * self.way > 0) == towards
         held, effort = np.where(upper, 1, -1), np.where(upper, self.effort[:, 1], self.effort[:, 0])
         spent = effort * maps * np.asarray(v)[..., None]
-        held = np.where(spent > self.power[:, 1], POWER, np.where(spent < self.power[:, 0], -POWER, held))
+        held = np.where(spent > self.power[:, 1], AT_POWER, np.where(spent < self.power[:, 0], -AT_POWER, held))
         effort, a = self.along(s, v, held)
         if self.pins is None:
             return held, effort, a
         least, most, _ = self.pins.efforts(s, v)
         beyond = effort > most.min(axis=-1, keepdims=True)
         short = ~beyond & (effort < least.max(axis=-1, keepdims=True))
-        held = np.where(beyond, FORCE + np.argmin(most, axis=-1)[..., None], held)
-        held = np.where(short, -FORCE - np.argmax(least, axis=-1)[..., None], held)
+        held = np.where(beyond, AT_FORCE + np.argmin(most, axis=-1)[..., None], held)
+        held = np.where(short, -AT_FORCE - np.argmax(least, axis=-1)[..., None], held)
         return held, *self.along(s, v, held)
 
     def along(self, s: Any, v: Any, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the efforts (..., n_u) of actuators that are held at limits, and the acceleration, at places and speeds."""
         values, v = self.curves(s), np.asarray(v, dtype=float)
-        rate, on_power = values[..., 4:] * v[..., None], np.abs(held) == POWER
+        rate, on_power = values[..., 4:] * v[..., None], np.abs(held) == AT_POWER
         upper = np.asarray(held) > 0
         power, limit = (np.where(upper, of[:, 1], of[:, 0]) for of in (self.power, self.effort))
         effort = np.where(on_power, power / np.where(on_power, rate, 1.0), limit)
-        if self.pins is not None and np.any(np.abs(held) >= FORCE):
+        if self.pins is not None and np.any(np.abs(held) >= AT_FORCE):
             least, most, _ = self.pins.efforts(s, v)
             for k in range(least.shape[-1]):
-                effort = np.where(held == FORCE + k, most[..., k, None], effort)
-                effort = np.where(held == -FORCE - k, least[..., k, None], effort)
+                effort = np.where(held == AT_FORCE + k, most[..., k, None], effort)
+                effort = np.where(held == -AT_FORCE - k, least[..., k, None], effort)
         force = values[..., 1] + values[..., 2] * v**2 + values[..., 3] * v + (values[..., 4:] * effort).sum(axis=-1)
         return effort, force / values[..., 0]
 
@@ -102,9 +102,9 @@ class LegField:
             return True
         _, effort, _ = self.at(s, v, towards=towards)
         least, most, bears = self.pins.efforts(s, v)
-        room = _KEPT * np.abs(self.effort).max()
+        room = _LIMIT_TOLERANCE * np.abs(self.effort).max()
         low, high = np.maximum(self.effort[:, 0], least.max(axis=-1)[:, None]), self.effort[:, 1]
         high = np.minimum(high, most.min(axis=-1)[:, None])
         spent = effort * self.curves(s)[:, 4:] * v[:, None]
-        powers = (spent <= (1 + _KEPT) * self.power[:, 1]) & (spent >= (1 + _KEPT) * self.power[:, 0])
+        powers = (spent <= (1 + _LIMIT_TOLERANCE) * self.power[:, 1]) & (spent >= (1 + _LIMIT_TOLERANCE) * self.power[:, 0])
         return bool(np.all(bears) and np.all((effort >= low - room) & (effort <= high + room)) and np.all(powers))

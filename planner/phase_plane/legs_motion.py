@@ -11,24 +11,24 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.deadline import Deadline
-from linkplan.planner.phase_plane.leg_field import FORCE
+from linkplan.planner.phase_plane.leg_field import AT_FORCE
 from linkplan.planner.phase_plane.power_legs import Leg, power_legs
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from linkplan.planner.transcription.schemes import scheme
 
-# Of limits on effort and power, the share that is left to what polynomials do between their nodes; how far those may be from
-# the effort and from the acceleration that it gives, as a share.
-_ROOM, _CLOSE = 1e-8, 3e-9
+# The share of limits on effort and power that is left for the polynomials between their nodes, and the share by which they
+# may differ from the effort and from its acceleration.
+_LIMIT_RESERVE, _POLYNOMIAL_TOLERANCE = 1e-8, 3e-9
 _SCHEME = "radau-7"
-# Instants of an interval at which it is judged, and Newton's steps on it.
-_JUDGED, _STEPS = np.linspace(0.0, 1.0, 12), 12
-# Differences by which slopes are taken, and steps that are rounding, as shares.
-_DIFFERENCE, _ROUNDING = 1e-7, 1e-13
-# An interval is no shorter than this share of its arc, and no longer than that of its leg: what is unstable can be
-# integrated over it.
-_SHORTEST, _LONGEST = 1e-12, 0.01
+# Shares of an interval at which it is checked, and Newton steps on it.
+_CHECKED_AT, _NEWTON_STEPS = np.linspace(0.0, 1.0, 12), 12
+# The relative difference for slopes, and the relative size of a Newton step that is rounding.
+_SLOPE_DIFFERENCE, _STEP_ROUNDING = 1e-7, 1e-13
+# The shortest interval as a share of its arc, and the longest as a share of its leg: over it an unstable motion can be
+# integrated.
+_MIN_INTERVAL_SHARE, _MAX_INTERVAL_SHARE = 1e-12, 0.01
 
 
 def legs_motion(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory | None:
@@ -41,7 +41,7 @@ def legs_motion(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory 
         start_pose: closed (n_q,), at the start.
     """
     limits = problem.limits
-    rated = (1.0 - _ROOM) * limits.closure_force
+    rated = (1.0 - _LIMIT_RESERVE) * limits.closure_force
     inside = replace(limits, effort=_inside(limits.effort), power=_inside(limits.power), closure_force=rated)
     found = power_legs(replace(problem, limits=inside), start_pose, exactly=True)
     if found is None:
@@ -66,7 +66,7 @@ def legs_motion(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory 
 def _inside(limit: np.ndarray) -> np.ndarray:
     """Return limits [low, high] (n, 2) a little further in."""
     share = np.where(np.isfinite(limit), np.abs(limit), 0.0)
-    return limit + _ROOM * share * np.array([1.0, -1.0])
+    return limit + _LIMIT_RESERVE * share * np.array([1.0, -1.0])
 
 
 def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list, list, list, list] | None:
@@ -82,7 +82,7 @@ def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list,
     at, found = leg.state(ends[0]), []
     for begin, end in itertools.pairwise(ends):
         held = np.array(arcs[int(np.searchsorted(until[:-1], 0.5 * (begin + end)))][1])
-        longest = _LONGEST * (leg.end - leg.begin)
+        longest = _MAX_INTERVAL_SHARE * (leg.end - leg.begin)
         t, h = begin, 0.25 * (end - begin)
         while t != end:
             deadline.require_time()
@@ -91,7 +91,7 @@ def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list,
             piece = _collocated(leg, held, t, h, at)
             if piece is None:
                 h *= 0.5
-                if abs(h) < _SHORTEST * abs(end - begin):
+                if abs(h) < _MIN_INTERVAL_SHARE * abs(end - begin):
                     return None
                 continue
             *coefficients, at = piece
@@ -127,16 +127,16 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
     a = law(*guessed)[1]
     size = np.abs(guessed).max(axis=1)
     with np.errstate(all="ignore"):  # over an interval that is too long Newton's steps may lead anywhere
-        for _ in range(_STEPS):
+        for _ in range(_NEWTON_STEPS):
             s, v = states(a)
             asked = law(s, v)[1]
-            by_place = (law(s + _DIFFERENCE, v)[1] - asked) / _DIFFERENCE
-            nudge = _DIFFERENCE * np.maximum(np.abs(v), size[1])
+            by_place = (law(s + _SLOPE_DIFFERENCE, v)[1] - asked) / _SLOPE_DIFFERENCE
+            nudge = _SLOPE_DIFFERENCE * np.maximum(np.abs(v), size[1])
             by_speed = (law(s, v + nudge)[1] - asked) / nudge
             slope = np.eye(len(nodes)) - h**2 * by_place[:, None] * known.position - h * by_speed[:, None] * known.velocity
             step = np.linalg.solve(slope, asked - a)
             a = a + step
-            if np.abs(h * step).max() <= _ROUNDING * size[1]:
+            if np.abs(h * step).max() <= _STEP_ROUNDING * size[1]:
                 break
         else:
             return None
@@ -147,13 +147,16 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
     velocity = at[1] + h * known.velocity_coefficients @ a
     efforts = np.linalg.solve(known.effort_at, effort)
     s, v, u, slope = (
-        bernstein_matrix(len(c) - 1, _JUDGED) @ c for c in (position, velocity, efforts, np.linalg.solve(known.effort_at, a))
+        bernstein_matrix(len(c) - 1, _CHECKED_AT) @ c
+        for c in (position, velocity, efforts, np.linalg.solve(known.effort_at, a))
     )
     asked, pushed = law(s, v)
     # Along a pin force the effort may pass through nothing: there the whole limit is its measure.
-    size = np.abs(asked) if np.all(np.abs(held) < FORCE) else np.abs(leg.field.effort).max(axis=1)
+    size = np.abs(asked) if np.all(np.abs(held) < AT_FORCE) else np.abs(leg.field.effort).max(axis=1)
     values = leg.field.curves(s)
     strength = np.abs(values[:, 4:] * size).sum(axis=1) / values[:, 0]
-    if np.any(np.abs(u - asked) > _CLOSE * size) or np.any(np.abs(slope - pushed) > _CLOSE * strength):
+    if np.any(np.abs(u - asked) > _POLYNOMIAL_TOLERANCE * size) or np.any(
+        np.abs(slope - pushed) > _POLYNOMIAL_TOLERANCE * strength
+    ):
         return None
     return position, velocity, efforts, np.array([position[-1], velocity[-1]])

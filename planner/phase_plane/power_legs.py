@@ -18,21 +18,21 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.phase_plane.bang_bang_motions import Guess, Part, parts_of
-from linkplan.planner.phase_plane.leg_field import FORCE, POWER, LegField, PinForces
+from linkplan.planner.phase_plane.leg_field import AT_FORCE, AT_POWER, LegField, PinForces
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
 # Poses along a part of the way.
-_POSES = 2001
-# Integrations: the method, its relative tolerance, and the share of the way and of the largest speed that is as small as
-# that. Exactly, where a bang at rest ends counts, at a 30 000th of the largest speed.
-_ROUGHLY, _EXACTLY = ("Radau", 1e-7, 1e-7), ("LSODA", 1e-10, 1e-14)
-# The longest that they go on, in the time that full effort would take. Boundaries so near to a switch, a share of the
-# duration, are at it.
-_LONGEST, _AT = 1e6, 1e-7
-# Next to the ends, this share of the way, the legs are not yet apart.
-_BESIDE = 1e-7
-# Instants within each of the integration's steps at which arcs are looked at, and halvings that find where they end.
-_LOOKS, _HALVINGS = 4, 60
+_POSES_PER_PART = 2001
+# Integrations: the method, its relative tolerance, and its absolute tolerance as a share of the way and of the largest
+# speed. The exact one serves where a bang arc ends at rest, which happens at a 30,000th of the largest speed.
+_ROUGH_INTEGRATION, _EXACT_INTEGRATION = ("Radau", 1e-7, 1e-7), ("LSODA", 1e-10, 1e-14)
+# The longest integration, in the time that full effort takes, and the share of the duration within which a boundary is at a
+# switch.
+_MAX_TIME_FACTOR, _AT_SWITCH_SHARE = 1e6, 1e-7
+# The legs are not distinct within this share of the way from its ends.
+_BESIDE_END_SHARE = 1e-7
+# Instants in each step of the integration at which arcs are examined, and halvings to find the ends of an arc.
+_INSTANTS_PER_STEP, _ARC_END_HALVINGS = 4, 60
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -68,7 +68,9 @@ class Leg:
     def _looks(self) -> np.ndarray:
         """Return the instants (n,) of its own at which it is looked at: some within each of the integration's steps."""
         knots = np.unique(np.clip(self.steps, self.begin, self.end))
-        looks = np.interp(np.arange(_LOOKS * (len(knots) - 1) + 1) / _LOOKS, np.arange(len(knots)), knots)
+        looks = np.interp(
+            np.arange(_INSTANTS_PER_STEP * (len(knots) - 1) + 1) / _INSTANTS_PER_STEP, np.arange(len(knots)), knots
+        )
         return 0.5 * (looks[1:] + looks[:-1])
 
     def arcs(self) -> list[tuple[float, tuple[int, ...]]]:
@@ -78,7 +80,7 @@ class Leg:
         for k in range(1, len(looks)):
             if held[k] != held[k - 1]:
                 before, after = looks[k - 1], looks[k]
-                for _ in range(_HALVINGS):
+                for _ in range(_ARC_END_HALVINGS):
                     middle = 0.5 * (before + after)
                     before, after = (middle, after) if self.held_at(middle) == held[k - 1] else (before, middle)
                 found.append((self.later + after, held[k - 1]))
@@ -105,7 +107,7 @@ def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
     legs, boundaries = found
     arcs = [arc for leg in legs for arc in leg.arcs()]
     held = np.array([one for _, one in arcs])
-    if not np.any(np.abs(held) >= POWER):
+    if not np.any(np.abs(held) >= AT_POWER):
         return None
     return _guess(problem, start_pose, legs, arcs, boundaries)
 
@@ -123,7 +125,7 @@ def power_legs(
     legs, boundaries = [], [0.0]
     try:
         for part in parts_of(problem.motion):
-            field, how = _field(problem, part, start_pose), _EXACTLY if exactly else _ROUGHLY
+            field, how = _field(problem, part, start_pose), _EXACT_INTEGRATION if exactly else _ROUGH_INTEGRATION
             pair = _legs(field, part, boundaries[-1], problem.solver.deadline, *how)
             if pair is None:
                 return None
@@ -147,13 +149,13 @@ def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> LegF
     import scipy
 
     dynamics, start, goal = problem.mechanism.dynamics, part.places[0], part.places[-1]
-    place = np.linspace(start, goal, _POSES)
-    deadline, way_there = problem.solver.deadline, np.linspace(problem.motion.start[0], start, _POSES)
+    place = np.linspace(start, goal, _POSES_PER_PART)
+    deadline, way_there = problem.solver.deadline, np.linspace(problem.motion.start[0], start, _POSES_PER_PART)
     there = follow(problem.mechanism, way_there[:, None], start_pose, deadline)[-1]
     q = follow(problem.mechanism, place[:, None], there, deadline)
     inertia, maps = sampled(dynamics.reduced_inertia, q)[:, 0, 0], sampled(dynamics.effort_map, q)[:, 0]
-    none = np.zeros((_POSES, len(problem.limits.effort)))
-    speeds = {v: np.full((_POSES, 1), v) for v in (0.0, 1.0, -1.0)}
+    none = np.zeros((_POSES_PER_PART, len(problem.limits.effort)))
+    speeds = {v: np.full((_POSES_PER_PART, 1), v) for v in (0.0, 1.0, -1.0)}
     accelerations = [sampled(dynamics.acceleration, q, v, none)[:, :, 0] for v in speeds.values()]
     still, fast, back = (inertia * a[:, 0] for a in accelerations)
     way, rub = float(np.sign(goal - start)), sliding_friction(problem.mechanism, q)
@@ -194,7 +196,7 @@ def _legs(
     import scipy
 
     start, goal, way = part.places[0], part.places[-1], field.way
-    values = field.curves(np.linspace(start, goal, _POSES))
+    values = field.curves(np.linspace(start, goal, _POSES_PER_PART))
     span, force = abs(goal - start), np.abs(values[:, 1]) + np.abs(values[:, 4:]) @ np.abs(field.effort).max(axis=1)
     fastest = float(np.sqrt(2 * span * (force / values[:, 0]).max()))
 
@@ -211,7 +213,7 @@ def _legs(
 
         there.terminal = stalled.terminal = True
         stalled.direction = -1.0
-        until = _LONGEST * span / fastest
+        until = _MAX_TIME_FACTOR * span / fastest
         found = scipy.integrate.solve_ivp(
             rates, (0.0, until if towards else -until), [begin, v], method=method, events=(there, stalled),
             dense_output=True, rtol=share, atol=small * np.array([span, fastest]),
@@ -220,8 +222,8 @@ def _legs(
         return Leg(field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1])
 
     ahead, back = leg(start, part.speeds[0], goal, towards=True), leg(goal, part.speeds[1], start, towards=False)
-    low = max(way * start, way * back.state(back.begin)[0]) + _BESIDE * span
-    high = min(way * goal, way * ahead.state(ahead.end)[0]) - _BESIDE * span
+    low = max(way * start, way * back.state(back.begin)[0]) + _BESIDE_END_SHARE * span
+    high = min(way * goal, way * ahead.state(ahead.end)[0]) - _BESIDE_END_SHARE * span
 
     def apart(at: float) -> float:
         return way * (ahead.speed_at(way * at) - back.speed_at(way * at))
@@ -261,7 +263,7 @@ def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[Leg], ar
 
     known = boundaries[1:-1]
     instants = np.array([end for end, _ in arcs[:-1]])
-    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > _AT * duration
+    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > _AT_SWITCH_SHARE * duration
     switch_times = instants[apart]
     inner = np.sort(np.concatenate([[0.0], switch_times, known, [duration]]))
     at = np.searchsorted([end for end, _ in arcs[:-1]], 0.5 * (inner[1:] + inner[:-1]))
@@ -278,6 +280,6 @@ def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[Leg], ar
         boundaries_s=boundaries if len(boundaries) > 2 else None,
         switch_times_s=switch_times,
         bang_efforts=bang,
-        power_arcs=np.where(np.abs(held) == POWER, np.sign(held), 0),
-        force_arcs=(np.abs(held[:, :1]) == FORCE + np.arange(len(problem.limits.limited_closures))).astype(int),
+        power_arcs=np.where(np.abs(held) == AT_POWER, np.sign(held), 0),
+        force_arcs=(np.abs(held[:, :1]) == AT_FORCE + np.arange(len(problem.limits.limited_closures))).astype(int),
     )

@@ -15,22 +15,21 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search.durations import with_longer_durations
-from linkplan.planner.search.first_mesh import PER_SWING, first_mesh, graded_mesh
+from linkplan.planner.search.first_mesh import INTERVALS_PER_SWING, first_mesh, graded_mesh
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.smoothing_continuation import unsmoothed
 from linkplan.planner.search.solving import Iterate, solve_from
 from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
 
-# An answer whose objective a finer mesh changes by more than this share is said to move.
-MOVES = 1e-4
-# One that it changes by more than this share is not known to be near the best.
-_NOT_SETTLED = 5e-2
-# Efforts constant over intervals whose objective is above that of others, which keep no limit between the nodes, by no more
-# than this share are near enough to the best.
-_CONSTANT = 1e-3
-# Efforts that differ by no more than this share of the largest are the same.
-_JUST_THESE = 1e-6
+# A relative change of the objective on a finer mesh above this share is reported.
+REPORTED_CHANGE = 1e-4
+# A plan whose objective changes by more than this share on a finer mesh is "feasible" and not "optimal".
+_MAX_CHANGE_OF_OPTIMUM = 5e-2
+# Efforts constant over intervals are accepted as optimal if they raise the objective by at most this share.
+_MAX_COST_OF_CONSTANT_EFFORTS = 1e-3
+# Efforts that differ by at most this share of the largest effort are the same.
+_SAME_EFFORT_SHARE = 1e-6
 
 
 def plan_from(
@@ -73,7 +72,9 @@ def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -
     found = [solve_from(problem, guess, mesh, durations, word)]
     if guess.switch_times_s is not None and search.only_time_counts:
         # Its switches are known: with switch times there and efforts held between them, the instants alone are to be found.
-        graded, lengths = graded_mesh(guess, guess.switch_times_s, max(problem.mesh.intervals, PER_SWING * guess.swings))
+        graded, lengths = graded_mesh(
+            guess, guess.switch_times_s, max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings)
+        )
         for warm, how in ((False, "bang efforts fixed"), (True, "bang efforts fixed, warm start")):
             attempted = solve_from(
                 problem, guess, graded, lengths, f"{word}, {how}",
@@ -120,9 +121,9 @@ def certified(
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
     against = better.against
     moved = change if better.solution is not solved_for else better.moved
-    optimal = not len(against) and moved <= _NOT_SETTLED
+    optimal = not len(against) and moved <= _MAX_CHANGE_OF_OPTIMUM
     plan = finished(problem, better.motion, better.certificate, objective, None, optimal=optimal)
-    said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > MOVES else ""
+    said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > REPORTED_CHANGE else ""
     if len(against):
         said += (
             f"; the arc at t = {against[0]:.4g} s would rather leave its limit (Pontryagin's principle): not a local optimum"
@@ -145,7 +146,7 @@ def without_solving(
     "Optimal", in the words `best`, of one that is the best with the efforts that it carries, where it needs just these.
     """
     certificate = certify(problem, motion)
-    optimal = best is not None and certificate.dynamics_residual <= _JUST_THESE * np.abs(motion.effort).max()
+    optimal = best is not None and certificate.dynamics_residual <= _SAME_EFFORT_SHARE * np.abs(motion.effort).max()
     return finished(problem, motion, certificate, objective, best if optimal else said, optimal=optimal)
 
 
@@ -202,7 +203,7 @@ def with_constant_efforts(problem: PlanningProblem, found: Iterate) -> Plan | No
         return None
     freely = found.solution.objective
     cost = (plan.objective - freely) / max(abs(freely), np.finfo(float).tiny)
-    if cost <= _CONSTANT:
+    if cost <= _MAX_COST_OF_CONSTANT_EFFORTS:
         return plan
     why = f"; efforts constant over intervals may cost {cost:.1%} of the objective: a better motion is not excluded"
     return only_feasible(plan, why)

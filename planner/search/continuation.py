@@ -13,8 +13,8 @@ import numpy as np
 
 Stage = TypeVar("Stage")
 
-# A parameter this near its end, relative, is there.
-_THERE = 1e-12
+# The relative distance at which a parameter counts as at its end: rounding.
+_END_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -59,7 +59,7 @@ def followed(
     stages, value, factor = [stage], steps.begin, steps.factor
     way = np.sign(np.log(steps.factor))
     for _ in range(steps.most):
-        if way * (steps.end * (1 - way * _THERE) - value) <= 0:
+        if way * (steps.end * (1 - way * _END_TOLERANCE) - value) <= 0:
             return Path(stages=tuple(stages), arrived=True)
         following = float(way * min(way * value * factor, way * steps.end))
         found = solve(stages[-1], following)

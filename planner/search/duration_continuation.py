@@ -20,7 +20,7 @@ from linkplan.planner.refinement.switch_search import at_bounds
 from linkplan.planner.search.attempts import certified, only_feasible
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.durations import longest
-from linkplan.planner.search.first_mesh import PER_SWING, graded_mesh
+from linkplan.planner.search.first_mesh import INTERVALS_PER_SWING, graded_mesh
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.least_time import shortest_motion
 from linkplan.planner.search.singular_poses import nears_singular
@@ -28,19 +28,19 @@ from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import least_time_motion, no_time, with_switch_times
 from linkplan.planner.transcription.mesh import Mesh, uniform
 
-# By how much a motion is continued at a time, the least that is tried where that is too much, and how often at the most.
-# Where the whole way is shorter, this part of it (in its logarithm) is the least.
-DURATION_FACTOR, _LEAST, _STEPS = 1.15, 1.03, 40
-_PART = 0.25
-# A step that was lost is tried again on twice as many intervals, up to so many.
-_FINEST = 320
-# Accuracy of the motions on the way [deg].
+# The factor between successive durations, the smallest factor after lost steps, and the largest number of steps. If the
+# whole way is shorter, the smallest factor is this power of it.
+DURATION_FACTOR, _MIN_FACTOR, _MAX_STEPS = 1.15, 1.03, 40
+_MIN_FACTOR_POWER = 0.25
+# A lost step is tried again on twice as many intervals, up to this number.
+_MAX_INTERVALS = 320
+# Integration error allowed for the motions on the way [deg].
 _ON_THE_WAY_DEG = 0.01
-# Switch times that their windows hold are solved for again about where they stand, so often at the most.
-_WINDOWS = 5
-# A free duration is long enough once continuation it so saves less than this share of the objective, or once the motion ends
-# before what it is allowed by more than this share.
-SAVED, _BEFORE = 1e-3, 1e-3
+# Switch times at the ends of their windows are solved for again, at most so often.
+_MAX_WINDOW_MOVES = 5
+# A free duration is long enough if the last step saved less than this share of the objective, or if the motion ends before
+# its limit by more than the second share.
+MIN_SAVING, _MIN_UNUSED_SHARE = 1e-3, 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -57,7 +57,7 @@ class Continued:
     longest_s: float
     objective: float = np.inf
     held: bool = False  # whether the windows of switch times hold it
-    enough: bool = False  # whether the last step saved less than `SAVED` of the objective
+    enough: bool = False  # whether the last step saved less than `MIN_SAVING` of the objective
     lost: bool = False  # whether longer motions were lost
 
 
@@ -67,7 +67,7 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
     swung, swings = _quickest(search, budget)
     if swung is None or swung.duration_s > longest(problem):
         return None
-    n_intervals = max(2 * problem.mesh.intervals, PER_SWING * swings)
+    n_intervals = max(2 * problem.mesh.intervals, INTERVALS_PER_SWING * swings)
     at = continued(problem, swung, n_intervals)
     if at is None:
         return None
@@ -83,7 +83,8 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
         why = f"; the best within {at.longest_s:.5g} s: longer motions were lost on the way, better ones may exist"
         return only_feasible(plan, why)
     if at.enough:
-        said = f"; its last {DURATION_FACTOR - 1:.0%} of duration saved less than {SAVED:.1%}, longer motions were not tried"
+        last = f"; its last {DURATION_FACTOR - 1:.0%} of duration saved less than {MIN_SAVING:.1%}"
+        said = f"{last}, longer motions were not tried"
         return replace(plan, message=plan.message + said)
     return plan
 
@@ -120,7 +121,7 @@ def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Co
 
     def solve(at: Continued, allowed: float) -> Continued | None:
         found = _step(problem, at, allowed)
-        for _ in range(_WINDOWS):
+        for _ in range(_MAX_WINDOW_MOVES):
             if found is None or not found.held:
                 break
             before, found = found, _step(problem, found, allowed) or found
@@ -131,14 +132,14 @@ def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Co
     def enough(before: Continued, after: Continued, whole: bool) -> bool:
         if fixed or after.held or after.longest_s < least:
             return False
-        return after.start.duration_s < (1 - _BEFORE) * after.longest_s or (whole and _saved_little(before, after))
+        return after.start.duration_s < (1 - _MIN_UNUSED_SHARE) * after.longest_s or (whole and _saved_little(before, after))
 
     def finer(at: Continued) -> Continued | None:
         if nears_singular(problem, at.start):
             return None  # it goes on there, where no mesh is fine enough
         # A free duration is not held by how far switch times may move.
         switches = (np.cumsum(at.shares) * at.start.duration_s)[:-1] if fixed else np.empty(0)
-        mesh, durations = graded_mesh(at.start, switches, min(2 * at.mesh.n_intervals, _FINEST))
+        mesh, durations = graded_mesh(at.start, switches, min(2 * at.mesh.n_intervals, _MAX_INTERVALS))
         return replace(at, mesh=mesh, shares=durations / durations.sum())
 
     # Next to the least time a motion is next to bang-bang: on a mesh without its switches none may be left to find.
@@ -148,18 +149,18 @@ def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Co
         shares = durations / durations.sum()
     begin = Continued(start=quickest, mesh=mesh, shares=shares, scheme=problem.mesh.scheme, longest_s=quickest.duration_s)
     whole = min(DURATION_FACTOR, longest(problem) / quickest.duration_s)
-    smallest = min(_LEAST, whole**_PART)
-    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, least=smallest, most=_STEPS)
+    smallest = min(_MIN_FACTOR, whole**_MIN_FACTOR_POWER)
+    steps = Steps(begin=quickest.duration_s, end=longest(problem), factor=whole, least=smallest, most=_MAX_STEPS)
     path = followed(begin, steps, solve, enough=enough, after_loss=finer)
     at = path.stages[-1]
     if not path.arrived:
         return None if fixed or len(path.stages) == 1 or at.longest_s < least else replace(at, lost=True)
-    to_the_full = (1 - _BEFORE) * at.longest_s <= at.start.duration_s < longest(problem)
+    to_the_full = (1 - _MIN_UNUSED_SHARE) * at.longest_s <= at.start.duration_s < longest(problem)
     return replace(at, enough=not fixed and to_the_full and len(path.stages) > 1 and _saved_little(path.stages[-2], at))
 
 
 def _saved_little(before: Continued, after: Continued) -> bool:
-    return before.objective - after.objective < SAVED * abs(after.objective)
+    return before.objective - after.objective < MIN_SAVING * abs(after.objective)
 
 
 def _step(problem: PlanningProblem, at: Continued, allowed: float) -> Continued | None:

@@ -12,12 +12,12 @@ from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.solving import Iterate, solve_from
 from linkplan.planner.solvers.solve import Solution
 
-# A duration so many times that of the phase plane's motion is surely long enough: its grid is good to a thousandth; along
-# speed limits, where joints fly, to half a hundredth.
-SURELY, SURELY_LIMITED = 1.001, 1.01
-# A motion whose duration ended where its guess held it is begun so many times again, so many times longer; it has no end
-# where its objective falls to this share at once.
-_LONGER, _LONGER_BY, _FALLS = 2, 30.0, 1e-3
+# A duration longer than that of the phase plane's motion by this factor is long enough: the error of its grid is a
+# thousandth, and a hundredth along speed limits.
+GRID_ERROR_FACTOR, GRID_ERROR_FACTOR_AT_SPEED_LIMIT = 1.001, 1.01
+# A motion whose duration ended at the bound of its guess is solved again so often, each time longer by this factor. The
+# duration has no end if the objective falls to the last share at once.
+_MAX_EXTENSIONS, _EXTENSION_FACTOR, _UNBOUNDED_SHARE = 2, 30.0, 1e-3
 
 
 def with_longer_durations(problem: PlanningProblem, found: Iterate) -> tuple[Iterate, str | None]:
@@ -33,14 +33,17 @@ def with_longer_durations(problem: PlanningProblem, found: Iterate) -> tuple[Ite
         further = solve_from(problem, start, at.found.mesh, duration * shares / shares.sum(), what)
         if further is None:
             return None
-        falls = further.solution.objective < _FALLS * at.found.solution.objective and problem.motion.max_duration_s is None
+        falls = (
+            further.solution.objective < _UNBOUNDED_SHARE * at.found.solution.objective
+            and problem.motion.max_duration_s is None
+        )
         return _BoundedByGuess(
             found=further, unbounded=at.unbounded if falls else unbounded_duration(problem, further.solution)
         )
 
     begin = _BoundedByGuess(found=found, unbounded=unbounded_duration(problem, found.solution))
     duration = found.motion.duration_s
-    steps = Steps(begin=duration, end=np.inf, factor=_LONGER_BY, least=_LONGER_BY, most=_LONGER)
+    steps = Steps(begin=duration, end=np.inf, factor=_EXTENSION_FACTOR, least=_EXTENSION_FACTOR, most=_MAX_EXTENSIONS)
     at = followed(begin, steps, solve).stages[-1]
     return at.found, at.unbounded
 

@@ -8,19 +8,18 @@ from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
-# Samples of a guess at which its pace is looked at.
-_SAMPLES = 4001
-# Intervals that each swing of a start is given at least.
-PER_SWING = 40
-# And each segment between switch times.
-_LEAST_IN_SEGMENT = 3
-# Samples of each segment on a mesh graded by efforts, closer together by this share of it next to its ends.
-_IN_SEGMENT, _AT_ENDS = 301, 1e-6
+# Samples of a guess at which its speed is measured.
+_SPEED_SAMPLES = 4001
+# The smallest number of intervals for each swing of a guess, and for each segment between switch times.
+INTERVALS_PER_SWING = 40
+_MIN_INTERVALS_PER_SEGMENT = 3
+# Samples of a segment on a mesh graded by efforts; next to its ends they are this share of it apart.
+_SAMPLES_PER_SEGMENT, _END_SPACING_SHARE = 301, 1e-6
 
 
 def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None = None) -> tuple[Mesh, np.ndarray]:
     """Return the first mesh of a problem and its segments' durations [s] in a guess."""
-    n = n_intervals or max(problem.mesh.intervals, PER_SWING * guess.swings if guess.swings > 1 else 0)
+    n = n_intervals or max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings if guess.swings > 1 else 0)
     if guess.boundaries_s is not None:
         durations = np.diff(guess.boundaries_s)
         return segmented(durations, n, phase=np.arange(len(durations))), durations
@@ -37,7 +36,7 @@ def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> t
     """
     boundaries = _boundaries(guess)
     ends = np.sort(np.concatenate([boundaries, switch_times_s]))
-    times = np.linspace(0.0, guess.duration_s, _SAMPLES)
+    times = np.linspace(0.0, guess.duration_s, _SPEED_SAMPLES)
     progress = np.concatenate([[0.0], np.cumsum(_pace(guess, times))])
     return _spread(times, n_intervals * progress / progress[-1], ends, boundaries)
 
@@ -49,7 +48,7 @@ def mesh_along_power(guess: Guess, n_intervals: int) -> tuple[Mesh, np.ndarray]:
     """
     boundaries = _boundaries(guess)
     ends = np.sort(np.concatenate([boundaries, guess.switch_times_s]))
-    graded = np.geomspace(_AT_ENDS, 0.5, _IN_SEGMENT)
+    graded = np.geomspace(_END_SPACING_SHARE, 0.5, _SAMPLES_PER_SEGMENT)
     inside = np.concatenate([graded, 1.0 - graded[-2::-1]])
     times = np.concatenate([ends, *(begin + inside * (end - begin) for begin, end in itertools.pairwise(ends))])
     times = np.unique(times)
@@ -82,7 +81,7 @@ def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundarie
     at_ends = np.interp(ends, times, progress)
     fraction, segment = [], []
     for k, (begin, end) in enumerate(itertools.pairwise(at_ends)):
-        count = max(_LEAST_IN_SEGMENT, int(np.round(end - begin)))
+        count = max(_MIN_INTERVALS_PER_SEGMENT, int(np.round(end - begin)))
         breaks = np.interp(np.linspace(begin, end, count + 1), progress, times)
         breaks[[0, -1]] = ends[k], ends[k + 1]
         fraction.append(np.diff(breaks) / (ends[k + 1] - ends[k]))

@@ -23,10 +23,10 @@ from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_start
 from linkplan.planner.search.solving import Iterate
 from linkplan.planner.solvers.outcome import INVALID, OF_TIME, OUT_OF_TIME
 
-# So little of a search's time [s] is none: a solver that stops at its limit stops a hair before or after it.
-_NO_TIME_S = 0.01
-# Motions that were found and do not pass: after so many, further starts will not lead to one that does.
-_MOST_MISSED = 2
+# The search stops if less than this time is left [s]: a solver stops a little before or after its limit.
+_MIN_TIME_LEFT_S = 0.01
+# After so many motions that were found and do not pass, further starts are not tried.
+_MAX_MISSED_PLANS = 2
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -129,12 +129,12 @@ class Search:
     @property
     def starts_are_worth_it(self) -> bool:
         """Whether a further start may lead to a motion: none passes, and not too many were found that do not."""
-        return not self.solved and len(self.plans) < _MOST_MISSED
+        return not self.solved and len(self.plans) < _MAX_MISSED_PLANS
 
     @property
     def stopped(self) -> str | None:
         """The solver's word where nothing more is to be had of it: time is up, or a number is not finite; None elsewhere."""
-        if self.deadline.left_s < _NO_TIME_S:
+        if self.deadline.left_s < _MIN_TIME_LEFT_S:
             return OUT_OF_TIME
         steps = recorded()
         if not self.plans and steps and steps[-1].solver_status == INVALID:

@@ -16,12 +16,12 @@ from linkplan.planner.solvers.solve import solve
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, halved
 
-# Starts looked at: what one finds may be a local answer. Perturbed guesses tried for one that closes the loops.
-_STARTS, _MOST_TRIED = 3, 20
-# Finer meshes on which the factor that is named is looked for, and the change between two of them that ends it.
-_FINER, _SETTLED = 3, 1e-4
-# Factors of one mesh that are no further apart are those of the same motion, relative.
-_THE_SAME = 1e-7
+# The number of starts, because one may lead to a local optimum, and of perturbed guesses tried to find them.
+_MAX_STARTS, _MAX_GUESSES = 3, 20
+# Finer meshes for a factor that a message names, and the relative change between two of them that ends the refinement.
+_MAX_FINER_MESHES, _SETTLED_CHANGE = 3, 1e-4
+# Relative difference of factors on one mesh that belong to the same motion.
+_SAME_FACTOR_SHARE = 1e-7
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -40,10 +40,10 @@ def least_limit_of_starts(problem: PlanningProblem, guess: Guess) -> LeastLimit 
 
     Further starts are tried while the factor is above 1.
     """
-    perturbed = itertools.islice(perturbed_guesses(problem, guess.start_pose), _MOST_TRIED)
+    perturbed = itertools.islice(perturbed_guesses(problem, guess.start_pose), _MAX_GUESSES)
     others = (start for _, start in perturbed if closes(problem, start))
     best = None
-    starts = itertools.chain([guess], itertools.islice(others, _STARTS - 1))
+    starts = itertools.chain([guess], itertools.islice(others, _MAX_STARTS - 1))
     for start in problem.solver.deadline.take(starts):
         known = None if best is None else best.first
         found = least_limit(problem, start, *first_mesh(problem, start), known=known)
@@ -59,13 +59,13 @@ def settled_limit(problem: PlanningProblem, found: LeastLimit) -> LeastLimit:
 
     On a first mesh a motion may gain from what the mesh does not see, and needs more than it seems.
     """
-    for _ in range(_FINER):
+    for _ in range(_MAX_FINER_MESHES):
         mesh = halved(found.mesh, np.ones(found.mesh.n_intervals, dtype=bool))
         finer = least_limit(problem, motion_of(found.trajectory), mesh, found.durations)
         if finer is None:
             return found
         before, found = found, finer
-        if abs(found.factor - before.factor) <= _SETTLED * found.factor:
+        if abs(found.factor - before.factor) <= _SETTLED_CHANGE * found.factor:
             break
     return found
 
@@ -94,7 +94,7 @@ def least_limit(
         if not solution.converged:
             break
         factor = float(solution.x[transcribed.program.layout.extra()][0])
-        if best is None and known is not None and abs(factor - known) <= _THE_SAME * known:
+        if best is None and known is not None and abs(factor - known) <= _SAME_FACTOR_SHARE * known:
             return None
         if best is not None and factor > best.factor * (1 + MESH_ERROR_SHARE):
             break

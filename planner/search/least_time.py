@@ -22,8 +22,8 @@ _RUNGS = (
         budget=HURRIED,
     ),
 )
-# The share of the time left that it may take: what it is wanted for takes some too.
-_SHARE = 0.5
+# The share of the remaining time for the motion of least time; the search that uses it needs the rest.
+_SHARE_OF_TIME_LEFT = 0.5
 
 
 def shortest_motion(search: Search) -> Plan | None:
@@ -35,7 +35,7 @@ def shortest_motion(search: Search) -> Plan | None:
         motion = replace(search.problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         # Efforts constant over intervals, as least work has them, would be late.
         mesh = replace(search.problem.mesh, effort="polynomial")
-        hurried = search.within(replace(PATIENT, share_of_time=_SHARE))
+        hurried = search.within(replace(PATIENT, share_of_time=_SHARE_OF_TIME_LEFT))
         free = replace(hurried, objective="time", motion=motion, mesh=mesh, guess=None)
         progress("looking for the shortest feasible duration")
         with recording():

@@ -19,11 +19,11 @@ from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.sites import SiteLimit, SitePoint
 from linkplan.planner.search.turning import check_turns
 
-# Poses looked at between start and goal of a single freedom; for singular ones, each so many-th.
-_BETWEEN, _EVERY = 401, 4
-# What is said of them; what poses on the way [rad or m] and, as a share, the margin to singular poses may be off by: less
-# than that is left to the solver and the certificate.
-_PASSES, _ROUNDING = "between start and goal, where every motion of one degree of freedom passes", 1e-6
+# Poses examined between start and goal of one degree of freedom; singular poses are examined at every fourth of them.
+_POSES_BETWEEN, _SINGULAR_STRIDE = 401, 4
+# The words on such poses, and the tolerance of ranges [rad or m] and of the margin to singular poses [share] on the way:
+# smaller overruns are left to the solver and the certificate.
+_PASSES, _POSE_TOLERANCE = "between start and goal, where every motion of one degree of freedom passes", 1e-6
 
 
 def start_pose_of(problem: PlanningProblem) -> np.ndarray:
@@ -140,7 +140,7 @@ def _branches_on_the_way(problem: PlanningProblem) -> str | None:
     if mechanism.dof != 1 or motion.start is None or motion.goal is None:
         return None
     way = _only_way(problem)
-    if way is not None and all_regular(mechanism, way[::_EVERY]):
+    if way is not None and all_regular(mechanism, way[::_SINGULAR_STRIDE]):
         return None
     low, high = sorted((float(motion.start[0]), float(motion.goal[0])))
     (joint,) = mechanism.independent_joints
@@ -223,7 +223,7 @@ def _only_way(problem: PlanningProblem) -> np.ndarray | None:
     if mechanism.dof != 1 or motion.start is None or motion.goal is None or motion.goal_is_free:
         return None
     try:
-        between = np.linspace(motion.start, motion.goal, _BETWEEN)
+        between = np.linspace(motion.start, motion.goal, _POSES_BETWEEN)
         return follow(mechanism, between, close_at(mechanism, motion.start), problem.solver.deadline)
     except AssemblyError:  # the way is not open: said elsewhere
         return None
@@ -258,7 +258,7 @@ def _range_on_the_only_way(problem: PlanningProblem) -> str | None:
     nearest = np.clip(poses, limit[:, 0], limit[:, 1])
     off = np.abs(poses - nearest)
     k, i = (int(x) for x in np.unravel_index(int(np.argmax(off)), off.shape))
-    if off[k, i] > _ROUNDING:
+    if off[k, i] > _POSE_TOLERANCE:
         at = f"{crank.name} = {crank.said(poses[k, driven], 4)} {crank.unit}"
         return (
             f"infeasible: joint {joints[i].name} stands at {joints[i].said(poses[k, i], 5)} {joints[i].unit} where {at},"
@@ -267,7 +267,7 @@ def _range_on_the_only_way(problem: PlanningProblem) -> str | None:
         )
     ratios = singularity_ratios(problem, poses) if margin else np.ones(1)
     k = int(np.argmin(ratios))
-    if ratios[k] >= margin * (1 - _ROUNDING):
+    if ratios[k] >= margin * (1 - _POSE_TOLERANCE):
         return None
     at = f"{crank.name} = {crank.said(poses[k, driven], 4)} {crank.unit}"
     return (

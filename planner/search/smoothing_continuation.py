@@ -18,13 +18,13 @@ from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.transcription.mesh import halved
 
-# The share of the smoothing that is left in the end, by which factor it falls at a time, and the least such factor.
-_LEFT, _FACTOR, _LEAST, _STEPS = 1e-3, 0.1, 0.3, 8
-# The weight is small enough where taking it away gains less than this share of the objective; meshes are fine enough where
-# a finer one gains less than that, or at so many intervals.
-_GAINED, _SETTLED, _FINEST = 1e-5, 1e-4, 160
-# A reference that is followed to this share of the unit of the objective, an rms of 1e-5 of the motion's span, is followed.
-_FOLLOWED = 1e-10
+# The share of the smoothing at the end, the factor of each step, the smallest factor, and the largest number of steps.
+_FINAL_SHARE, _STEP_FACTOR, _MIN_FACTOR, _MAX_STEPS = 1e-3, 0.1, 0.3, 8
+# The smoothing is small enough if a step gains less than the first share of the objective. The mesh is fine enough if a
+# finer one gains less than the second share, or at the last number of intervals.
+_MIN_GAIN_OF_STEP, _MIN_GAIN_OF_MESH, _MAX_INTERVALS = 1e-5, 1e-4, 160
+# An objective below this share of its unit counts as exact tracking: an rms error of 1e-5 of the motion's range.
+_EXACT_TRACKING_SHARE = 1e-10
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -63,19 +63,24 @@ def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
 
     def settled(before: _Smoothed, after: _Smoothed, whole: bool) -> bool:
         del whole
-        return before.objective - after.objective <= _GAINED * after.objective
+        return before.objective - after.objective <= _MIN_GAIN_OF_STEP * after.objective
 
     first = own_objective(refined.solution.transcribed, refined.solution.objective, refined.motion)
     begin = _Smoothed(case=case, refined=refined, objective=first)
-    if first <= _FOLLOWED * unit:
+    if first <= _EXACT_TRACKING_SHARE * unit:
         return refined, 0.0
-    steps = Steps(begin=case.smoothing, end=_LEFT * SMOOTHING, factor=_FACTOR, least=_LEAST, most=_STEPS)
+    steps = Steps(
+        begin=case.smoothing, end=_FINAL_SHARE * SMOOTHING, factor=_STEP_FACTOR, least=_MIN_FACTOR, most=_MAX_STEPS
+    )
     at, change = followed(begin, steps, solved, enough=settled).stages[-1], 0.0
-    while 2 * at.refined.solution.transcribed.program.mesh.n_intervals <= _FINEST and at.objective > _FOLLOWED * unit:
+    while (
+        2 * at.refined.solution.transcribed.program.mesh.n_intervals <= _MAX_INTERVALS
+        and at.objective > _EXACT_TRACKING_SHARE * unit
+    ):
         finer = solved(at, at.case.smoothing, finer=True)
         if finer is None:
             break
         change, at = (at.objective - finer.objective) / finer.objective, finer
-        if change <= _SETTLED:
+        if change <= _MIN_GAIN_OF_MESH:
             break
     return at.refined, change

@@ -15,26 +15,31 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
-from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
+from linkplan.planner.search.durations import (
+    GRID_ERROR_FACTOR,
+    GRID_ERROR_FACTOR_AT_SPEED_LIMIT,
+    longest,
+    with_longer_durations,
+)
 from linkplan.planner.search.first_mesh import first_mesh, mesh_along_power
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
 from linkplan.planner.search.solving import solve_from
 
-# Perturbed guesses among the starts of a search with several starts, before they are drawn without end.
-_PERTURBATIONS = 3
-# Perturbed guesses tried for one that closes the loops, per one that is wanted.
-_MOST_TRIED = 20
-# A least time beyond so many times that of the phase plane's motion is a local one.
-_SLOW = 1.002
-# A duration that the phase plane's motion exceeds by this factor is hopeless: its grid of turns costs swings some percent.
-_FAR_SHORT = 1.3
-# Meshes on which arcs along limits on power are held, so many times finer and each of a higher degree, until one is solved:
-# what a coarse one errs by leaves a held arc no room.
-_FINER = (1, 2, 4)
-# A solution later than the legs that it began from by this share has lost them.
-_LATE = 1e-6
-# A motion on the first mesh that is no quicker than this share of one that is known is the same, not worth refining.
-_WORTH = 0.999
+# Perturbed guesses among the first starts of a multistart.
+_FIRST_PERTURBED_GUESSES = 3
+# Perturbed guesses tried for each one that closes the loops.
+_MAX_GUESSES_PER_START = 20
+# A least time above that of the phase plane's motion by this factor is a local optimum.
+_LOCAL_OPTIMUM_FACTOR = 1.002
+# A duration below that of the phase plane's motion by this factor is too short: the grid costs swings some percent.
+_TOO_SHORT_FACTOR = 1.3
+# Factors on the number of intervals on which arcs along limits on power are held. Each mesh has a higher degree than the one
+# before: the error of a coarse mesh can make a held arc infeasible.
+_INTERVAL_FACTORS = (1, 2, 4)
+# A solution later than the phase plane's legs by this share has lost them.
+_LATER_THAN_LEGS_SHARE = 1e-6
+# A motion on the first mesh is refined only if it is quicker than this share of the best known duration.
+_WORTH_REFINING_SHARE = 0.999
 
 
 def no_time(search: Search) -> bool:
@@ -42,18 +47,18 @@ def no_time(search: Search) -> bool:
     quickest = search.quickest
     if quickest is None or quickest.boundaries_s is not None:
         return False
-    surely = SURELY if quickest.switch_times_s is not None else SURELY_LIMITED
+    surely = GRID_ERROR_FACTOR if quickest.switch_times_s is not None else GRID_ERROR_FACTOR_AT_SPEED_LIMIT
     return longest(search.problem) * surely < quickest.duration_s
 
 
 def far_too_little_time(search: Search) -> bool:
     """Return whether the time given is too short by more than any local optimum of the phase plane's is too long."""
-    return no_time(search) and _FAR_SHORT * longest(search.problem) < search.quickest.duration_s
+    return no_time(search) and _TOO_SHORT_FACTOR * longest(search.problem) < search.quickest.duration_s
 
 
 def enough_time(search: Search) -> bool:
     """Return whether the phase plane knows of a motion that takes no more than the time given."""
-    return search.quickest is not None and longest(search.problem) >= SURELY * search.quickest.duration_s
+    return search.quickest is not None and longest(search.problem) >= GRID_ERROR_FACTOR * search.quickest.duration_s
 
 
 def from_first_starts(search: Search, budget: Budget) -> Plan | None:
@@ -103,13 +108,13 @@ def along_power(search: Search, budget: Budget) -> Plan | None:
     if np.any((speed < low) | (speed > high)):
         return None
     known = None
-    for finer in _FINER:
+    for finer in _INTERVAL_FACTORS:
         mesh, durations = mesh_along_power(guess, finer * problem.mesh.intervals)
         what = "the phase plane, its arcs held"
         found = solve_from(problem, guess, mesh, durations, what, warm=True)
         if found is not None:
             plan = certified(problem, found)
-            if plan.passed and plan.trajectory.duration_s <= (1 + _LATE) * guess.duration_s:
+            if plan.passed and plan.trajectory.duration_s <= (1 + _LATER_THAN_LEGS_SHARE) * guess.duration_s:
                 return plan
             known = plan if plan.passed else None
             break
@@ -159,13 +164,16 @@ def is_slow(search: Search) -> bool:
         return False
     if not detour_may_pay(search.problem, search.start_pose, search.best.trajectory.duration_s):
         return False
-    return search.quickest is not None and search.best.trajectory.duration_s > _SLOW * search.quickest.duration_s
+    return (
+        search.quickest is not None
+        and search.best.trajectory.duration_s > _LOCAL_OPTIMUM_FACTOR * search.quickest.duration_s
+    )
 
 
 def _quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     """Return a least-time plan that is quicker than the one found; None where there is none."""
     known = search.best.trajectory.duration_s
-    plan = plan_from(search, budget, "the phase plane", search.quickest, worth=_WORTH * known, mended=False)
+    plan = plan_from(search, budget, "the phase plane", search.quickest, worth=_WORTH_REFINING_SHARE * known, mended=False)
     passes = plan is not None and plan.passed
     return plan if passes and plan.trajectory.duration_s < known else None
 
@@ -202,7 +210,7 @@ def best_of_several(search: Search, budget: Budget) -> Plan | None:
     problem, wanted = search.within(budget), search.problem.solver.starts
     perturbed = perturbed_guesses(problem, search.start_pose)
     few = itertools.islice(_every_start(search, budget), wanted)
-    more = itertools.islice(perturbed, _PERTURBATIONS, _MOST_TRIED * wanted)
+    more = itertools.islice(perturbed, _FIRST_PERTURBED_GUESSES, _MAX_GUESSES_PER_START * wanted)
     closed = (start for start in itertools.chain(few, more) if closes(problem, start[1]))
     found = []
     for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(closed, wanted)), start=1):
@@ -234,4 +242,4 @@ def _every_start(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
     if search.quickest is not None:
         yield from _of_the_phase_plane(search, budget)
     yield from (("a swing", swing) for swing in swinging_guesses(search.problem, search.start_pose))
-    yield from itertools.islice(perturbed_guesses(search.problem, search.start_pose), _PERTURBATIONS)
+    yield from itertools.islice(perturbed_guesses(search.problem, search.start_pose), _FIRST_PERTURBED_GUESSES)

@@ -10,12 +10,12 @@ from linkplan.models.poses.reach import Reach
 from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
-# Poses that are looked at in each turn.
-_EACH_TURN = 181
-# A joint is back where it was, but for whole turns, if it is so near [rad or m]: assembly's tolerance, with room.
-_BACK = 1e-5
-# Springs give the same effort again, as a share of the largest.
-_SAME = 1e-9
+# Poses examined in each turn.
+_POSES_PER_TURN = 181
+# A joint has returned after whole turns if it is this near [rad or m]: a multiple of the tolerance of assembly.
+_RETURN_TOLERANCE = 1e-5
+# The share of the largest effort by which the effort of springs may differ after a turn.
+_SAME_EFFORT_SHARE = 1e-9
 
 
 def check_turns(problem: PlanningProblem, start_pose: np.ndarray, can: Reach | None) -> None:
@@ -40,7 +40,7 @@ def check_turns(problem: PlanningProblem, start_pose: np.ndarray, can: Reach | N
             f" {high} deg ({can.upper.reason})"
         )
     first = start_pose[mechanism.independent]
-    n = int(_EACH_TURN * np.abs(motion.turns).max())
+    n = int(_POSES_PER_TURN * np.abs(motion.turns).max())
     try:
         path = first + np.linspace(0.0, 1.0, n)[:, None] * motion.advance
         poses = follow(mechanism, path, start_pose, problem.solver.deadline)
@@ -51,7 +51,7 @@ def check_turns(problem: PlanningProblem, start_pose: np.ndarray, can: Reach | N
     travelled = poses[-1] - poses[0]
     gone = whole_turns(mechanism, travelled)
     worst = int(np.argmax(np.abs(travelled - gone)))
-    if abs(travelled[worst] - gone[worst]) > _BACK:
+    if abs(travelled[worst] - gone[worst]) > _RETURN_TOLERANCE:
         joint = mechanism.joints[worst]
         raise ProblemError(
             f"motion.turns of joint {names}: after it joint {joint.name} is not back, it has gone on by"
@@ -64,13 +64,13 @@ def _check_efforts(mechanism: Mechanism, names: str, pose: np.ndarray, gone: np.
     """Refuse springs and servos' ranges for which the next turn is another than the last."""
     still = np.zeros(mechanism.n_q)
     before, after = (np.array(mechanism.dynamics.passive(q, still)).ravel() for q in (pose, pose + gone))
-    if np.abs(after - before).max() > _SAME * max(np.abs(after).max(), np.abs(before).max()):
+    if np.abs(after - before).max() > _SAME_EFFORT_SHARE * max(np.abs(after).max(), np.abs(before).max()):
         joint = mechanism.joints[int(np.argmax(np.abs(after - before)))]
         raise ProblemError(f"motion.turns of joint {names}: a spring on joint {joint.name} winds up with every turn")
     rest, nothing = np.zeros((1, mechanism.dof)), np.zeros((1, mechanism.n_u))
     ctrl, later = (needed_controls(mechanism, q[None], rest, nothing)[0] for q in (pose, pose + gone))
     for actuator, x, y in zip(mechanism.actuators, ctrl, later, strict=True):
-        if actuator.limits_control and abs(y - x) > _SAME * max(abs(x), abs(y)):
+        if actuator.limits_control and abs(y - x) > _SAME_EFFORT_SHARE * max(abs(x), abs(y)):
             raise ProblemError(
                 f"motion.turns of joint {names}: the ctrl of servo {actuator.name} goes on by {y - x:.4g} with them and"
                 f" has a ctrlrange of {actuator.control_lower:g} to {actuator.control_upper:g}"

@@ -25,14 +25,14 @@ from linkplan.planner.search.solving import solve_from
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 
-# Efforts that hold a pose are within their limits and miss no more than this share of the largest; a wait shorter than this
-# share of the duration is none.
-_HELD, _NO_WAIT = 1e-9, 1e-9
+# The share of the largest effort by which efforts that hold a pose may miss it, and the share of the duration below which
+# there is no wait.
+_HOLDING_TOLERANCE, _MIN_WAIT_SHARE = 1e-9, 1e-9
 # Intervals of the rest.
-_RESTING = 10
-# Of several driven freedoms, the share of the time left in which a solver may find a better motion than rest and one beside
-# it: the five-bar's swing-up is lost there, however long. By how much the motion beside it is longer than the least time.
-_SHARE, _LITTLE = 0.1, 1.05
+_REST_INTERVALS = 10
+# With several driven degrees of freedom: the share of the time left for a solve that begins at a rest and a motion beside
+# it (a five-bar's swing-up is lost there), and the factor from the least time to the duration of the motion beside the rest.
+_SHARE_OF_TIME_LEFT, _FACTOR_BESIDE_REST = 0.1, 1.05
 # Terms of an objective that a rest adds to by its effort and its length alone.
 _STILL_TERMS = {"time", "effort", "copper_loss"}
 
@@ -65,9 +65,9 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
     if quick is None or quick.solved is None or quick.solved.program.mesh.n_phases > 1:
         return None
     several = search.problem.mechanism.dof > 1
-    problem = _on_its_scheme(search.within(replace(budget, share_of_time=_SHARE) if several else budget), quick)
+    problem = _on_its_scheme(search.within(replace(budget, share_of_time=_SHARE_OF_TIME_LEFT) if several else budget), quick)
     wait = problem.motion.duration_s - quick.trajectory.duration_s
-    if wait <= _NO_WAIT * problem.motion.duration_s:
+    if wait <= _MIN_WAIT_SHARE * problem.motion.duration_s:
         return None
     for what, guess, mesh, durations in _waits(problem, quick, wait):
         for warm in (True, False):
@@ -108,7 +108,7 @@ def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None
 
 def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None:
     """Return the plan of the best motion in little more than the least time; None where it does not pass."""
-    duration = min(_LITTLE * quick.trajectory.duration_s, search.problem.motion.duration_s)
+    duration = min(_FACTOR_BESIDE_REST * quick.trajectory.duration_s, search.problem.motion.duration_s)
     problem = _on_its_scheme(search.within(budget), quick)
     mesh = replace(problem.mesh, refine="intervals")
     problem = replace(problem, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
@@ -137,15 +137,15 @@ def _joined(motion: Trajectory, wait: float, effort: np.ndarray, *, first: bool)
 def _waits(problem: PlanningProblem, quick: Plan, wait: float) -> Iterator[tuple[str, Guess, Mesh, np.ndarray]]:
     motion, mesh = motion_of(quick.trajectory), quick.solved.program.mesh
     lengths = np.bincount(mesh.segment, weights=np.diff(quick.trajectory.breaks_s))
-    rest = np.full(_RESTING, 1.0 / _RESTING)
+    rest = np.full(_REST_INTERVALS, 1.0 / _REST_INTERVALS)
     for end in ("start", "goal"):
         effort = _held(problem, end)
         if effort is None:
             continue
         first = end == "start"
-        segment = [np.zeros(_RESTING, dtype=int), mesh.segment + 1]
+        segment = [np.zeros(_REST_INTERVALS, dtype=int), mesh.segment + 1]
         if not first:
-            segment = [mesh.segment, np.full(_RESTING, mesh.n_segments)]
+            segment = [mesh.segment, np.full(_REST_INTERVALS, mesh.n_segments)]
         parts = (rest, mesh.fraction) if first else (mesh.fraction, rest)
         longer = Mesh(fraction=np.concatenate(parts), segment=np.concatenate(segment))
         durations = np.concatenate([[wait], lengths] if first else [lengths, [wait]])
@@ -185,7 +185,7 @@ def _held(problem: PlanningProblem, end: str) -> np.ndarray | None:
         return None
     still = np.zeros((1, mechanism.dof))
     effort, missed = needed_effort(mechanism, close_at(mechanism, getattr(motion, end))[None], still, still)
-    slack = _HELD * np.where(np.isfinite(limit), np.abs(limit), 0.0).max(initial=1.0)
+    slack = _HOLDING_TOLERANCE * np.where(np.isfinite(limit), np.abs(limit), 0.0).max(initial=1.0)
     if np.abs(missed).max() > slack or np.any(effort[0] < limit[:, 0] - slack) or np.any(effort[0] > limit[:, 1] + slack):
         return None
     return effort[0]

@@ -15,7 +15,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import duration_continuation
-from linkplan.planner.search.duration_continuation import SAVED, continued, from_continuation
+from linkplan.planner.search.duration_continuation import MIN_SAVING, continued, from_continuation
 from linkplan.planner.search.ladder import PATIENT, Search
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.search.starts import least_time_motion
@@ -120,7 +120,7 @@ def test_a_free_duration_is_lengthened_until_more_time_saves_next_to_nothing():
     best = plan_motion(problem)
     assert best.status == "optimal", best.message
     assert reached.start.duration_s <= reached.longest_s * (1 + 1e-9)
-    assert reached.start.duration_s == pytest.approx(best.trajectory.duration_s, rel=SAVED)
+    assert reached.start.duration_s == pytest.approx(best.trajectory.duration_s, rel=MIN_SAVING)
 
 
 @pytest.mark.slow

@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.certificate import SLACK
+from linkplan.planner.ode.certificate import LIMIT_SLACK
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.starts import integrated
 from tests.support.ode import FREE_EFFORT, INF, NAN, solved, squared_effort
@@ -123,5 +123,5 @@ def test_an_alp_rider_goes_over_every_hump_for_the_published_cost():
     assert plan.certificate.integration_restarts
     t = plan.trajectory.dense_times(50)
     above = np.sum(plan.trajectory.state_at(t) ** 2, axis=1) - terrain(t)
-    assert above.min() > -SLACK * above.max()
+    assert above.min() > -LIMIT_SLACK * above.max()
     assert np.mean(above < 1e-4) > 0.8  # it goes along the limit nearly all the time

@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq, fsolve
 
-from linkplan.planner.ode.certificate import OVERRUN
+from linkplan.planner.ode.certificate import OVERRUN_SHARE
 from linkplan.planner.ode.problem import OdeProblem
 from tests.support.ode import FREE_EFFORT, INF, NAN, double_integrator, duration, solved
 from tests.support.tolerances_planner import (
@@ -379,6 +379,6 @@ def test_a_state_s_limit_is_kept_by_the_integrated_motion_too():
             lambda t, y: [y[1], y[2], motion.effort_at([t])[0, 0]], at[[0, -1]], state, t_eval=at, rtol=1e-10, atol=1e-12
         )
         most, state = max(most, np.abs(run.y[1]).max() - 0.5, np.abs(run.y[2]).max() - 1), run.y[:, -1]
-    assert most <= OVERRUN
-    assert plan.objective >= 2.6 * (1 - OVERRUN)
+    assert most <= OVERRUN_SHARE
+    assert plan.objective >= 2.6 * (1 - OVERRUN_SHARE)
     assert plan.objective == pytest.approx(2.6, rel=ODE_STATE_ARCS)

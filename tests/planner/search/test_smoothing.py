@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.search.attempts import MOVES
+from linkplan.planner.search.attempts import REPORTED_CHANGE
 from tests.support.plans import optimal
 
 # What an independent solution on a fine mesh comes to [rad2 s], and how near to it a mesh of 160 intervals is, relative;
@@ -31,4 +31,4 @@ def test_the_objective_of_a_tracking_motion_is_the_integral_of_its_own_error():
 @pytest.mark.slow
 def test_the_nearest_motion_within_the_torque_limit_is_as_near_as_an_independent_one():
     plan = optimal("knee-sine-shank")
-    assert INDEPENDENT * (1 - MOVES) <= squared_error(plan) <= INDEPENDENT * (1 + NEAR)
+    assert INDEPENDENT * (1 - REPORTED_CHANGE) <= squared_error(plan) <= INDEPENDENT * (1 + NEAR)
