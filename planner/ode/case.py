@@ -105,7 +105,7 @@ class OdeCase:
         return certify_ode(self.asked, motion)
 
     def error_report(self, certificate: OdeCertificate) -> ErrorReport:
-        """Return what a certificate says to refinement; another mesh may mend whatever it is, for all that is known."""
+        """Return the errors that a certificate reports; another mesh may remove each of them."""
         size = [max(abs(bound) for bound in limit if np.isfinite(bound)) or 1.0 for limit in self.asked.path_limit]
         over = (certificate.path_overrun / np.array(size).reshape(-1, 1)).max(axis=0, initial=0.0)
         return ErrorReport(

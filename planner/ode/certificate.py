@@ -74,7 +74,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     by_interval = np.array([least_between(row, points) for row in inside]).reshape(-1, n)
     path_margin = by_interval.min(axis=1, initial=np.inf)
     path_size = np.abs(path).max(axis=1, initial=1.0)
-    # Of states the coefficients: rows hold those to their limits, before the polynomial comes near.
+    # For states these are the coefficients: rows keep the coefficients within the limits.
     beside = _inside(trajectory.state[..., :n_x], problem.state_limit) / size
     along = (inside / path_size[:, None]).reshape(len(inside), n, len(points))
     touching = _in_part(beside.transpose(2, 1, 0)) | _in_part(along)
@@ -132,7 +132,7 @@ def sizes_of(x: np.ndarray) -> np.ndarray:
 
 
 def _inside(value: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return how far values (..., n) are within limits (n, 2), negative outside."""
+    """Return the margin of values (..., n) within limits (n, 2), negative outside."""
     return np.minimum(value - limit[:, 0], limit[:, 1] - value)
 
 
@@ -143,7 +143,7 @@ def _in_part(beside: np.ndarray) -> np.ndarray:
 
 
 def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme) -> np.ndarray:
-    """Return what each interval (n,) adds to the running cost by a transcription's quadrature."""
+    """Return the running cost of each interval (n,) by the quadrature of the transcription."""
     breaks, m = trajectory.breaks_s, chosen.n_nodes
     # The right end of an interval is the next one's left end, where efforts may jump: a hair inside.
     time = breaks[:-1, None] + np.diff(breaks)[:, None] * np.clip(chosen.nodes, 0.0, 1.0 - 1e-12)
@@ -154,7 +154,7 @@ def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme)
 
 
 def _boundary_error(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> float:
-    """Return how far the ends are outside what is asked of them, of each state's size; psi by its own."""
+    """Return the violation of the boundary conditions, relative to the sizes of the states and of psi."""
     first, last = trajectory.state[0, 0, : problem.n_x], trajectory.state[-1, -1, : problem.n_x]
     back = list(problem.returns)
     apart = [missed(first, *problem.start.T, size), missed(last, *problem.goal.T, size)]

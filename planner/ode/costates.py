@@ -27,7 +27,7 @@ class Switching:
 
 
 def is_affine(problem: OdeProblem) -> bool:
-    """Return whether rate and running cost are affine in the efforts: then each belongs at a limit, or on a singular arc."""
+    """True if rate and running cost are affine in the efforts: each effort is then at a limit or on a singular arc."""
     for name in ("rate", "running_cost"):
         function = problem.at_instant(name)
         if function.numel_out(0):

@@ -9,7 +9,7 @@ from linkplan.planner.refinement.case import Iterate
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FirstSolution:
-    """What was found, as a solution of which case, from which of the starts.
+    """A first solution, the case that it solves, and the number of its start.
 
     `away` has the words on a duration that has no best, where there is none.
     """

@@ -19,7 +19,7 @@ _MIN_UNIT_SHARE = 1e-8
 
 
 def depends_on_time(problem: OdeProblem) -> bool:
-    """Return whether f, L or c depends on t: then time is carried as a state of its own."""
+    """True if f, L or c depends on t: time is then a state of its own."""
     for name in ("rate", "running_cost", "path"):
         function = problem.at_instant(name)
         if function.numel_out(0) and function.sparsity_jac(3, 0).nnz():
@@ -174,7 +174,7 @@ def _endpoint(problem: OdeProblem, units: Units, timed: bool, least_limit: bool)
 
 
 def straight_guess(problem: OdeProblem) -> StateGuess:
-    """Return the straight line between what is known of start and goal, with efforts in the middle of their limits."""
+    """Return the straight line between the given values of start and goal, with efforts in the middle of their limits."""
     ends = []
     for rows, other in ((problem.start, problem.goal), (problem.goal, problem.start)):
         ends.append([_middle(row, _middle(over, 0.0)) for row, over in zip(rows, other, strict=True)])

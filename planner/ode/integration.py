@@ -1,11 +1,11 @@
 """The differential equation integrated under a solution's efforts, against the solution.
 
-From the start to the end in one go, as a rule. Where a motion is unstable an error grows along it by many orders of
-magnitude: e^40 in 20 s next to a pole at 2 / s, and rounding alone decides where the integration ends. Then every interval
+From the start to the end in one go, as a rule. Along an unstable motion an error grows by many orders of magnitude (e^40 in
+20 s for a pole at 2 / s), and rounding decides where the integration ends. Then every interval
 is integrated from the planned state, its defect is propagated by the transition matrices along the motion, and the
 integration is restarted wherever an error would have grown by `GROWTH`, as for mechanisms
-(`linkplan.planner.certificate.integration`). What is judged is then whether the solution is a motion of the differential
-equation, not whether somebody could follow it blindly; how often it was restarted is reported.
+(`linkplan.planner.certificate.integration`). The certificate then states that the solution satisfies the differential
+equation, not that it can be followed without feedback. It reports the number of restarts.
 """
 
 from dataclasses import dataclass
@@ -59,7 +59,7 @@ def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, 
 
 
 def is_unstable(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> bool:
-    """Return whether an error grows too much along a motion, for one integration to judge it.
+    """True if an error grows too much along a motion for one integration to certify it.
 
     Args:
         problem: what was asked.
@@ -70,7 +70,7 @@ def is_unstable(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray
 
 
 def _grows(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, most: float) -> bool:
-    """Return whether an error grows by more than a factor, with each interval's dynamics as in its middle."""
+    """True if an error grows by more than a factor, with the dynamics of each interval frozen at its middle."""
     breaks, n_x = trajectory.breaks_s, problem.n_x
     widths = np.diff(breaks)
     middle, p = breaks[:-1] + 0.5 * widths, np.tile(problem.parameters[:, None], (1, len(widths)))
@@ -94,7 +94,7 @@ def _grows(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, mos
 
 
 def _most(problem: OdeProblem) -> float:
-    """Return by how much an error may grow: what an integration errs by itself is within the tolerance until then."""
+    """Return the growth of an error up to which the integrator's own error stays within the tolerance."""
     return max(GROWTH, problem.tolerance / RTOL)
 
 
@@ -197,7 +197,7 @@ def _variation(problem: OdeProblem) -> ca.Function:
 def _varied_on(problem: OdeProblem, n_coefficients: int) -> ca.Function:
     """Return the rate of state, cost and transition matrix (column by column) within an interval, of `Rate`'s inputs.
 
-    Those are: state, an interval's efforts, its beginning [s] and width [s], and the share of it.
+    The arguments are the state, the efforts of an interval, its beginning [s] and width [s], and the share of the interval.
     """
     n_x, n_u = problem.n_x, problem.n_u
     y, given, share = ca.SX.sym("y", (n_x + 1) ** 2), ca.SX.sym("c", n_coefficients * n_u + 2), ca.SX.sym("tau")

@@ -89,9 +89,10 @@ class OdePlan:
 def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     """Return the solution of a problem; one without an answer says why in `message`.
 
-    The guesses are tried in turn, the first where none is given being a straight line, at several durations where nothing
-    says how long a motion takes; where none leads to a solution, from a motion of least effort and from perturbed guesses.
-    With `solver.starts` above 1 as many starts are solved, bent from the guesses at random but the same in every run. The
+    The guesses are tried in turn; without one the start is a straight line, at several durations if the problem does not
+    bound them. If no guess leads to a solution, a motion of least effort and perturbed guesses are tried.
+    If `solver.starts` is above 1, that many starts are solved: the guesses and perturbations of them, the same in every
+    run. The
     best is refined.
     """
     contradiction = _contradiction(problem)
@@ -140,14 +141,15 @@ def _in_turn(problem: OdeProblem, given: list[StateGuess]) -> list[FirstSolution
     others = of_other_durations(problem, given[0]) if is_open(problem) else []
     others += list(perturbed(problem, given, len(given) + _PERTURBED_GUESSES))[len(given) :]
     if np.all(np.isfinite(problem.effort_limit)):
-        # With limits a motion of no duration's solves may be another local one; what forbids one is found by the efforts.
+        # If all efforts are limited, starts of other durations may find a better optimum; without a solution the least
+        # effort limits give the reason.
         return found + _first_solutions(patient, others if is_open(problem) else [], first=len(given))
     found += _from_least_effort(patient, given[0])
     return found or _first_solutions(patient, others, enough=1, first=len(given))
 
 
 def _last_status() -> str:
-    """Return what the last solve ended with; a plan without any had no time for it."""
+    """Return the status of the last solve; without a solve the time was up."""
     steps = recorded()
     return steps[-1].solver_status if steps else OUT_OF_TIME
 
@@ -210,8 +212,8 @@ def _calmed(first: FirstSolution) -> FirstSolution:
 def _eased(first: FirstSolution) -> FirstSolution:
     """Return a first solution with efforts that are linear over intervals, where it has arcs on which they could chatter.
 
-    On an arc within the limits an effort that enters affinely is held by the costates' higher derivatives alone: a
-    polynomial through an interval's nodes is free to swing there, a straight line is not.
+    On a singular arc only higher derivatives of the costates determine an effort that enters affinely. A polynomial through
+    the nodes of an interval can oscillate there, a straight line cannot.
     """
     case, asked, motion = first.case, first.case.asked, first.found.motion
     if case.problem.mesh.effort != "polynomial" or not is_affine(asked) or not has_arcs(motion, asked.effort_limit):
@@ -226,7 +228,7 @@ def _eased(first: FirstSolution) -> FirstSolution:
 
 
 def _finest(problem: OdeProblem, first: FirstSolution) -> Refined[OdeTrajectory, OdeCertificate]:
-    """Return what a first solution is refined to; one with switch times already is as it is."""
+    """Refine a first solution; one with switch times is taken as it is."""
     if not first.case.has_switch_times:
         solved = replace(problem, mesh=first.case.problem.mesh)
         first = replace(first, case=OdeCase(solved, problem, first.case.units))
@@ -304,7 +306,7 @@ def _contradiction(problem: OdeProblem) -> str | None:
 
 def _explain(problem: OdeProblem, guess: StateGuess) -> OdePlan:
     """Return the plan of a problem that no start solved: from the motion of the least limits, or the reason."""
-    # Of the first start: those after it were given less time.
+    # The status of the first start: later ones had less time.
     steps = recorded()
     status = steps[0].solver_status if steps else OUT_OF_TIME
     stopped = why_stopped(status, problem.solver.max_time_s)
@@ -322,8 +324,8 @@ def _explain(problem: OdeProblem, guess: StateGuess) -> OdePlan:
             shorter = _least_time(problem, guess) if fixed else None
             if shorter is not None:
                 return _lengthened(problem, shorter)
-            # Where time is free a motion may build up energy by swings that no start has tried: what was found is no proof
-            # then.
+            # If the duration is free, a motion may build up energy by swings that no start has tried, and the factor proves
+            # nothing.
             message = f"infeasible: {found}" if fixed else f"failed: no solution was found; {found}, which is no proof"
             status = "infeasible" if fixed else "failed"
             message += _out_of_time(problem)

@@ -54,7 +54,7 @@ def perturbed(problem: OdeProblem, given: list[StateGuess], n: int) -> Iterator[
 
 
 def is_open(problem: OdeProblem) -> bool:
-    """Return whether neither the bounds nor a guess say how long the motion takes."""
+    """True if neither the bounds nor a guess determine the duration roughly."""
     low, high = problem.duration
     return high > _OPEN_DURATION_FACTOR * low and not problem.guesses
 
@@ -95,7 +95,7 @@ def integrated(problem: OdeProblem) -> Iterator[StateGuess]:
 def of_least_effort(problem: OdeProblem) -> OdeProblem:
     """Return the problem with the least squared effort as its objective.
 
-    Its motion, well in the middle of the limits, is a start for the objective that was asked for.
+    Its motion is in the middle of the limits and serves as a start for the given objective.
     """
     limit = problem.effort_limit
     finite = np.all(np.isfinite(limit), axis=1)

@@ -39,8 +39,7 @@ _ERROR_MULTIPLE = 10.0
 def switch_by_costates(first: FirstSolution) -> FirstSolution:
     """Return a first solution with its efforts at the limits that their switching functions ask for, on a mesh cut there.
 
-    Where an effort enters otherwise than affinely, has no two limits, or has an arc within them, the solution is returned
-    as it is.
+    The solution is returned unchanged if an effort does not enter affinely, lacks a limit, or has an arc within its limits.
     """
     asked, problem, limit = first.case, first.case.asked, first.case.asked.effort_limit
     if not np.all(np.isfinite(limit)) or not is_affine(problem):
@@ -77,7 +76,7 @@ def switch_by_costates(first: FirstSolution) -> FirstSolution:
 
 
 def _replaces(case: OdeCase, tried: Iterate[OdeTrajectory], before: Solution, *, uncut: bool) -> bool:
-    """Return whether a solution replaces the one before.
+    """True if a solution replaces the previous one.
 
     The first with switch times does where it is no worse than a mesh without switch times is wrong, later ones where they
     gain more than what their states' errors are worth by their own costates.
@@ -91,7 +90,7 @@ def _replaces(case: OdeCase, tried: Iterate[OdeTrajectory], before: Solution, *,
 
 
 def has_arcs(motion: OdeTrajectory, limit: np.ndarray) -> bool:
-    """Return whether an effort stays within its limits for longer than a smeared switch."""
+    """True if an effort stays within its limits for longer than a smeared switch."""
     slack = np.where(np.isfinite(limit).all(axis=1), _AT_LIMIT_SHARE * np.diff(limit, axis=1).ravel(), np.inf)
     within = (motion.effort.min(axis=0) < limit[:, 1] - slack) & (motion.effort.max(axis=0) > limit[:, 0] + slack)
     for column in within.T:
@@ -109,7 +108,7 @@ def _signs(switching: Switching) -> np.ndarray:
 
 
 def _promised(motion: OdeTrajectory, switching: Switching, limit: np.ndarray) -> float:
-    """Return what the objective would gain, to first order, with every effort at the limit that it is to be at."""
+    """Return the first-order gain of the objective with every effort at its optimal limit."""
     n, steps, n_u = switching.value.shape
     signs = _signs(switching).reshape(n, steps, n_u)
     share = np.clip(np.linspace(0.0, 1.0, steps), 1e-9, 1 - 1e-9)

@@ -2,10 +2,9 @@
 
 Along s the energy w = v^2 / 2 obeys dw/ds = a(s, v, u) (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985): a leg
 that pushes with full effort from rest, another that brakes to rest at the goal, and where they cross the switch. With the
-reduced inertia M(s), M w grows by the work of weight and effort alone, so that legs keep their energy however quickly M
-changes next to a singular pose. Where the way straight there is not open, the quickest one by way of a grid of turns is
-looked for. These are starting points where a straight motion is not found; the optimum is left to the solver, and so is
-all that this leaves out.
+reduced inertia M(s), M w changes only by the work of weight and efforts, so that legs keep their energy however quickly M
+changes near a singular pose. If the direct way is blocked, the quickest way over a grid of turning places is searched. The
+motions are starts for a solver, which finds the optimum and honours everything that the phase plane leaves out.
 """
 
 import heapq
@@ -36,12 +35,12 @@ _SAME_ENERGY_SHARE = 1e-6
 
 
 def least_time_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
-    """Return a reach in the least time that the phase plane knows, whatever duration is asked; None where there is none."""
+    """Return a reach in the least time that the phase plane knows, whatever duration is asked; None without one."""
     return _planes(problem, start_pose)(1.0) if phase_plane_applies(problem) else None
 
 
 def phase_plane_applies(problem: PlanningProblem) -> bool:
-    """Return whether a problem is one of the phase plane's: a reach of one degree of freedom, its efforts all limited."""
+    """True if the phase plane applies: a reach of one degree of freedom with limits on all efforts."""
     if problem.mechanism.dof != 1 or problem.motion.kind != "reach" or problem.motion.stays:
         return False
     if any(w.time_s is not None or not np.all(np.isfinite(w.position)) for w in problem.motion.waypoints):
@@ -161,7 +160,7 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
             push = plane.leg(at, 0.5 * v**2, way, way)
             index = at + way * np.arange(len(push))
             if len(push) > 1 and index[-1] not in (0, n - 1):
-                # Where full effort comes to rest by itself: the furthest turn, and on no grid.
+                # The place at which full effort comes to rest by itself is the furthest turn; it need not lie on the grid.
                 whole = index, np.append(push[:-1], 0.0), np.full(len(index), way)
                 taken = time + _duration(plane, whole)
                 heapq.heappush(queue, (taken, next(ticket), legs_so_far + 1, int(index[-1]), [*legs, whole]))

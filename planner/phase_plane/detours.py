@@ -1,6 +1,6 @@
 """May a motion that rests on its way be quicker than one that does not? A bound from below, before anything is searched.
 
-With one degree of freedom every motion consists of legs from rest to rest. Without dampers a leg between two places is
+A motion of one degree of freedom consists of legs from rest to rest. Without dampers a leg between two places is
 known in closed form: its energy is the least of what full effort has given since the one and what full effort can take
 until the other, E(s) = min(W_a(s), W_b(s)), and its time the integral of ds / v. Dampers only take energy, and so make legs
 longer. The shortest way over a grid of places, the leg from start to goal left out, bounds all detours from below.
@@ -21,7 +21,7 @@ _BLOCKED_PATH_S = 1e300
 
 
 def detour_may_pay(problem: PlanningProblem, start_pose: np.ndarray, duration_s: float) -> bool:
-    """Return whether another reach may be quicker than a straight one of least time that takes `duration_s`.
+    """True if another reach may be quicker than a direct one of least time that takes `duration_s`.
 
     Args:
         problem: of one degree of freedom.

@@ -1,6 +1,6 @@
-"""What a leg of the phase plane may do: all that limits on effort, power and pin force allow at a place and a speed.
+"""The accelerations that limits on effort, power and pin force allow a leg of the phase plane at a place and a speed.
 
-With one degree of freedom each of these limits is a bound on the effort there: a power P bounds it by P / w, and a pin force
+For one degree of freedom each of these limits bounds the effort there: a power P bounds it by P / w, and a pin force
 is affine in the effort, so that its rating R bounds it by the roots of |F(s, v, u)|^2 = R^2.
 """
 
@@ -30,7 +30,7 @@ class PinForces:
     def efforts(self, s: Any, v: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the least and largest efforts (..., n_closures) that each closure bears, and whether it bears any.
 
-        Where it bears none, both are the effort at which its force is least.
+        If the closure bears no load, both are the effort of least force.
         """
         values, v = self.curves(s), np.asarray(v, dtype=float)[..., None]
         force = values[..., 0, :] + values[..., 1, :] * v**2 + values[..., 2, :] * v
@@ -62,7 +62,7 @@ class LegField:
     pins: PinForces | None = None
 
     def at(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what actuators are held at (..., n_u), the efforts (..., n_u) and the acceleration at places and speeds.
+        """Return the limits (..., n_u) that hold, the efforts (..., n_u) and the acceleration at places and speeds.
 
         The efforts are those that push towards the end, or brake.
         """
@@ -97,7 +97,7 @@ class LegField:
         return effort, force / values[..., 0]
 
     def keeps(self, s: np.ndarray, v: np.ndarray, *, towards: bool) -> bool:
-        """Return whether one effort keeps all limits at places and speeds (n,): where none does, no motion is that fast."""
+        """True (n,) if an effort keeps all limits at a place and speed; without one no motion is that fast there."""
         if self.pins is None:
             return True
         _, effort, _ = self.at(s, v, towards=towards)

@@ -32,9 +32,9 @@ _MIN_INTERVAL_SHARE, _MAX_INTERVAL_SHARE = 1e-12, 0.01
 
 
 def legs_motion(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory | None:
-    """Return the quickest reach that never turns back but where it must, along limits on power; None where there is none.
+    """Return the quickest reach that never turns back but where it must, along limits on power; None without one.
 
-    It is quickest by comparison: no motion that goes on to where it must turn is anywhere faster than both legs allow.
+    It is the quickest one: no motion that goes on to its turning place is anywhere faster than both legs allow.
 
     Args:
         problem: whose efforts are limited; of its other limits, all but those on power and pin force are left out.
@@ -70,7 +70,7 @@ def _inside(limit: np.ndarray) -> np.ndarray:
 
 
 def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list, list, list, list] | None:
-    """Return where a leg's intervals begin in the motion's time [s], and their coefficients; None where they get too short.
+    """Return the beginnings [s] of a leg's intervals and their coefficients; None if the intervals get too short.
 
     Position (m + 2,), velocity (m + 1,) and effort (m, n_u) each.
     """

@@ -54,19 +54,19 @@ class Leg:
         return float(scipy.optimize.brentq(lambda t: self.state(t)[0] - place, self.begin, self.end, xtol=1e-15))
 
     def speed_at(self, place: float) -> float:
-        """Return how fast it passes a place."""
+        """Return its speed at a place."""
         return float(self.state(self.time_at(place))[1])
 
     def held_at(self, t: float) -> tuple[int, ...]:
-        """Return what is held at an instant of its own."""
+        """Return the limit held at an instant of its own time."""
         return tuple(int(one) for one in self.field.at(*self.state(t), towards=self.towards)[0])
 
     def is_possible(self) -> bool:
-        """Return whether one effort keeps all limits at every instant of it that is looked at."""
+        """True if an effort keeps all limits at every examined instant."""
         return self.field.keeps(*self.state(self._looks()), towards=self.towards)
 
     def _looks(self) -> np.ndarray:
-        """Return the instants (n,) of its own at which it is looked at: some within each of the integration's steps."""
+        """Return the instants (n,), in its own time, at which it is examined: some in each step of the integration."""
         knots = np.unique(np.clip(self.steps, self.begin, self.end))
         looks = np.interp(
             np.arange(_INSTANTS_PER_STEP * (len(knots) - 1) + 1) / _INSTANTS_PER_STEP, np.arange(len(knots)), knots
@@ -74,7 +74,7 @@ class Leg:
         return 0.5 * (looks[1:] + looks[:-1])
 
     def arcs(self) -> list[tuple[float, tuple[int, ...]]]:
-        """Return its arcs in turn: when each ends [s], in the motion's time, and what is held along it."""
+        """Return its arcs in order: the end of each [s], in the motion's time, and the limit held along it."""
         looks = self._looks()
         held, found = [self.held_at(t) for t in looks], []
         for k in range(1, len(looks)):
@@ -88,7 +88,7 @@ class Leg:
 
 
 def knows_pins(problem: PlanningProblem) -> bool:
-    """Return whether legs know a problem's limits on pin forces: of one freedom and actuator, and no joint that rubs."""
+    """True if legs can keep the limits on pin forces: one degree of freedom, one actuator, no dry friction."""
     mechanism = problem.mechanism
     if not problem.limits.limited_closures or (mechanism.dof, mechanism.n_u) != (1, 1):
         return False
@@ -98,7 +98,7 @@ def knows_pins(problem: PlanningProblem) -> bool:
 def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
     """Return the quickest reach that never turns back but where it must, along limits on power and pin force, and its arcs.
 
-    None where there is none, where no power or force is at its limit, or where more is asked than the phase plane knows.
+    None without one, if no power or force is at its limit, or if the problem has other limits that the phase plane lacks.
     Arguments as of `power_legs`.
     """
     found = power_legs(problem, start_pose)
@@ -115,7 +115,7 @@ def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | Non
 def power_legs(
     problem: PlanningProblem, start_pose: np.ndarray, *, exactly: bool = False
 ) -> tuple[list[Leg], np.ndarray] | None:
-    """Return the legs of such a motion, and when it passes start, waypoints and goal [s]; None where there is none.
+    """Return the legs of such a motion, and when it passes start, waypoints and goal [s]; None without one.
 
     Args:
         problem: whose efforts are limited; of its other limits, all but those on power and pin force are left out.
@@ -141,7 +141,7 @@ def power_legs(
 
 
 def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> LegField:
-    """Return what effort, power and pin forces allow between the first place of a part and its last.
+    """Return the field of accelerations that effort, power and pin forces allow along a part.
 
     Raises:
         AssemblyError: where the way is not open.

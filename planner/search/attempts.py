@@ -35,15 +35,15 @@ _SAME_EFFORT_SHARE = 1e-6
 def plan_from(
     search: Search, budget: Budget, what: str, guess: Guess, *, worth: float = np.inf, mended: bool = True
 ) -> Plan | None:
-    """Return the plan that a start leads to, passed or missed; None where no motion is found from it.
+    """Return the plan from a start, whether its certificate passes or not; None if no motion is found.
 
     Args:
-        search: what is looked for.
+        search: the search.
         budget: of the solves.
-        what: the start, in words.
+        what: the words on the start.
         guess: the start.
-        worth: solutions whose objective is not below it are not refined.
-        mended: whether a motion that does not pass is worth every repair; before the phase plane's least time it is not.
+        worth: only solutions with an objective below this are refined.
+        mended: whether every repair is tried on a motion that does not pass; it is not before the phase plane's least time.
     """
     if not closes(search.problem, guess):
         return None
@@ -62,16 +62,16 @@ def plan_from(
             return missed
     found = missed is not None and missed.trajectory is not None
     if found and unavoidable(problem, missed.trajectory, missed.certificate):
-        search.verdicts.append(missed)  # other motions pass there too
+        search.verdicts.append(missed)  # every other motion meets the same contact
     return missed
 
 
 def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -> list[Iterate]:
-    """Return solutions from a start, the likelier first."""
+    """Return solutions from a start, the most promising first."""
     mesh, durations = first_mesh(problem, guess)
     found = [solve_from(problem, guess, mesh, durations, word)]
     if guess.switch_times_s is not None and search.only_time_counts:
-        # Its switches are known: with switch times there and efforts held between them, the instants alone are to be found.
+        # Its switches are known: the efforts are held between them, and only the switch times are unknown.
         graded, lengths = graded_mesh(
             guess, guess.switch_times_s, max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings)
         )
@@ -83,7 +83,7 @@ def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -
             found.append(attempted)
             if attempted is not None:
                 break
-        # The phase plane's time is the motion's: a mesh without its switches may well come below it, and errs by as much.
+        # The phase plane's time is exact. A mesh without switches may come below it by its error.
         return sorted(
             (one for one in found if one is not None), key=lambda one: abs(one.solution.objective - guess.duration_s)
         )
@@ -91,7 +91,7 @@ def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -
 
 
 def refined(search: Search, problem: PlanningProblem, found: Iterate, *, mended: bool = True) -> Plan:
-    """Return the plan of a first solution; where its certificate does not pass, by way of the search's repairs."""
+    """Return the plan of a first solution; if its certificate does not pass, the search's repairs are tried in turn."""
     plan = certified(problem, found)
     for repair in search.repairs if mended else [repair for repair in search.repairs if repair.always]:
         if not plan.passed and repair.tried(problem, plan):
@@ -107,7 +107,7 @@ def certified(
     kinks: bool = True,
     enclosed: bool = False,
 ) -> Plan:
-    """Return the plan of a solution, refined until its certificate passes; `kinks` and `enclosed` as of `case_of`."""
+    """Return the plan of a solution, refined until its certificate passes; `case_of` describes `kinks` and `enclosed`."""
     case = case_of(problem, kinks=kinks, enclosed=enclosed)
     better = refine(case, found, warm=warm)
     if better is None:
@@ -141,9 +141,9 @@ def without_solving(
     *,
     best: str | None = None,
 ) -> Plan:
-    """Return the plan of a motion that was put together and not solved for: "feasible" where it passes.
+    """Return the plan of a motion that was constructed without a solve: "feasible" if its certificate passes.
 
-    "Optimal", in the words `best`, of one that is the best with the efforts that it carries, where it needs just these.
+    It is "optimal", with the message `best`, if the motion needs exactly the efforts that it carries.
     """
     certificate = certify(problem, motion)
     optimal = best is not None and certificate.dynamics_residual <= _SAME_EFFORT_SHARE * np.abs(motion.effort).max()
@@ -151,39 +151,39 @@ def without_solving(
 
 
 def only_feasible(plan: Plan, why: str) -> Plan:
-    """Return a plan that passes as one that is not known to be the best, and the words on why."""
+    """Return a plan that passes with the status "feasible" and the reason in its message."""
     return replace(plan, status="feasible", message=plan.message.removeprefix(optimality(plan.problem)) + why)
 
 
 def unsound(plan: Plan) -> bool:
-    """Return whether a motion's certificate does not pass, for reasons that another way of solving may mend."""
+    """True if a motion's certificate does not pass for reasons that another solve may remove."""
     return plan.certificate is not None and plan.certificate.mendable
 
 
 def from_next_to_it(problem: PlanningProblem, found: Iterate) -> Plan | None:
-    """Return the plan whose finer meshes begin next to the coarser one's answer; None where it does not pass."""
+    """Return the plan whose finer meshes start warm at the coarser solution; None if it does not pass."""
     # Kinks of efforts that do not jump are not looked for: they are worth a thousandth of the objective at the most.
     plan = certified(problem, found, warm=True, kinks=False)
     return plan if plan.passed else None
 
 
 def may_be_enclosed(problem: PlanningProblem, plan: Plan) -> bool:
-    """Return whether limits on power or pin force, overrun between the nodes, may be kept there by rows on coefficients."""
+    """True if limits on power or pin force are overrun between the nodes and rows on coefficients may keep them."""
     margins = () if plan.certificate is None else plan.certificate.margins
     overrun = any(margin.of.enclosable and not margin.kept for margin in margins)
     return problem.mesh.effort == "polynomial" and overrun and not case_of(problem).enclosed
 
 
 def enclosed(problem: PlanningProblem, found: Iterate) -> Plan | None:
-    """Return the plan of a motion whose limits on power and pin force are kept at every instant; None if none passes."""
+    """Return the plan with limits on power and pin force at every instant; None if it does not pass."""
     plan = certified(problem, found, enclosed=True)
     return plan if plan.passed else None
 
 
 def constant_efforts_would_do(problem: PlanningProblem, plan: Plan) -> bool:
-    """Return whether a polynomial effort overruns limits between its nodes: along an arc it swings about what keeps it.
+    """True if a polynomial effort overruns limits between its nodes: along a constrained arc it oscillates about the limit.
 
-    Efforts whose rate is limited or costs have no jumps, and cannot be constant over intervals.
+    Efforts with a limited or penalised rate cannot be constant over intervals.
     """
     if np.any(np.isfinite(problem.limits.effort_rate)) or problem.objective.has("effort_rate"):
         return False
@@ -192,7 +192,7 @@ def constant_efforts_would_do(problem: PlanningProblem, plan: Plan) -> bool:
 
 
 def with_constant_efforts(problem: PlanningProblem, found: Iterate) -> Plan | None:
-    """Return the plan of a motion whose efforts are constant over intervals; None where it does not pass."""
+    """Return the plan with efforts constant over intervals; None if it does not pass."""
     plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=HURRIED.of(problem.solver))
     mesh = found.mesh
     durations = np.bincount(mesh.segment, np.diff(found.motion.breaks_s))

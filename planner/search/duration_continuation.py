@@ -1,8 +1,8 @@
 """Continuation in the duration: from a motion of least time to a longer one that another objective prefers.
 
-Left to themselves, solvers lose long motions under weak actuators: a swing amplifies what a coarse mesh leaves over, and a
-motion that flies through where the mesh does not look is cheaper than any that exists. A motion of least time is found
-reliably and keeps the dynamics; allowed a little more time, the best motion is next to it, and so on from one to the next.
+Solvers lose long motions under weak actuators. A swing amplifies the error of a coarse mesh, and a false motion between its
+nodes is cheaper than any true one. A motion of least time is found reliably. With a little more time the best motion is
+near it, and so on from one motion to the next.
 """
 
 from dataclasses import dataclass, replace
@@ -62,7 +62,7 @@ class Continued:
 
 
 def from_continuation(search: Search, budget: Budget) -> Plan | None:
-    """Return a plan reached from the motion of least time step by step; None where that is lost on the way."""
+    """Return the plan reached from the motion of least time step by step; None if a step is lost."""
     problem = search.within(budget)
     swung, swings = _quickest(search, budget)
     if swung is None or swung.duration_s > longest(problem):
@@ -72,7 +72,7 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
     if at is None:
         return None
     final = replace(problem, mesh=replace(problem.mesh, scheme=at.scheme), guess=None)
-    if problem.motion.duration_s is None:  # where the motion ends before that, it is as good as without
+    if problem.motion.duration_s is None:  # if the motion ends earlier, this bound changes nothing
         final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
     durations, what = at.shares * at.start.duration_s, "at its full length"
     found = solve_from(final, at.start, at.mesh, durations, what, warm=True)
@@ -90,7 +90,7 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
 
 
 def may_be_lengthened(search: Search) -> bool:
-    """Return whether a least-time motion is known, or worth looking for, from which a longer one may be continued."""
+    """True if a least-time motion is known, or worth a search, from which longer motions can be continued."""
     problem = search.problem
     if search.quickest is not None:
         return search.quickest.boundaries_s is None and not no_time(search)
@@ -108,9 +108,10 @@ def _quickest(search: Search, budget: Budget) -> tuple[Guess | None, int]:
 
 
 def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Continued | None:
-    """Return the motion that a problem's objective prefers, reached from one of least time; None where it is lost.
+    """Return the best motion of a problem, continued from a motion of least time; None if it is lost.
 
-    A free duration's motions on the way are motions of the problem: where longer ones are lost, it is the last of them.
+    If the duration is free, every motion on the way solves the problem, and the last one is returned if longer ones are
+    lost.
 
     Args:
         problem: of a fixed duration, or of a free one.
@@ -126,7 +127,7 @@ def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Co
                 break
             before, found = found, _step(problem, found, allowed) or found
             if _saved_little(before, found):
-                break  # windows hold what does not count, or no more is to be had
+                break  # the bounds are not decisive, or nothing more can be gained
         return found
 
     def enough(before: Continued, after: Continued, whole: bool) -> bool:
@@ -136,13 +137,13 @@ def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Co
 
     def finer(at: Continued) -> Continued | None:
         if nears_singular(problem, at.start):
-            return None  # it goes on there, where no mesh is fine enough
-        # A free duration is not held by how far switch times may move.
+            return None  # near a singular pose no mesh is fine enough
+        # Bounds on switch times do not restrict a free duration.
         switches = (np.cumsum(at.shares) * at.start.duration_s)[:-1] if fixed else np.empty(0)
         mesh, durations = graded_mesh(at.start, switches, min(2 * at.mesh.n_intervals, _MAX_INTERVALS))
         return replace(at, mesh=mesh, shares=durations / durations.sum())
 
-    # Next to the least time a motion is next to bang-bang: on a mesh without its switches none may be left to find.
+    # Near the least time a motion is nearly bang-bang, and a mesh without its switches may have no solution.
     mesh, shares = uniform(n_intervals), np.ones(1)
     if quickest.switch_times_s is not None:
         mesh, durations = graded_mesh(quickest, quickest.switch_times_s, n_intervals)
@@ -164,7 +165,7 @@ def _saved_little(before: Continued, after: Continued) -> bool:
 
 
 def _step(problem: PlanningProblem, at: Continued, allowed: float) -> Continued | None:
-    """Return the best motion within a duration from one of a shorter; None where it is lost."""
+    """Return the best motion within a duration, started from a shorter one; None if it is lost."""
     fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s
     motion = replace(problem.motion, min_duration_s=least if least is not None and least <= allowed else None)
     motion = replace(motion, duration_s=allowed) if fixed else replace(motion, max_duration_s=allowed)

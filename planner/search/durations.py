@@ -76,8 +76,8 @@ def longest(problem: PlanningProblem) -> float:
 
 
 def may_swing(problem: PlanningProblem) -> bool:
-    """Return whether a motion may build up energy by swinging for an unbounded time, by ways that no start has tried.
+    """True if a motion may build up energy by swings that no start has tried.
 
-    With one degree of freedom the phase plane has tried them all.
+    For one degree of freedom the phase plane has tried all swings.
     """
     return problem.mechanism.dof > 1 and not np.isfinite(longest(problem))

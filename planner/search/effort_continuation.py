@@ -17,7 +17,7 @@ _MAX_FIRST_FACTOR, _MIN_STEP_POWER, _MAX_STEPS = 0.999, 0.25, 6
 
 
 def efforts_suffice(search: Search) -> bool:
-    """Return whether a motion was found whose efforts stay within their limits, when these alone were sought to be small."""
+    """True if the motion of least peak effort keeps the effort limits."""
     return search.least_limit is not None and search.least_limit.factor <= 1.0
 
 

@@ -31,8 +31,8 @@ def first_mesh(problem: PlanningProblem, guess: Guess, n_intervals: int | None =
 def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
     """Return a mesh with switch times (n_switches,) [s] within a guess's phases, and its segments' durations [s].
 
-    It is finer where the guess is quick: next to a singular pose a motion does in a hundredth of its time what elsewhere
-    takes a half. Every interval has an equal share of time, way and change of speed together.
+    The mesh is finer where the guess is fast: near a singular pose a motion covers in a hundredth of its time what takes
+    half of it elsewhere. Every interval has an equal share of time, way and change of speed together.
     """
     boundaries = _boundaries(guess)
     ends = np.sort(np.concatenate([boundaries, switch_times_s]))

@@ -1,7 +1,7 @@
-"""The ladder: what the rungs of a search share, and how they are climbed in order.
+"""The ladder of a search: the state that its rungs share, and the loop that tries them in order.
 
-A rung is one way of looking for a motion: a start, or a continuation. Each has a condition, a budget and one function; the
-table of them stands in `planner.planning`. A rung returns a plan, passed or missed, or None where it found no motion.
+A rung is one way to search for a motion: a start, or a continuation. Each rung has a condition, a budget and one function;
+`planner.planning` lists them. A rung returns a plan, whether its certificate passes or not, or None if it found no motion.
 """
 
 import contextlib
@@ -31,7 +31,7 @@ _MAX_MISSED_PLANS = 2
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Budget:
-    """What a rung may spend: iterations of each solve (None: as many as a hard problem takes), a share of the time left."""
+    """The budget of a rung: iterations of each solve (None: as many as hard problems take) and a share of the time left."""
 
     iterations: int | None = None
     share_of_time: float = 1.0
@@ -49,22 +49,22 @@ class Search:
     """A search for a motion, as every rung sees it.
 
     `problem` is as it was asked, with the deadline of the search; `start_pose` (n_q,) is closed. `history` notes every
-    solve, `plans` every plan that a rung came to, in order. What is computed once for all rungs is computed when it is first
-    asked for: the phase plane's motion, the smooth path, the least factor on the effort limits.
+    solve, `plans` every plan that a rung came to, in order. The phase plane's motion, the smooth path and the least factor
+    on the effort limits are computed at their first use.
     """
 
     problem: PlanningProblem
     start_pose: np.ndarray
     repairs: Sequence["Repair"] = ()
     plans: list[Plan] = field(default_factory=list)
-    verdicts: list[Plan] = field(default_factory=list)  # answers that no further rung would change
+    verdicts: list[Plan] = field(default_factory=list)  # answers that no further rung can change
     # The plan of least time, once it was looked for: from the phase plane's motion, and by the first rungs of the ladder.
     least_times: list[Plan | None] = field(default_factory=list)
     shortest: list[Plan | None] = field(default_factory=list)
 
     @cached_property
     def quickest(self) -> Guess | None:
-        """The motion of least time that the phase plane knows; None where it knows of none."""
+        """The phase plane's motion of least time; None if it has none."""
         return least_time_guess(self.problem, self.start_pose)
 
     @cached_property
@@ -74,19 +74,19 @@ class Search:
 
     @cached_property
     def least_limit(self) -> LeastLimit | None:
-        """The least factor on the effort limits with which a motion was found; None where none was."""
+        """The least factor on the effort limits with which a motion was found; None without such a motion."""
         return least_limit_of_starts(self.within(Budget(iterations=HURRIED.iterations)), self.smooth)
 
     @cached_property
     def named_limit(self) -> LeastLimit | None:
-        """The least factor on the effort limits, on meshes fine enough to be named; None where none was found."""
+        """The least factor on the effort limits on meshes fine enough for a message; None without a motion."""
         found = self.least_limit
         if found is None or found.factor <= 1.0:
             return found
         return settled_limit(self.within(Budget(iterations=HURRIED.iterations)), found)
 
     def first_starts(self) -> Iterator[tuple[str, Guess]]:
-        """Yield the user's own guess where it closes the loops, then the smooth path, with a word on each."""
+        """Yield the user's guess if it closes the loops, then the smooth path, with the words on each."""
         own = users_guess(self.problem, self.start_pose)
         if own is not None:
             yield "the guess given", own
@@ -128,12 +128,12 @@ class Search:
 
     @property
     def starts_are_worth_it(self) -> bool:
-        """Whether a further start may lead to a motion: none passes, and not too many were found that do not."""
+        """Whether a further start may lead to a motion: no plan passes, and not too many plans have missed."""
         return not self.solved and len(self.plans) < _MAX_MISSED_PLANS
 
     @property
     def stopped(self) -> str | None:
-        """The solver's word where nothing more is to be had of it: time is up, or a number is not finite; None elsewhere."""
+        """Why the search stops early: time is up, or a number is not finite; None if it goes on."""
         if self.deadline.left_s < _MIN_TIME_LEFT_S:
             return OUT_OF_TIME
         steps = recorded()
@@ -144,7 +144,7 @@ class Search:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Rung:
-    """One way of looking for a motion: when it is tried, by which function, and what that may spend."""
+    """One way to search for a motion: its condition, its function and its budget."""
 
     name: str
     climb: Callable[[Search, Budget], Plan | None]
@@ -154,25 +154,25 @@ class Rung:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Repair:
-    """One way of mending a motion whose certificate does not pass: when it is tried, and by which function.
+    """One way to repair a motion whose certificate does not pass: its condition and its function.
 
-    Both take the problem within its budget, `tried` the plan so far, `mend` the first solution: it returns another plan, or
-    None where it found none.
+    Both take the problem within its budget. `tried` takes the plan so far. `mend` takes the first solution and returns
+    another plan, or None.
     """
 
     name: str
     tried: Callable[[PlanningProblem, Plan], bool]
     mend: Callable[[PlanningProblem, Iterate], Plan | None]
-    always: bool = True  # or only for motions that are worth every repair
+    always: bool = True  # or only if every repair is to be tried
 
 
-# Budgets: of a first start, and of what is tried after it. A motion that exists is found in tens of iterations; none of the
-# random problems of the tests took more than 150 where it led to a plan.
+# Budgets: of a first start, and of what is tried after it. Feasible motions need tens of iterations: no random problem of
+# the tests that led to a plan took more than 150.
 PATIENT, HURRIED = Budget(), Budget(iterations=200)
 
 
 def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
-    """Return the best plan that the rungs lead to, tried in their order; None where none found a motion."""
+    """Return the best plan of the rungs, tried in order; None if no rung found a motion."""
     for rung in rungs:
         check()
         if search.verdicts or search.stopped:
@@ -184,7 +184,8 @@ def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
     best = search.best
     if best is None:
         return None
-    cut = search.stopped == OUT_OF_TIME and best.trajectory is not None  # without a motion the message says so already
+    # The message of a plan without a motion names the time limit already.
+    cut = search.stopped == OUT_OF_TIME and best.trajectory is not None
     found = "the best found within" if best.passed else "the search ran out of"
     said = f"; {found} its {search.problem.solver.max_time_s:g} s {OF_TIME}" if cut else ""
     return replace(best, problem=search.problem, history=recorded(), message=best.message + said)

@@ -1,4 +1,4 @@
-"""The least effort limits with which a motion exists: a start where they suffice, the reason where they do not."""
+"""The least effort limits with which a motion exists: a start, or the reason why there is no plan."""
 
 import itertools
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class LeastLimit:
 
 
 def least_limit_of_starts(problem: PlanningProblem, guess: Guess) -> LeastLimit | None:
-    """Return the least factor on the effort limits from several starts; None where none led to a motion.
+    """Return the least factor on the effort limits from several starts; None if no start led to a motion.
 
     Further starts are tried while the factor is above 1.
     """
@@ -55,9 +55,9 @@ def least_limit_of_starts(problem: PlanningProblem, guess: Guess) -> LeastLimit 
 
 
 def settled_limit(problem: PlanningProblem, found: LeastLimit) -> LeastLimit:
-    """Return a least factor from meshes ever finer, until it changes by less than a tenth of a thousandth.
+    """Return the least factor on finer and finer meshes, until it changes by less than 1e-4.
 
-    On a first mesh a motion may gain from what the mesh does not see, and needs more than it seems.
+    A motion can exploit the error of a coarse mesh, and then needs more effort than the factor says.
     """
     for _ in range(_MAX_FINER_MESHES):
         mesh = halved(found.mesh, np.ones(found.mesh.n_intervals, dtype=bool))
@@ -81,7 +81,8 @@ def least_limit(
     """Return the least factor on the effort limits that admits a motion, or None where none was found.
 
     Solved twice: on the mesh as given, then with phase boundaries at the switch times that it showed, where the factor is
-    exact. Where the first comes to the factor that is `known` of such a mesh, it is the same motion, and None.
+    exact. The result is None if the first factor equals `known`, the factor of another start on such a mesh: it is the same
+    motion.
     """
     limit = problem.limits.effort
     if not np.all(np.isfinite(limit)):

@@ -81,7 +81,7 @@ def _check_reach(problem: PlanningProblem, what: str, s: np.ndarray, ranges: boo
 
 
 def _way_through(can: Reach | None, reason: str, asked: float) -> str:
-    """Return what leads past the end of a reach at a dead centre of its coordinate, nothing at one that branches."""
+    """Return the remedy at the end of a reach at a dead centre of its coordinate; an empty text at a branching pose."""
     if can is None or reason != "singular pose":
         return ""
     end = can.lower.position if asked < can.lower.position else can.upper.position
@@ -177,7 +177,7 @@ def _site_beyond(problem: PlanningProblem) -> str | None:
 
 
 def _known(limit: SiteLimit, points: tuple[SitePoint, ...]) -> bool:
-    """Return whether the places of sites, of a pose that is open, say all that a limit on a site looks at."""
+    """True if the given places of sites of an open pose determine the quantity that a limit on a site bounds."""
     looked_at = np.ones(3, dtype=bool) if limit.normal is None else limit.normal != 0
     return any(p.index == limit.index and not np.any(np.isnan(p.point[looked_at])) for p in points)
 

@@ -11,7 +11,7 @@ NEAR_SHARE, N_SAMPLES = 0.5, 1001
 
 
 def nears_singular(problem: PlanningProblem, guess: Guess) -> bool:
-    """Return whether a motion comes much nearer to a singular pose than its ends are."""
+    """True if a motion comes much nearer to a singular pose than its ends do."""
     nearest = _singular_margin(problem, guess, np.linspace(0.0, guess.duration_s, N_SAMPLES))
     return nearest < NEAR_SHARE * _singular_margin(problem, guess, np.array([0.0, guess.duration_s]))
 

@@ -1,7 +1,8 @@
 """Continuation in the smoothing of efforts: a tracking motion first with it, then with a thousandth of it, on finer meshes.
 
-The motion nearest in position alone chatters at the ends of its bang arcs (Fuller's phenomenon), and solvers lose it. With a
-small weight on the squared effort rate it is found, a little further from the reference; from there the weight is taken out.
+The motion nearest in position alone chatters at the ends of its bang arcs (Fuller's phenomenon), and solvers lose it. A
+small weight on the squared effort rate makes the problem regular, at a small tracking error. Then the weight is removed in
+steps.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +40,7 @@ class _Smoothed:
 def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
     """Return a tracking motion whose smoothing was taken out, and by what share a finer mesh changed its objective.
 
-    Where no smoothing is in the objective, or the motion does not pass, it is returned as it is, with no change.
+    A motion without smoothing in its objective, or one that does not pass, is returned unchanged.
     """
     problem: PlanningProblem = case.problem
     if not (problem.objective.is_smoothed and problem.objective.has("tracking") and refined.certificate.passed):

@@ -22,9 +22,9 @@ def solve_from(
     warm: bool = False,
     bang_efforts: np.ndarray | None = None,
 ) -> Iterate | None:
-    """Return what one solve of a problem leads to; None where it finds no motion. Arguments as of `attempt`.
+    """Solve a problem once and return the iterate; None without a motion. `attempt` describes the arguments.
 
-    The arcs of a guess along limits on power and pin force are held.
+    Arcs of the guess along limits on power and pin force are held.
     """
     fixed = None if guess.power_arcs is None else held_arcs_of(problem, guess)
     return attempt(case_of(problem), guess, mesh, durations, what, warm=warm, bang_efforts=bang_efforts, fixed=fixed)

@@ -43,7 +43,7 @@ _WORTH_REFINING_SHARE = 0.999
 
 
 def no_time(search: Search) -> bool:
-    """Return whether the phase plane knows that the time given is too short: no start leads to a motion then."""
+    """True if the phase plane shows that the given time is too short for any motion."""
     quickest = search.quickest
     if quickest is None or quickest.boundaries_s is not None:
         return False
@@ -52,12 +52,12 @@ def no_time(search: Search) -> bool:
 
 
 def far_too_little_time(search: Search) -> bool:
-    """Return whether the time given is too short by more than any local optimum of the phase plane's is too long."""
+    """True if the given time is too short by more than the error of any local optimum of the phase plane."""
     return no_time(search) and _TOO_SHORT_FACTOR * longest(search.problem) < search.quickest.duration_s
 
 
 def enough_time(search: Search) -> bool:
-    """Return whether the phase plane knows of a motion that takes no more than the time given."""
+    """True if the phase plane has a motion within the given time."""
     return search.quickest is not None and longest(search.problem) >= GRID_ERROR_FACTOR * search.quickest.duration_s
 
 
@@ -69,7 +69,7 @@ def from_first_starts(search: Search, budget: Budget) -> Plan | None:
 def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     """Return the plan that the phase plane's motion leads to; where a plan passes already, only a quicker one.
 
-    Where it swings and the objective is not time, the first start is the motion of least time.
+    The first start is the motion of least time if it swings and the objective is not time.
     """
     if search.solved:
         return _quicker_by_the_phase_plane(search, budget)
@@ -87,7 +87,7 @@ def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, G
 
 
 def is_along_power(search: Search) -> bool:
-    """Return whether a least time of one degree of freedom may lie along limits on power or pin force that legs know."""
+    """True if a least time of one degree of freedom may lie along limits on power or pin force."""
     problem, motion = search.problem, search.problem.motion
     return (
         search.only_time_counts
@@ -159,7 +159,7 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
 
 
 def is_slow(search: Search) -> bool:
-    """Return whether a least-time plan is slower than the phase plane's motion: a local optimum."""
+    """True if a least-time plan is slower than the phase plane's motion: it is a local optimum."""
     if not search.solved or not search.only_time_counts or search.problem.mechanism.dof > 1:
         return False
     if not detour_may_pay(search.problem, search.start_pose, search.best.trajectory.duration_s):
@@ -171,7 +171,7 @@ def is_slow(search: Search) -> bool:
 
 
 def _quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
-    """Return a least-time plan that is quicker than the one found; None where there is none."""
+    """Return a least-time plan that is quicker than the one found; None without one."""
     known = search.best.trajectory.duration_s
     plan = plan_from(search, budget, "the phase plane", search.quickest, worth=_WORTH_REFINING_SHARE * known, mended=False)
     passes = plan is not None and plan.passed

@@ -1,8 +1,8 @@
-"""The rung of waiting: the motion of least time, and rest before or after it for as long as is left.
+"""The rung of waiting: the motion of least time with a rest before or after it.
 
-Where a longer motion is asked for and start or goal can be held at rest, that is a motion: no start that the solver could be
-given is nearer to one. It is begun on the least-time motion's own mesh, with one segment more for the rest, and in the
-transcription that its certificate passed with: a coarser one finds motions that fly through between its nodes.
+If the given duration is longer and start or goal can be held at rest, the least-time motion and a rest are a feasible
+motion, and the best start for the solver. The start uses the mesh of the least-time motion with one more segment for the
+rest, and its transcription: a coarser one finds false motions between its nodes.
 """
 
 from collections.abc import Iterator
@@ -38,7 +38,7 @@ _STILL_TERMS = {"time", "effort", "copper_loss"}
 
 
 def may_wait(search: Search) -> bool:
-    """Return whether a motion of fixed duration starts or ends in rest that efforts within their limits can hold."""
+    """True if a motion of fixed duration starts or ends at rest and efforts within their limits can hold that pose."""
     motion = search.problem.motion
     if motion.kind != "reach" or motion.duration_s is None or motion.stays or motion.waypoints:
         return False
@@ -46,9 +46,9 @@ def may_wait(search: Search) -> bool:
 
 
 def far_beyond(search: Search) -> bool:
-    """Return whether a motion of several driven freedoms is to be much longer than the least time, and may wait.
+    """True if a motion of several driven degrees of freedom is much longer than the least time and may wait.
 
-    To continue such a one step by step takes minutes and loses it on the way: rest is nearer.
+    Continuation to such a duration takes minutes and loses the motion. A rest is a better start.
     """
     if search.problem.mechanism.dof == 1 or not may_wait(search):
         return False
@@ -59,7 +59,7 @@ def far_beyond(search: Search) -> bool:
 def from_waiting(search: Search, budget: Budget) -> Plan | None:
     """Return the plan that the least-time motion leads to with a rest before or after it; None where none passes.
 
-    Where the solver is lost from there, a rest and a motion that passes by itself are a motion of the duration asked.
+    If the solver fails from this start, the rest and a certified motion are joined to a motion of the given duration.
     """
     quick = shortest_motion(search)
     if quick is None or quick.solved is None or quick.solved.program.mesh.n_phases > 1:
