@@ -28,12 +28,12 @@ def built_in_text(name: str) -> str:
 
 
 def is_text(source: str) -> bool:
-    """Return whether a model's source is MJCF text, and no name or path."""
+    """Return True if a model's source is MJCF text, and no name or path."""
     return source.lstrip().startswith("<")
 
 
 def is_file(path: Path) -> bool:
-    """Return whether a path is a file; False for a name that no file can have."""
+    """Return True if a path is a file; False for a name that no file can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -41,7 +41,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_there(path: Path) -> bool:
-    """Return whether a path leads to something that is no folder; False for a name that no file can have."""
+    """Return True if a path leads to something that is no folder; False for a name that no file can have."""
     try:
         return path.exists() and not path.is_dir()
     except (OSError, ValueError):
@@ -63,7 +63,7 @@ def nearest_source(source: str, names: Iterable[str]) -> str:
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether a path is a folder; False for a name that no folder can have."""
+    """Return True if a path is a folder; False for a name that no folder can have."""
     try:
         return path.is_dir()
     except (OSError, ValueError):

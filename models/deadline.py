@@ -61,7 +61,7 @@ class Deadline:
 
     @property
     def passed(self) -> bool:
-        """Whether no time is left."""
+        """True if no time is left."""
         return self.clock() > self.at_s
 
     def require_time(self) -> None:

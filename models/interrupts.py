@@ -119,7 +119,7 @@ def _remember_and_raise(number: int, frame: FrameType | None) -> None:
 
 
 def can_raise(frame: FrameType | None) -> bool:
-    """Return whether an exception raised in a frame reaches its callers: not through CasADi, nor from a destructor."""
+    """Return True if an exception raised in a frame reaches its callers: not through CasADi, nor from a destructor."""
     while frame is not None:
         if frame.f_code.co_name == "__del__" or frame.f_globals.get("__name__", "").partition(".")[0] == "casadi":
             return False

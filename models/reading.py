@@ -102,7 +102,7 @@ def parse_toml(text: str, what: str) -> dict:
 
 
 def too_deep(tables: object) -> bool:
-    """Return whether tables are nested deeper than anything that is meant."""
+    """Return True if tables are nested deeper than anything that is meant."""
     level = [tables]
     for _ in range(_DEEPEST):
         inner: list[object] = []

@@ -54,7 +54,7 @@ class Actuator:
 
     @property
     def limits_control(self) -> bool:
-        """Whether its ctrlrange limits the effort by where it stands and how fast it moves: a servo of constant gain."""
+        """True if its ctrlrange limits the effort by where it stands and how fast it moves: a servo of constant gain."""
         limited = np.isfinite([self.control_lower, self.control_upper]).any()
         return self.is_servo and bool(limited) and not any(self.gains[1:]) and self.has_length
 
@@ -65,7 +65,7 @@ class Actuator:
 
     @property
     def is_servo(self) -> bool:
-        """Whether its effort for a given ctrl depends on where it stands or how fast it moves."""
+        """True if its effort for a given ctrl depends on where it stands or how fast it moves."""
         return any(self.gains[1:]) or any(self.biases[1:])
 
     def effort(self, control: float, length: float, velocity: float) -> float:
@@ -144,14 +144,14 @@ def why_not(model: mujoco.MjModel, index: int) -> str | None:
 
 
 def _switched_off(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether the model's flags or its groups switch an actuator off: it then gives no force, whatever its bias."""
+    """Return True if the model's flags or its groups switch an actuator off: it then gives no force, whatever its bias."""
     group = int(model.actuator_group[index])
     by_group = 0 <= group < 31 and bool(model.opt.disableactuator >> group & 1)
     return by_group or bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION))
 
 
 def _moves(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether the actuator's force depends on its length or velocity at a given ctrl."""
+    """Return True if the actuator's force depends on its length or velocity at a given ctrl."""
     gains, biases = _coefficients(model, index)
     return any(gains[1:]) or any(biases[1:])
 
@@ -165,7 +165,7 @@ def _coefficients(model: mujoco.MjModel, index: int) -> tuple[tuple[float, ...],
 
 
 def is_idle_at_zero(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether an actuator that a plan leaves out, its control at zero, leaves the mechanism alone."""
+    """Return True if an actuator that a plan leaves out, its control at zero, leaves the mechanism alone."""
     if int(model.actuator_plugin[index]) >= 0:
         return _switched_off(model, index)
     gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
@@ -176,13 +176,13 @@ def is_idle_at_zero(model: mujoco.MjModel, index: int) -> bool:
 
 
 def brings_passive(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether an actuator has damping or armature of its own."""
+    """Return True if an actuator has damping or armature of its own."""
     own = [model.actuator_damping[index], *model.actuator_dampingpoly[index], model.actuator_armature[index]]
     return bool(np.any(own))
 
 
 def carries_passive(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether the tree carries the actuator's own damping and armature: on a hinge, slide or tendon's length."""
+    """Return True if the tree carries the actuator's own damping and armature: on a hinge, slide or tendon's length."""
     if int(model.actuator_trntype[index]) == int(TRN_TENDON):
         return not wraps(model, int(model.actuator_trnid[index, 0]))
     on_joint = attachment(model, index)

@@ -66,7 +66,7 @@ def _site(model: mujoco.MjModel, site: int) -> str:
 
 
 def has_length(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether the actuator's length is a position on a line, which a servo's bias may depend on.
+    """Return True if the actuator's length is a position on a line, which a servo's bias may depend on.
 
     Rotations of ball joints and sites are lengths on a circle to MuJoCo, and a wrench without reference has none.
     """

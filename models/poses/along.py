@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.tree.friction import rubbing_of
+from linkplan.models.tree.friction import frictions_of
 
 # Samples of a function of many outputs that are evaluated side by side: CasADi takes longer to lay out more of them, as one
 # sparse matrix, than it takes to evaluate them.
@@ -82,7 +82,7 @@ def joint_rates(mechanism: Mechanism, q: np.ndarray, v: np.ndarray) -> np.ndarra
 
 def sliding_friction(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Return the dry friction (n,) [N.m or N] against a mechanism of one degree of freedom moving at poses (n, n_q)."""
-    if not any(rubbing_of(mechanism.model)):
+    if not any(frictions_of(mechanism.model)):
         return np.zeros(len(q))
     fast, still = np.full((len(q), 1), _FAST * mechanism.friction_transition), np.zeros((len(q), 1))
     motion = (q, fast, still, np.zeros((len(q), mechanism.n_u)))

@@ -47,7 +47,7 @@ def follow(
             f"mechanism '{mechanism.name}' does not close at {_where(mechanism, path[arrived])}: the kinematic loop opens at"
             f" {_where(mechanism, poses[-1][mechanism.independent])}"
         )
-    left = mechanism.coordinates.left(poses)
+    left = mechanism.coordinates.range_violation(poses)
     if left is not None:
         raise AssemblyError(f"mechanism '{mechanism.name}' turns {left}")
     return poses
@@ -95,7 +95,7 @@ def _strides(mechanism: Mechanism, path: np.ndarray, step_size: np.ndarray) -> t
 
 
 def _stays_on_branch(mechanism: Mechanism, poses: np.ndarray) -> bool:
-    """Return whether all rows of overconstrained loops are closed at poses (n, n_q), and no block folds between two."""
+    """Return True if all rows of overconstrained loops are closed at poses (n, n_q), and no block folds between two."""
     return not np.any(mechanism.gaps_m(poses[:1]) > mechanism.closed_m) and _on_branch(mechanism, poses) == len(poses) - 1
 
 

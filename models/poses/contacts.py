@@ -73,7 +73,7 @@ class _PoseSample:
 
 
 def may_collide(model: mujoco.MjModel) -> bool:
-    """Return whether any two geoms of a model can be in contact at all."""
+    """Return True if any two geoms of a model can be in contact at all."""
     if disabled(model, mujoco.mjtDisableBit.mjDSBL_CONTACT) or disabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
         return False
     return bool(model.npair) or bool(np.any(model.geom_contype) and np.any(model.geom_conaffinity))

@@ -55,7 +55,7 @@ class SitePose:
     off_m: np.ndarray
 
     def arrived(self, mechanism: Mechanism) -> bool:
-        """Return whether every site is where it is asked to be."""
+        """Return True if every site is where it is asked to be."""
         return bool(self.off_m.max(initial=0.0) <= ARRIVED * mechanism.extent_m)
 
 
@@ -229,7 +229,7 @@ def _closed(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray
     if not len(mechanism.dependent):  # nothing to follow: an open tree is closed anywhere
         pose = np.array(near, dtype=float)
         pose[mechanism.independent] = s
-        return None if mechanism.coordinates.left(pose) is not None else pose
+        return None if mechanism.coordinates.range_violation(pose) is not None else pose
     try:
         return close_at(mechanism, s, near)
     except AssemblyError:

@@ -64,7 +64,7 @@ class Reach:
 
     @property
     def turns_fully(self) -> bool:
-        """Whether nothing stops the joint within a turn to either side."""
+        """True if nothing stops the joint within a turn to either side."""
         return self.lower.reason == self.upper.reason == "full turn"
 
 
@@ -92,7 +92,7 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
 
 
 def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
-    """Return whether the straight way from home to s (n_s,) is surely open: no singular pose, no joint beyond its range.
+    """Return True if the straight way from home to s (n_s,) is surely open: no singular pose, no joint beyond its range.
 
     Looked at in the steps of `reach`, and much sooner known; where it was looked at before, at once.
     """

@@ -39,7 +39,7 @@ def _least_along(mechanism: Mechanism, poses: np.ndarray, columns: slice | np.nd
 
 
 def is_branching(mechanism: Mechanism, q: np.ndarray) -> bool:
-    """Return whether the closure itself loses rank at a singular pose (n_q,), or the coordinate is at a dead centre only."""
+    """Return True if the closure itself loses rank at a singular pose (n_q,), or the coordinate is at a dead centre only."""
     at_home = least_values(mechanism, mechanism.home)[0]
     return bool(least_values(mechanism, q)[0] < _RANK_LOST * at_home)
 
@@ -63,18 +63,18 @@ def dips(mechanism: Mechanism, poses: np.ndarray) -> list[int]:
 
 
 def all_regular(mechanism: Mechanism, poses: np.ndarray) -> bool:
-    """Return whether no least singular value of J_z at poses (n, n_q) is so low that it wants a closer look."""
+    """Return True if no least singular value of J_z at poses (n, n_q) is so low that it wants a closer look."""
     at_home = least_values(mechanism, mechanism.home)[1]
     return bool(np.all(_least_along(mechanism, poses, mechanism.dependent) >= _DIP * at_home))
 
 
 def vanishes(mechanism: Mechanism, q: np.ndarray) -> bool:
-    """Return whether J_z has lost rank at a pose (n_q,)."""
+    """Return True if J_z has lost rank at a pose (n_q,)."""
     return bool(least_values(mechanism, q)[1] < _RANK_LOST * least_values(mechanism, mechanism.home)[1])
 
 
 def has_one_way_on(mechanism: Mechanism, q: np.ndarray) -> bool:
-    """Return whether only one motion leads through a pose (n_q,) at which the closure has lost rank: no branch there.
+    """Return True if only one motion leads through a pose (n_q,) at which the closure has lost rank: no branch there.
 
     Rates x in the kernel of J go on where J x' + (dJ x) x = 0 has a solution x': where u^T (dJ x) x vanishes for all u with
     u^T J = 0 (second-order analysis; Wohlhart, Degrees of shakiness, 1999). One motion alone, of as many freedoms as the

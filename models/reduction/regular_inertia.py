@@ -1,4 +1,4 @@
-"""Whether the reduced inertia M_r is positive definite: a motion without kinetic energy has no acceleration.
+"""True if the reduced inertia M_r is positive definite: a motion without kinetic energy has no acceleration.
 
 Two hinges on one axis turn against each other and leave the body at rest; so do three hinges of a wrist in gimbal lock.
 """
@@ -18,7 +18,7 @@ _NAMED_SHARE = 0.1
 
 
 def is_regular(inertia: np.ndarray) -> np.ndarray:
-    """Return whether each reduced inertia (..., n_s, n_s) can be inverted: finite, and positive definite beyond rounding."""
+    """Return True if each reduced inertia (..., n_s, n_s) can be inverted: finite, and positive definite beyond rounding."""
     diagonal = np.diagonal(inertia, axis1=-2, axis2=-1)
     usable = np.isfinite(inertia).all(axis=(-2, -1)) & (diagonal > 0).all(axis=-1)
     scale = np.sqrt(np.where(usable[..., None], diagonal, 1.0))
