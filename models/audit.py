@@ -7,13 +7,13 @@ import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import (
-    brings_passive,
-    carries_passive,
+    has_passive_terms,
     is_idle_at_zero,
     label,
+    passive_terms_modelled,
     read_actuators,
     shared_clamps,
-    why_not,
+    unusable_reason,
 )
 from linkplan.models.actuation.transmission import attachment
 from linkplan.models.closure.equations import equality_name
@@ -115,7 +115,7 @@ def _asleep(model: mujoco.MjModel):
 
 def _actuators(model: mujoco.MjModel):
     for index in range(model.nactuator):
-        reason = why_not(model, index)
+        reason = unusable_reason(model, index)
         if reason is None:
             continue
         idle = is_idle_at_zero(model, index)
@@ -126,7 +126,7 @@ def _actuators(model: mujoco.MjModel):
             falsifies=not idle,
         )
     for actuator in read_actuators(model):
-        if brings_passive(model, actuator.index) and not carries_passive(model, actuator.index):
+        if has_passive_terms(model, actuator.index) and not passive_terms_modelled(model, actuator.index):
             yield Unhonoured(
                 text=f"damping or armature of actuator {actuator.name} on {actuator.target}: its motor is planned with, they"
                 " are not",

@@ -14,7 +14,7 @@ from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths
 from linkplan.models.actuation.transmission import TRN_TENDON
 from linkplan.models.closure.closed_pose import locked_or_singular, with_closed_pose
 from linkplan.models.closure.equations import Closure, gaps_by_unit, read_closures
-from linkplan.models.closure.initial_assembly import assemble, home_positions, poses_about, refuse_singular_assembly
+from linkplan.models.closure.initial_assembly import assemble, home_positions, nearby_poses, refuse_singular_assembly
 from linkplan.models.closure.locked import refuse_locked
 from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
 from linkplan.models.closure.nearest_pose import nearest_closed_pose
@@ -260,7 +260,7 @@ def load_mechanism(
     _refuse_beyond_charts(name, tree.coordinates, pose)
     mobility = judge_mobility(loop, pose, unit, tolerance)
     loop, share = mobility.loop, mobility.loop.rank_tolerance
-    about = poses_about(loop, pose, unit)
+    about = nearby_poses(loop, pose, unit)
     jacobians = [loop.residual(q)[1] * unit for q in (pose, *about)]
     refuse_locked(name, len(joints), closures, jacobians[0], mobility, tolerance)
     rank = numerical_rank(jacobians[0], share)
@@ -278,7 +278,7 @@ def load_mechanism(
     B = effort_matrix(model, tree, actuators)
     sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
     projected = projected_loops(
-        sparse, rows.tolist(), dependent.tolist(), pose, mobility.noise * _NOISE_ROOM, gapes=bool(mobility.freed_m)
+        sparse, rows.tolist(), dependent.tolist(), pose, mobility.noise * _NOISE_ROOM, inexact=bool(mobility.freed_m)
     )
     long = lengths(model, tree, actuators)
     parametric = reduce_tree(tree, closures, B, rows, free, dependent, pi, projected, long)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, fields
 import casadi as ca
 import numpy as np
 
-from linkplan.models.closure.equations import Closure, pins_together
+from linkplan.models.closure.equations import Closure, rows_by_pin
 from linkplan.models.closure.redundancy import ProjectedLoops, combination, jacobians_at_random
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.dynamics import Tree
@@ -129,8 +129,8 @@ def reduce_tree(
     chosen = [int(row) for row in rows]
     E = combination(jacobian[:, [int(i) for i in dependent]], chosen, projected) if projected else None
     J, independent_phi = (jacobian[chosen, :], phi[chosen]) if E is None else (E @ jacobian, E @ phi)
-    gapes = any(loop.gapes for loop in projected)
-    if gapes:
+    inexact = any(loop.inexact for loop in projected)
+    if inexact:
         J = ca.jacobian(independent_phi, q)
     J_s, J_z = J[:, [int(i) for i in independent]], J[:, [int(i) for i in dependent]]
 
@@ -147,7 +147,7 @@ def reduce_tree(
         det = ca.SX(1)
         for one in ca.vertsplit(dets):
             det *= one
-    turning = ca.jtimes(J @ qd, q, qd) if E is None or gapes else E @ ca.jtimes(jacobian @ qd, q, qd)
+    turning = ca.jtimes(J @ qd, q, qd) if E is None or inexact else E @ ca.jtimes(jacobian @ qd, q, qd)
     convective = ca.Function("convective", [q, qd], [turning])
     rates = gamma_map @ v
     gamma = ca.SX.zeros(q.numel())
@@ -175,7 +175,7 @@ def reduce_tree(
             force = E.T @ held
         whole = {row for loop in projected for row in loop.rows}  # their forces are the least already
         kept = [row for row in range(phi.numel()) if row in whole or row in chosen]
-        force = _least_norm(ca.Function("J", [q], [ca.densify(jacobian)]), kept, pins_together(tree.model, closures)) @ force
+        force = _least_norm(ca.Function("J", [q], [ca.densify(jacobian)]), kept, rows_by_pin(tree.model, closures)) @ force
     limited = ca.vertcat(ca.SX(0, 1), *[tree.tendon_lengths[tendon.index] for tendon in limited_tendons(tree.model)])
     kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
