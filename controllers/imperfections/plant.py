@@ -13,7 +13,7 @@ from linkplan.controllers.rollout import ControlLoop, admit, scaled_model
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.payload import BODY_NAME
-from linkplan.models.poses.assembly import led
+from linkplan.models.poses.assembly import continue_to
 from linkplan.models.stiffness import make_dry
 
 # MuJoCo answers a loop constraint's time constant below this many steps by taking this many.
@@ -72,7 +72,7 @@ def plant(
         gamma = np.array(mechanism.dynamics.velocity_map(reference.pose[0]))
         return Plant(model=model, pose=reference.pose[0], rates=gamma @ reference.velocity[0])
     # Newton's method from the plan's own start leads anywhere where the machine's lies far from it: along the branch first.
-    poses, arrived = led(mechanism, reference.pose[0], s[None])
+    poses, arrived = continue_to(mechanism, reference.pose[0], s[None])
     pose, rates = np.array(poses[0] if arrived else reference.pose[0]), np.zeros(mechanism.n_q)
     pose[mechanism.independent], rates[mechanism.independent] = s, v
     pose = closed_pose(model, mechanism, pose)
