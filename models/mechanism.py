@@ -34,16 +34,11 @@ from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import build_tree
 from linkplan.models.tree.friction import friction_notes, transition_speed
-from linkplan.models.tree.joints import Joint, index_of, read_joints
+from linkplan.models.tree.joints import Joint, index_of, read_joints, unit_steps
 from linkplan.models.tree.newton_euler import Inertial
 from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import TendonLimit, limited_tendons
 from linkplan.models.urdf import conversion_notes
-
-# Largest ratio between the rounding errors of J away from home and at home.
-_NOISE_GROWTH = 1e4
-# Largest gap [m] of a closed reference pose: rounding of the file. The rank is meaningful only at a closed pose.
-_CLOSED_REFERENCE_M = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -239,12 +234,13 @@ def load_mechanism(
     closures = read_closures(model, tree)
     actuators = read_actuators(model)
     phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
+    sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
     loop = KinematicLoop(
         function=ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(ca.jacobian(phi, tree.q))]),
         rows=tuple(closure.rows for closure in closures),
     )
     extent = extent_m(model)
-    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])  # a unit step of each joint [rad or m]
+    unit = unit_steps(joints, extent)
     tolerance = closure_tolerance(closure_tolerance_m, extent)
     reference = tree.coordinates.q_of(reference_qpos)
     try:
@@ -265,18 +261,14 @@ def load_mechanism(
     except UnassembledError as error:
         raise with_closed_pose(error, joints, tree.coordinates, nearest_closed_pose(loop, joints, pose, unit)) from None
     B = effort_matrix(model, tree, actuators)
-    sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
-    projected = projected_loops(
-        sparse, rows.tolist(), dependent.tolist(), pose, mobility.noise * _NOISE_GROWTH, inexact=bool(mobility.freed_m)
-    )
+    noise = 1e4 * mobility.noise  # rounding of the file affects J more away from home than at home
+    projected = projected_loops(sparse, rows.tolist(), dependent.tolist(), pose, noise, inexact=bool(mobility.freed_m))
     parametric = reduce_tree(tree, closures, B, rows, free, dependent, pi, projected, lengths(model, tree, actuators))
     dynamics = parametric if payload is None else with_numbers(parametric, payload.numbers())
     refuse_singular_inertia(name, joints, free, dynamics, pose)
     rank = len(dependent)
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
-    passive_dofs, notes = (
-        find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent) if closures else ((), [])
-    )
+    passive_dofs, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
     notes += [*friction_notes(model, transition, extent), *conversion_notes(source)]
     notes += _reference_notes(loop, reference, unit, rank)
@@ -323,7 +315,7 @@ def _reference_notes(loop: KinematicLoop, reference: np.ndarray, unit: np.ndarra
     """Return a note if the closed reference pose is singular."""
     phi, jacobian = loop.residual(reference)
     there = numerical_rank(jacobian * unit, loop.rank_tolerance)
-    if loop.gap(phi) > _CLOSED_REFERENCE_M or there == rank:
+    if loop.gap(phi) > 1e-6 or there == rank:  # [m]: the rank is meaningful only at a closed pose
         return []
     return [f"the model's reference pose is singular: the closure has rank {there} there and {rank} at home"]
 

@@ -12,16 +12,14 @@ from linkplan.models.closure import newton
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.rank import numerical_rank
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
-from linkplan.models.tree.joints import Joint, index_of, where
+from linkplan.models.tree.joints import Joint, index_of, unit_steps, where
 
 # Largest distance [rad or m] between a dependent joint's position in `home` and its closed position on the same branch.
 HOME_TOLERANCE = np.radians(5.0)
-# Largest position [rad or m] that `home` accepts.
-_MAX_HOME_POSITION = 1e3
+
 # Steps that test whether a joint can move from home [rad; extents on a slide]. The short one serves next to an end of reach.
 _HOME_STEPS = (0.02, 0.002)
-# Number of closed poses sampled near home, and their distance from it [rad; extents on a slide].
-_N_NEARBY_POSES = 4
+# Distance of the sampled nearby poses from home [rad; extents on a slide].
 _NEARBY_STEP = 0.15
 
 
@@ -31,9 +29,8 @@ def home_positions(name: str, joints: tuple[Joint, ...], home: Mapping[str, floa
     for joint, value in (home or {}).items():
         index = index_of(name, joints, joint)
         number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if not number or not abs(value) < _MAX_HOME_POSITION:
-            legal = f"a finite position within {_MAX_HOME_POSITION:g} rad or m"
-            raise ModelError(f"home of joint '{joint}' is {legal}, got {value!r}")
+        if not number or not abs(value) < 1000:
+            raise ModelError(f"home of joint '{joint}' is a finite position within 1000 rad or m, got {value!r}")
         asked[index] = float(value)
     return asked
 
@@ -117,20 +114,21 @@ def _turned(joints, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
     return turned
 
 
-def nearby_poses(loop: KinematicLoop, home: np.ndarray, unit: np.ndarray) -> list[np.ndarray]:
+def nearby_poses(loop: KinematicLoop, home: np.ndarray, unit: np.ndarray, n_poses: int = 4) -> list[np.ndarray]:
     """Return closed poses near the home pose, in random directions that the loops leave free there.
 
     Args:
         loop: the closure.
         home: a closed pose (n_q,).
         unit: the length of one unit step of each joint (n_q,) [rad or m].
+        n_poses: number of directions.
     """
     jacobian = loop.residual(home)[1] * unit
     rank = numerical_rank(jacobian, loop.rank_tolerance)
     free = np.linalg.svd(jacobian)[2][rank:].T if jacobian.size else np.eye(len(home))
     random = Random(0)  # the standard library's generator: numpy's takes as long to load as the assembly takes
     found = []
-    for _ in range(_N_NEARBY_POSES if free.shape[1] else 0):
+    for _ in range(n_poses if free.shape[1] else 0):
         direction = free @ [random.gauss(0.0, 1.0) for _ in range(free.shape[1])]
         trial = home + _NEARBY_STEP * unit * direction / np.abs(direction).max()
         pose, gap = newton.close(loop, trial, list(range(len(home))))
@@ -165,7 +163,7 @@ def refuse_singular_assembly(
         LockedError: if an independent joint cannot move.
         UnassembledError: if the pose is singular.
     """
-    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])
+    unit = unit_steps(joints, extent)
     rank = numerical_rank(loop.residual(pose)[1] * unit, loop.rank_tolerance)
     held = [int(i) for i in independent]
     rest = [i for i in range(len(joints)) if i not in held]
@@ -178,7 +176,7 @@ def refuse_singular_assembly(
         for step in _HOME_STEPS:
             for change in (step, -step):
                 trial = np.array(pose)
-                trial[index] += change * (1.0 if joints[index].kind == "hinge" else extent)
+                trial[index] += change * unit[index]
                 neighbour, gap = newton.close(loop, trial, rest)
                 if gap <= loop.closed_m:
                     moved = True

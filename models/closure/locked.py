@@ -10,11 +10,6 @@ from linkplan.models.closure.mobility import Mobility
 from linkplan.models.closure.rank import numerical_rank, weak_rank
 from linkplan.models.errors import LockedError
 
-# Most closures that are left out together. Sets of three are tried only if no smaller set frees the mechanism.
-_MAX_SET_SIZE = 3
-# Most sets that a message lists.
-_MAX_LISTED_SETS = 8
-
 
 def refuse_locked(
     name: str, n_joints: int, closures: Sequence[Closure], jacobian: np.ndarray, mobility: Mobility, tolerance_m: float
@@ -50,16 +45,19 @@ def locked_by(error: LockedError, closures: Sequence[Closure], jacobian: np.ndar
     return LockedError(f"{error}{_freed_text(freed)}", freed)
 
 
-def freedoms_without(closures: Sequence[Closure], jacobian: np.ndarray, share: float) -> dict[str, int]:
+def freedoms_without(
+    closures: Sequence[Closure], jacobian: np.ndarray, share: float, *, max_size: int = 3, max_listed: int = 8
+) -> dict[str, int]:
     """Return the degrees of freedom gained by leaving out closures, or orientations of welds, by the names left out.
 
-    A key joins names with " and " if only the set frees the mechanism.
+    A key joins names with " and " if only the set frees the mechanism. Sets of `max_size` closures are tried only if no
+    smaller set frees it. At most `max_listed` sets are returned.
     """
     least = numerical_rank(jacobian, share)
     parts = list(_parts(closures))
     found: dict[frozenset[str], int] = {}
-    for size in range(1, _MAX_SET_SIZE + 1):
-        if size == _MAX_SET_SIZE and found:
+    for size in range(1, max_size + 1):
+        if size == max_size and found:
             break
         for chosen in itertools.combinations(parts, size):
             names = frozenset(part for part, _ in chosen)
@@ -71,7 +69,7 @@ def freedoms_without(closures: Sequence[Closure], jacobian: np.ndarray, share: f
                 found[names] = more
     order = [part for part, _ in parts]
     named = {" and ".join(sorted(names, key=order.index)): more for names, more in found.items()}
-    return dict(itertools.islice(named.items(), _MAX_LISTED_SETS))
+    return dict(itertools.islice(named.items(), max_listed))
 
 
 def _parts(closures: Sequence[Closure]) -> Iterator[tuple[str, list[int]]]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from linkplan.models.closure import newton
 from linkplan.models.closure.newton import KinematicLoop
-from linkplan.models.closure.rank import RANK_TOLERANCE, WEAK_SHARE
+from linkplan.models.closure.rank import RANK_TOLERANCE, ROUNDING_SHARE, WEAK_SHARE
 from linkplan.models.errors import ModelError
 
 # Length of a trial motion and of its Newton steps [rad; extents on a slide].
@@ -24,20 +24,16 @@ _LEAST_TRIAL_LENGTH = 0.1
 _MAX_ROUNDING_GROWTH = 30.0
 # Singular values above this share of the largest, but below the rank's tolerance, contain rounding of the file.
 _EXACT_RANK_SHARE = 1e-13
-# Rates and moments below this share of the largest are zero to rounding.
-_ZERO_SHARE = 1e-9
-# Default of closure_tolerance_m [m], and its upper limit as a share of the mechanism's extent.
-_TOLERANCE_M, _TOLERANCE_SHARE = 1e-6, 1e-5
 
 
 def closure_tolerance(asked: float | None, extent_m: float) -> float:
-    """Return the asked closure tolerance [m], or the default for the mechanism's size.
+    """Return the asked closure tolerance [m], by default 1e-6 m but at most 1e-5 of the mechanism's extent.
 
     Raises:
         ModelError: if the tolerance is not a length in the legal range.
     """
     if asked is None:
-        return min(_TOLERANCE_M, _TOLERANCE_SHARE * extent_m)
+        return min(1e-6, 1e-5 * extent_m)
     number = isinstance(asked, numbers.Real) and not isinstance(asked, bool)
     if not number or not newton.CLOSED_M <= asked <= extent_m:
         raise ModelError(
@@ -150,7 +146,7 @@ def lost_freedoms(joints, actuators, dynamics, poses, mobility: Mobility, tolera
     still = [
         joint.name
         for i, joint in enumerate(joints)
-        if all(np.abs(gamma[i]).max(initial=0.0) <= _ZERO_SHARE * largest for gamma in gammas)
+        if all(np.abs(gamma[i]).max(initial=0.0) <= ROUNDING_SHARE * largest for gamma in gammas)
     ]
     locked = [f"the loops lock joint{'s' if len(still) > 1 else ''} {', '.join(still)}"] if still else []
     maps = [np.array(dynamics.effort_map(q)).reshape(gammas[0].shape[1], -1) for q in poses]
@@ -159,7 +155,7 @@ def lost_freedoms(joints, actuators, dynamics, poses, mobility: Mobility, tolera
         f"actuator {actuator.name} has no effect: the loops hold what it acts on, {actuator.target}"
         for j, actuator in enumerate(actuators)
         if all(
-            np.abs(m[:, j]).max() <= _ZERO_SHARE * max(np.abs(b[:, j]).max(), _ZERO_SHARE)
+            np.abs(m[:, j]).max() <= ROUNDING_SHARE * max(np.abs(b[:, j]).max(), ROUNDING_SHARE)
             for m, b in zip(maps, full, strict=True)
         )
     ]

@@ -10,16 +10,12 @@ import numpy as np
 
 from linkplan.models.closure import newton
 from linkplan.models.closure.newton import KinematicLoop
-from linkplan.models.tree.joints import Joint
+from linkplan.models.tree.joints import POSITION_ROUNDING, Joint
 
-# Number of random start poses, and their distances from the reference [rad; extents on a slide].
-_N_STARTS, _START_DISTANCES = 60, (0.3, 1.0, 2.0)
-# Most steps towards the reference, and the shortest step as a share of the remaining way.
-_MAX_STEPS, _LEAST_STEP_SHARE = 100, 1e-3
+# Distances of the random start poses from the reference [rad; extents on a slide].
+_START_DISTANCES = (0.3, 1.0, 2.0)
 # A pose is nearly singular if a singular value of its closure is below this share of the largest.
 _NEARLY_SINGULAR_SHARE = 0.02
-# Violations of a joint's range below this are rounding [rad or m].
-_RANGE_ROUNDING = 1e-9
 
 
 def nearest_closed_pose(
@@ -49,13 +45,13 @@ def nearest_closed_pose(
     return min((_moved_to_reference(loop, pose, reference, unit, measure) for pose in best), key=measure)
 
 
-def _starts(joints: Sequence[Joint], reference: np.ndarray, unit: np.ndarray) -> Iterator[np.ndarray]:
+def _starts(joints: Sequence[Joint], reference: np.ndarray, unit: np.ndarray, n_random: int = 60) -> Iterator[np.ndarray]:
     """Yield the reference and random poses around it, the same ones in every run."""
     yield reference
     rng = np.random.default_rng(0)
     low = np.array([joint.lower for joint in joints])
     high = np.array([joint.upper for joint in joints])
-    for number in range(_N_STARTS):
+    for number in range(n_random):
         distance = _START_DISTANCES[number % len(_START_DISTANCES)]
         start = reference + distance * unit * rng.uniform(-1.0, 1.0, len(reference))
         yield np.clip(start, low, high)
@@ -78,7 +74,7 @@ def _shares(loop: KinematicLoop, pose: np.ndarray, unit: np.ndarray) -> np.ndarr
 def _outside(joints: Sequence[Joint], pose: np.ndarray) -> float:
     """Return the largest violation of a joint's range [rad or m]; 0 within rounding."""
     worst = max(max(joint.lower - x, x - joint.upper) for joint, x in zip(joints, pose, strict=True))
-    return max(float(worst), 0.0) if worst > _RANGE_ROUNDING else 0.0
+    return max(float(worst), 0.0) if worst > POSITION_ROUNDING else 0.0
 
 
 def _moved_to_reference(
@@ -86,14 +82,14 @@ def _moved_to_reference(
 ) -> np.ndarray:
     """Return the closed pose reached from `pose` by steps towards the reference that each decrease `measure`."""
     step = 1.0
-    for _ in range(_MAX_STEPS):
+    for _ in range(100):
         jacobian = loop.residual(pose)[1] * unit
         right = np.linalg.svd(jacobian)[2]
         free = right[int(np.sum(_shares(loop, pose, unit) > loop.rank_tolerance)) :]
         trial = _closed(loop, pose + step * unit * (free.T @ (free @ ((reference - pose) / unit))))
         if trial is not None and measure(trial) < measure(pose):
             pose, step = trial, min(1.0, 2 * step)
-        elif step > _LEAST_STEP_SHARE:
+        elif step > 1e-3:
             step *= 0.5
         else:
             break

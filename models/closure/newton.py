@@ -10,13 +10,10 @@ from linkplan.models.closure.rank import RANK_TOLERANCE
 # Largest gap [m] of a closed loop: a hundredth of the 1e-9 m that certificates promise, and far above rounding.
 CLOSED_M = 1e-11
 
-_MAX_STEPS = 100
 # Longest step of a joint [rad or m]: short enough for Newton to stay on its branch.
 _MAX_STEP = 0.3
 # Newton ignores singular values of J below this share of the largest.
 _LEAST_SINGULAR_SHARE = 1e-10
-# Step of `follow` [rad or m], about two degrees.
-_FOLLOW_STEP = 0.035
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -53,7 +50,7 @@ def close(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> tuple[np.n
     if phi.size == 0 or not free:
         return q, loop.gap(phi)
     rcond = _LEAST_SINGULAR_SHARE if loop.rank_tolerance <= RANK_TOLERANCE else loop.rank_tolerance
-    for _ in range(_MAX_STEPS):
+    for _ in range(100):
         step = np.zeros_like(q)
         step[free] = np.linalg.lstsq(jacobian[:, free], -phi, rcond=rcond)[0]
         size = np.abs(step).max()
@@ -91,16 +88,18 @@ def least_gap(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> float:
     return loop.gap(found.fun)
 
 
-def follow(loop: KinematicLoop, start: np.ndarray, held: dict[int, float]) -> tuple[np.ndarray, float]:
+def follow(
+    loop: KinematicLoop, start: np.ndarray, held: dict[int, float], longest_step: float = 0.035
+) -> tuple[np.ndarray, float]:
     """Return the pose and gap [m] after moving the joints in `held` from the closed pose `start` to their values.
 
-    These joints move on a straight line, in steps short enough for Newton to stay on the branch. If the loop opens on the
-    way, the pose and gap there are returned.
+    The held joints move on a straight line in steps of at most `longest_step` [rad or m], so that Newton stays on the
+    branch. If the loop opens on the way, the pose and gap there are returned.
     """
     free = [i for i in range(len(start)) if i not in held]
     joints, goal = list(held), np.array(list(held.values()))
     begin = start[joints]
-    n_steps = max(1, int(np.ceil(np.abs(goal - begin).max() / _FOLLOW_STEP)))
+    n_steps = max(1, int(np.ceil(np.abs(goal - begin).max() / longest_step)))
     q, gap = start, 0.0
     for fraction in np.linspace(0.0, 1.0, n_steps + 1)[1:]:
         trial = np.array(q)

@@ -9,15 +9,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint
-
-# Moments, spring forces and rates below this share of the largest are zero to rounding.
-_ZERO_SHARE = 1e-9
-# A body spins about its centre if the centre moves by less than this share of the extent per radian: rounding of the file.
-_CENTRE_SHARE_PER_RAD = 1e-6
-# A body is round if the inertias change by less than this share in one radian of spin: rounding of the file.
-_ROUND_INERTIA_SHARE = 1e-6
 
 
 def find_passive_dofs(
@@ -33,7 +27,7 @@ def find_passive_dofs(
 
     Args:
         model: the compiled model.
-        joints: of the mechanism, which has loops.
+        joints: of the mechanism.
         coordinates: of the mechanism.
         dynamics: its reduced dynamics.
         independent: coordinates (n_s,).
@@ -41,7 +35,9 @@ def find_passive_dofs(
         extent_m: the mechanism's size [m].
     """
     found: list[int] = []
-    notes = []
+    notes: list[str] = []
+    if not dynamics.closure.size1_out(0):
+        return (), []
     for column, index in enumerate(independent.tolist()):
         spinning = [_spinning(model, coordinates, dynamics, q, column, extent_m) for q in poses]
         if not spinning or not all(spinning):
@@ -59,7 +55,7 @@ def _spinning(model, coordinates: Coordinates, dynamics, q: np.ndarray, column: 
     gamma = np.array(dynamics.velocity_map(q))[:, column]
     springs = np.array(dynamics.passive(q, np.zeros(len(q)))).reshape(-1, 1)
     acting = np.hstack([np.array(dynamics.effort_matrix(q)).reshape(len(q), -1), springs])
-    least = _ZERO_SHARE * max(1.0, float(np.abs(acting).max())) * np.abs(gamma).max()
+    least = ROUNDING_SHARE * max(1.0, float(np.abs(acting).max())) * np.abs(gamma).max()
     if np.abs(acting.T @ gamma).max() > least:
         return []
     data = mujoco.MjData(model)
@@ -72,9 +68,9 @@ def _spinning(model, coordinates: Coordinates, dynamics, q: np.ndarray, column: 
     for body in np.flatnonzero(model.body_mass > 0):
         mujoco.mj_jacBodyCom(model, data, linear, angular, body)
         speeds[body], turns[body] = np.linalg.norm(linear @ qvel), np.linalg.norm(angular @ qvel)
-    if speeds.max() > _CENTRE_SHARE_PER_RAD * extent_m * turns.max():
+    if speeds.max() > FILE_ROUNDING_SHARE * extent_m * turns.max():
         return []
-    return np.flatnonzero(turns > _ZERO_SHARE * turns.max()).tolist()
+    return np.flatnonzero(turns > ROUNDING_SHARE * turns.max()).tolist()
 
 
 def round_spins(dynamics, home: np.ndarray, passive: np.ndarray) -> np.ndarray:
@@ -83,6 +79,6 @@ def round_spins(dynamics, home: np.ndarray, passive: np.ndarray) -> np.ndarray:
     for column in np.flatnonzero(passive):
         turned = home + np.array(dynamics.velocity_map(home))[:, column]
         found[column] = (
-            np.abs(np.array(dynamics.reduced_inertia(turned)) - inertia).max() <= _ROUND_INERTIA_SHARE * inertia.max()
+            np.abs(np.array(dynamics.reduced_inertia(turned)) - inertia).max() <= FILE_ROUNDING_SHARE * inertia.max()
         )
     return found

@@ -11,11 +11,9 @@ from itertools import combinations
 import mujoco
 import numpy as np
 
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
 from linkplan.models.tree.coordinates import BALL, HINGE
 from linkplan.models.tree.ties import tied_points
-
-# Points closer than this share of the extent coincide: above rounding of the file, below the size of a pin.
-_SAME_POINT_SHARE = 1e-6
 
 Point = tuple[int, np.ndarray]  # a body and a position (3,) [m] in its frame
 
@@ -42,7 +40,7 @@ def shared_pins(model: mujoco.MjModel, home: np.ndarray, extent: float) -> Mappi
     shared: dict[tuple[int, int], list[Point]] = {}
     for (one, here), (other, there) in combinations(found, 2):
         a, b = sorted((int(model.body_weldid[one]), int(model.body_weldid[other])))
-        if a != b and np.linalg.norm(here - there) <= _SAME_POINT_SHARE * extent:
+        if a != b and np.linalg.norm(here - there) <= FILE_ROUNDING_SHARE * extent:
             local = data.xmat[one].reshape(3, 3).T @ (here - data.xpos[one])
             shared.setdefault((a, b), []).append((one, local))
     return {pair: tuple(points) for pair, points in shared.items()}

@@ -13,6 +13,10 @@ import numpy as np
 RANK_TOLERANCE = 1e-9
 # Singular values between RANK_TOLERANCE and this share are often due to rounding of the file (axes not quite parallel).
 WEAK_SHARE = 1e-4
+# Values below this share of the largest one are zero to rounding of the arithmetic,
+ROUNDING_SHARE = 1e-9
+# and to rounding of the numbers in a file, which often have seven digits.
+FILE_ROUNDING_SHARE = 1e-6
 
 
 def numerical_rank(jacobian: np.ndarray, tolerance: float = RANK_TOLERANCE) -> int:

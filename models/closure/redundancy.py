@@ -23,8 +23,7 @@ from random import Random
 import casadi as ca
 import numpy as np
 
-# A combination of rows is constant if it varies between random poses by less than this share of the largest entry.
-_CONSTANT_MAP_SHARE = 1e-9
+from linkplan.models.closure.rank import ROUNDING_SHARE
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -70,7 +69,7 @@ def projected_loops(
     found = []
     samples = jacobians_at_random(jacobian) if len(rows) else []
     at_home = np.array(jacobian(home))
-    tolerance = max(_CONSTANT_MAP_SHARE, noise)
+    tolerance = max(ROUNDING_SHARE, noise)
     for of, columns in _components(jacobian.sparsity_out(0), dependent):
         kept = [row for row in of if row in rows]
         if len(kept) == len(of) or not kept:

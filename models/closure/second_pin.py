@@ -17,10 +17,7 @@ Jacobian there.
 import casadi as ca
 import numpy as np
 
-# Largest relative difference between the lengths of d and d_0. Above it the two pins cannot both close, and all rows count.
-_SAME_LENGTH_SHARE = 1e-10
-# delta is zero at every pose if at a random pose it is below this share of the pins' distance.
-_ZERO_SHARE = 1e-9
+from linkplan.models.closure.rank import ROUNDING_SHARE
 
 
 def second_pin_residual(
@@ -36,15 +33,15 @@ def second_pin_residual(
         q: the coordinates (n_q,).
     """
     long = np.linalg.norm(places[1] - places[0], axis=-1)
-    if min(long) == 0 or abs(long[0] - long[1]) > _SAME_LENGTH_SHARE * max(long):
-        return None
+    if min(long) == 0 or abs(long[0] - long[1]) > 1e-10 * max(long):
+        return None  # the two pins cannot both close, and all rows are needed
     ways = [later - earlier for earlier, later in zip(first, second, strict=True)]
     still = [way for way in ways if not ca.symvar(way)]
     if len(still) != 1:
         return None
     delta = ways[0] - ways[1]
     pose = np.random.default_rng(0).uniform(-1.0, 1.0, q.numel())
-    if np.abs(np.array(ca.Function("delta", [q], [delta])(pose))).max() <= _ZERO_SHARE * max(long):
-        return None
+    if np.abs(np.array(ca.Function("delta", [q], [delta])(pose))).max() <= ROUNDING_SHARE * max(long):
+        return None  # delta is zero at every pose
     e = np.array(ca.evalf(still[0])).ravel() / max(long)
     return first[0] - first[1] + ca.DM(np.eye(3) - np.outer(e, e)) @ delta

@@ -13,8 +13,6 @@ from linkplan.models.tree.friction import frictions_of
 _BATCH_SIZE, _LARGE_OUTPUT = 32, 256
 # Moment arms below this share of the largest are zero to rounding, at an actuator's dead centre.
 _ZERO_ARM_SHARE = 1e-12
-# A speed in transition speeds of dry friction: joints that move a hundredth as fast still have full friction.
-_SLIDING_SPEED_RATIO = 1000.0
 
 
 @functools.lru_cache(maxsize=64)
@@ -84,7 +82,8 @@ def sliding_friction(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     """Return the dry friction (n,) [N.m or N] of a mechanism of one degree of freedom that moves through poses (n, n_q)."""
     if not any(frictions_of(mechanism.model)):
         return np.zeros(len(q))
-    fast, still = np.full((len(q), 1), _SLIDING_SPEED_RATIO * mechanism.friction_transition), np.zeros((len(q), 1))
+    # At 1000 transition speeds, joints that move a hundredth as fast still have full friction.
+    fast, still = np.full((len(q), 1), 1000.0 * mechanism.friction_transition), np.zeros((len(q), 1))
     motion = (q, fast, still, np.zeros((len(q), mechanism.n_u)))
     whole, without = (sampled(f, *motion)[:, 0, 0] for f in (mechanism.dynamics.residual, mechanism.dynamics.sliding))
     return whole - without

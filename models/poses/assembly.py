@@ -15,13 +15,12 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, sampled
 from linkplan.models.poses.continuation import MAX_CORRECTION_SHARE, MAX_GAMMA_CHANGE, stride_along
-from linkplan.models.tree.joints import where
+from linkplan.models.tree.joints import unit_steps, where
 
 # Longest step of a joint [rad; extents on a slide], about two degrees.
 _STEP_RAD = 0.035
 # Shortest step as a share of the longest. Below it the path has met a singular pose.
 _LEAST_STEP_SHARE = 1e-5
-_MAX_NEWTON_STEPS = 12
 # Largest distance in steps (about 500 turns). A pose further away is a typing error.
 _MAX_PATH_STEPS = 1e5
 
@@ -132,8 +131,7 @@ def _where(mechanism: Mechanism, s: np.ndarray) -> str:
 
 def step_sizes(mechanism: Mechanism) -> np.ndarray:
     """Return the longest step (n_q,) [rad or m] of each joint."""
-    extent = mechanism.extent_m
-    return np.array([_STEP_RAD if joint.kind == "hinge" else _STEP_RAD * extent for joint in mechanism.joints])
+    return _STEP_RAD * unit_steps(mechanism.joints, mechanism.extent_m)
 
 
 def advance(
@@ -179,7 +177,7 @@ def _correct(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarra
     """Return the pose closed by Newton in its dependent joints, Gamma and the determinants of J_z's blocks, or NaN."""
     q = np.array(q)
     dependent = mechanism.dependent
-    for iteration in range(_MAX_NEWTON_STEPS):
+    for iteration in range(12):
         phi, step, gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)
         step = step.ravel()
         size = np.abs(step).max(initial=0.0)

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.closure.pins import shared_pins
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
@@ -20,8 +21,7 @@ from linkplan.models.tree.passive import disabled
 
 # An overlap up to this share deeper than at home is there by construction: the overlap of two links on a pin varies.
 _EXTRA_DEPTH_SHARE = 0.1
-# Depths below this share of the extent are rounding: resting geoms touch by as much.
-_TOUCHING_SHARE = 1e-6
+
 # No contact is searched for between two instants if the geoms travel less than this share of the extent (30 um on a leg).
 _LEAST_TRAVEL_SHARE = 1e-4
 # Accuracy of the instant at which geoms meet, as a share of the motion.
@@ -142,7 +142,7 @@ def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sampl
     model, extent = mechanism.model, mechanism.extent_m
     depth = np.array([-one.clearance.get(pair, (np.inf, np.inf))[0] for _, _, one in seen])
     away = np.array([-one.away(pair) for _, _, one in seen])
-    allowed = (1 + _EXTRA_DEPTH_SHARE) * max(0.0, -at_home.away(pair)) + _TOUCHING_SHARE * extent
+    allowed = (1 + _EXTRA_DEPTH_SHARE) * max(0.0, -at_home.away(pair)) + FILE_ROUNDING_SHARE * extent
     deeper = np.flatnonzero(away > allowed)
     since, deepest = None, int(np.argmax(depth))
     if len(deeper):

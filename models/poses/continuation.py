@@ -17,11 +17,8 @@ from linkplan.models.poses.along import evaluated
 
 # Newton steps of a stride of two degrees: two steps leave 1e-12, the third leaves rounding.
 _NEWTON_STEPS = 3
-# Numbers of strides in one call. The first call is short, because few strides are regular near a singular pose.
+# Numbers of strides in one call.
 _STRETCH_LENGTHS = (1, 4, 16, 64, 128, 256)
-_FIRST_LENGTH = 16
-# Largest number of values in one call. CasADi takes longer to set up a larger one than to make several calls.
-_MAX_CALL_SIZE = 40_000
 # A stride is regular if Newton's correction is below this share of the step,
 MAX_CORRECTION_SHARE = 0.25
 # and if Gamma changes by less than this share of its size.
@@ -46,9 +43,10 @@ def stride_along(
         return poses
     gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)[2:]
     state = np.concatenate([q, gamma.T.ravel(), determinants.ravel()])
-    most = max(length for length in _STRETCH_LENGTHS if length == 1 or length * len(state) <= _MAX_CALL_SIZE)
+    # CasADi takes longer to set up a function of more values than to make several calls.
+    most = max(length for length in _STRETCH_LENGTHS if length == 1 or length * len(state) <= 40_000)
     found: list[np.ndarray] = [np.empty((0, mechanism.n_q))]
-    begin, longest = 0, min(_FIRST_LENGTH, most)
+    begin, longest = 0, min(16, most)  # the first call is short, because few strides are regular near a singular pose
     while begin < len(positions):
         deadline.require_time()
         n = min(longest, len(positions) - begin)

@@ -11,14 +11,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
-
-# Largest unbalanced effort at an equilibrium, as a share of the stiffest spring's effort at one radian.
-_UNBALANCED_SHARE = 1e-9
-# A coordinate's stiffness below this share of the largest is zero to rounding.
-_ZERO_STIFFNESS_SHARE = 1e-12
 
 
 def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
@@ -30,7 +26,7 @@ def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
         for column, index in enumerate(mechanism.independent.tolist())
         if index not in driven
         and index not in mechanism.passive_dofs
-        and stiffness[column] > _ZERO_STIFFNESS_SHARE * stiffness.max(initial=0.0)
+        and stiffness[column] > 1e-12 * stiffness.max(initial=0.0)  # below this it is zero to rounding
     )
 
 
@@ -65,7 +61,8 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
         rest = unbalanced(found.x)
     except AssemblyError:
         return None
-    if np.abs(rest).max(initial=0.0) > _UNBALANCED_SHARE * _stiffness(mechanism).diagonal().max(initial=0.0):
+    one_radian = _stiffness(mechanism).diagonal().max(initial=0.0)  # the stiffest spring's effort
+    if np.abs(rest).max(initial=0.0) > ROUNDING_SHARE * one_radian:
         return None
     s = base.copy()
     s[columns] = found.x

@@ -14,25 +14,21 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.tree.joints import POSITION_ROUNDING, unit_steps
 
 # Largest distance of a site from its target, as a share of the mechanism's extent.
 _ARRIVED_SHARE = 1e-9
-# Number of random starts, the seed that draws them, and the most iterations from each.
-_N_RANDOM_STARTS, _RANDOM_SEED, _MAX_ITERATIONS = 12, 20, 150
-# Longest step [rad or extents], and the step length below which the iteration has converged.
-_MAX_STEP, _CONVERGED_STEP = 0.5, 1e-14
-# The iteration ends if a step reduces the squared distances by less than this share (a target out of reach).
-_LEAST_GAIN_SHARE = 1e-14
+# Longest step [rad or extents].
+_MAX_STEP = 0.5
+# The iteration ends if a step [rad or extents], or its relative gain (a target out of reach), is below this.
+_CONVERGED_STEP = 1e-14
 # Weight of a dependent joint's range violation against a site's distance.
 _RANGE_WEIGHT = 1e3
-# Violations of a joint's range below this are rounding [rad or m].
-_RANGE_ROUNDING = 1e-9
-# Rank of the sites' Jacobian: share of singular values, number of nearby poses and their distance [rad or extents].
-_RANK_TOLERANCE, _N_NEARBY_POSES, _NEARBY_STEP = 1e-6, 4, 0.05
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -95,13 +91,13 @@ def site_pose(
         ranges: [low, high] (n_q, 2) of every joint.
         prefer: poses that satisfy this condition come before all others.
     """
-    unit = np.array([1.0 if j.kind == "hinge" else mechanism.extent_m for j in mechanism.joints])[mechanism.independent]
+    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
     found = []
     for pose in _starts(mechanism, np.array(start, dtype=float), ranges):
         end = _descended(mechanism, targets, pose, ranges)
         off = off_m(mechanism, targets, end)
         away = float(np.linalg.norm((end - start)[mechanism.independent] / unit))
-        inside = np.all((end >= ranges[:, 0] - _RANGE_ROUNDING) & (end <= ranges[:, 1] + _RANGE_ROUNDING))
+        inside = np.all((end >= ranges[:, 0] - POSITION_ROUNDING) & (end <= ranges[:, 1] + POSITION_ROUNDING))
         there = bool(inside and off.max(initial=0.0) <= _ARRIVED_SHARE * mechanism.extent_m)
         order = (not inside, not there, 0.0 if there else float(off.max()), there and not prefer(end), away)
         found.append((order, len(found), SitePose(pose=end, off_m=off)))
@@ -120,7 +116,7 @@ def independent_rows_of(mechanism: Mechanism, targets: SiteTargets, pose: np.nda
 
     rows = np.flatnonzero(targets.given)
     best: np.ndarray = np.zeros(0, dtype=int)
-    for q in _about(mechanism, pose, ranges):
+    for q in _nearby(mechanism, pose, ranges):
         _, J = _rows(mechanism, targets, q)
         J = J[:, ~np.isin(mechanism.independent, mechanism.passive_dofs)]
         if not J.size:
@@ -128,13 +124,13 @@ def independent_rows_of(mechanism: Mechanism, targets: SiteTargets, pose: np.nda
         factors: Any = scipy.linalg.qr(J.T, mode="economic", pivoting=True)
         _, R, order = factors
         sizes = np.abs(np.diagonal(R))
-        rank = int(np.sum(sizes > _RANK_TOLERANCE))
+        rank = int(np.sum(sizes > FILE_ROUNDING_SHARE))
         if rank > len(best):
             best = np.sort(order[:rank])
     return tuple(int(i) for i in rows[best])
 
 
-def _starts(mechanism: Mechanism, start: np.ndarray, ranges: np.ndarray) -> Iterator[np.ndarray]:
+def _starts(mechanism: Mechanism, start: np.ndarray, ranges: np.ndarray, n_random: int = 12) -> Iterator[np.ndarray]:
     """Yield closed start poses: the given one, home, and random ones within the ranges and half a turn."""
     independent = mechanism.independent
     for pose in (start, np.array(mechanism.home)):
@@ -143,21 +139,23 @@ def _starts(mechanism: Mechanism, start: np.ndarray, ranges: np.ndarray) -> Iter
     half = np.array([np.pi if mechanism.joints[i].kind == "hinge" else mechanism.extent_m for i in independent])
     s = start[independent]
     low, high = np.maximum(ranges[independent, 0], s - half), np.minimum(ranges[independent, 1], s + half)
-    random = np.random.default_rng(_RANDOM_SEED)
-    for _ in range(_N_RANDOM_STARTS):
+    random = np.random.default_rng(20)
+    for _ in range(n_random):
         there = low + (high - low) * random.random(len(s))
         pose = _closed(mechanism, there, start)
         if pose is not None:
             yield pose
 
 
-def _about(mechanism: Mechanism, pose: np.ndarray, ranges: np.ndarray) -> Iterator[np.ndarray]:
-    """Yield a pose and some closed poses near it."""
+def _nearby(
+    mechanism: Mechanism, pose: np.ndarray, ranges: np.ndarray, n_random: int = 4, distance: float = 0.05
+) -> Iterator[np.ndarray]:
+    """Yield a pose and random closed poses within a distance [rad or extents] of it."""
     yield pose
-    independent, random = mechanism.independent, np.random.default_rng(_RANDOM_SEED)
-    unit = np.array([1.0 if mechanism.joints[i].kind == "hinge" else mechanism.extent_m for i in independent])
-    for _ in range(_N_NEARBY_POSES):
-        s = np.clip(pose[independent] + _NEARBY_STEP * unit * random.uniform(-1, 1, len(unit)), *ranges[independent].T)
+    independent, random = mechanism.independent, np.random.default_rng(20)
+    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
+    for _ in range(n_random):
+        s = np.clip(pose[independent] + distance * unit * random.uniform(-1, 1, len(unit)), *ranges[independent].T)
         near = _closed(mechanism, s, pose)
         if near is not None:
             yield near
@@ -167,14 +165,14 @@ def _rows(mechanism: Mechanism, targets: SiteTargets, q: np.ndarray) -> tuple[np
     """Return the errors [extents] of the prescribed site coordinates, and their Jacobian by s [rad or extents]."""
     places, J = (np.array(x) for x in _kinematics(mechanism)(q))
     at = (3 * targets.sites[:, None] + np.arange(3)).ravel()[targets.given]
-    unit = np.array([1.0 if mechanism.joints[i].kind == "hinge" else mechanism.extent_m for i in mechanism.independent])
+    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
     slope = J[at] @ np.array(mechanism.dynamics.velocity_map(q)) * unit / mechanism.extent_m
     return (places.ravel()[at] - targets.points.ravel()[targets.given]) / mechanism.extent_m, slope
 
 
 def _beyond(mechanism: Mechanism, q: np.ndarray, ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the weighted range violations of dependent joints, and their Jacobian with respect to s."""
-    unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.joints])
+    unit = unit_steps(mechanism.joints, mechanism.extent_m)
     violation = np.maximum(q - ranges[:, 1], 0.0) - np.maximum(ranges[:, 0] - q, 0.0)
     violation[mechanism.independent] = 0.0
     out = np.flatnonzero(violation)
@@ -185,7 +183,7 @@ def _beyond(mechanism: Mechanism, q: np.ndarray, ranges: np.ndarray) -> tuple[np
 def _descended(mechanism: Mechanism, targets: SiteTargets, start: np.ndarray, ranges: np.ndarray) -> np.ndarray:
     """Return the pose at a local minimum of the least squares from a closed start pose."""
     independent = mechanism.independent
-    unit = np.array([1.0 if mechanism.joints[i].kind == "hinge" else mechanism.extent_m for i in independent])
+    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
     low, high = ranges[independent].T / unit
 
     def residuals(q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -194,7 +192,7 @@ def _descended(mechanism: Mechanism, targets: SiteTargets, start: np.ndarray, ra
 
     q, damping = start, 1e-3
     r, J = residuals(q)
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(150):
         s = np.clip(q[independent] / unit, low, high)
         step = _step(J, r, damping, np.maximum(low - s, -_MAX_STEP), np.minimum(high - s, _MAX_STEP))
         if np.abs(step).max(initial=0.0) < _CONVERGED_STEP or r @ r == 0.0:
@@ -204,7 +202,7 @@ def _descended(mechanism: Mechanism, targets: SiteTargets, start: np.ndarray, ra
         if trial is not None and further is not None and further[0] @ further[0] < r @ r:
             gained = 1 - further[0] @ further[0] / (r @ r)
             q, (r, J), damping = trial, further, max(damping / 10, 1e-14)
-            if gained < _LEAST_GAIN_SHARE:
+            if gained < _CONVERGED_STEP:
                 break
         else:
             damping *= 10

@@ -27,10 +27,6 @@ _ZERO_RATE_SHARE = 1e-9
 _RANGE_ROUNDING = 1e-8
 # Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
 _SPLINE_NEIGHBOURS = 5
-# Number of steps before ranges are checked for the first time, and the growth factor of that number.
-_FIRST_STEPS, _STEPS_GROWTH = 16, 4
-# Most steps of a path that `is_open` checks, about a full turn.
-_MAX_CHECKED_STEPS = 361
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -113,7 +109,7 @@ def _way(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> np.ndarray |
     """Return the poses (n, n_q) on the straight path to s in the steps of `reach`, or None if it is blocked or too long."""
     first = start[mechanism.independent]
     n = int(np.ceil(2 * np.max(np.abs(s - first) / step_sizes(mechanism)[mechanism.independent], initial=0.0)))
-    if not n < _MAX_CHECKED_STEPS:
+    if not n < 361:  # about a full turn
         return None
     poses, arrived = continue_to(mechanism, start, np.linspace(first, s, n + 1))
     return poses if arrived == n + 1 else None
@@ -162,7 +158,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
     path = np.tile(home[mechanism.independent], (max(n_steps, 1), 1))
     path[:, coordinate] = home[index] + sign * step * np.arange(1, len(path) + 1)
     path[-1, coordinate] = last
-    begin, n = 0, _FIRST_STEPS
+    begin, n = 0, 16  # ranges are checked after 16 steps, and then after four times as many each time
     while begin < len(path):
         found, arrived = continue_to(mechanism, q, path[begin : begin + n])
         outside = _leaves_ranges(mechanism, found).any(axis=1)
@@ -176,7 +172,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
         if arrived < len(path[begin : begin + n]):
             pose = _singular_pose(mechanism, q, coordinate)
             return poses, End(position=float(pose[index]), reason="singular pose", joint=None), [pose]
-        begin, n = begin + n, _STEPS_GROWTH * n
+        begin, n = begin + n, 4 * n
     reason = "full turn" if last != limit else _end_of(joint)
     return poses, End(position=float(last), reason=reason, joint=index if last == limit else None), []
 

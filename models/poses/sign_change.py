@@ -4,9 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-# Ridders' method doubles the correct digits with every two evaluations, so it ends long before this.
-_MAX_ITERATIONS = 100
-
 
 def sign_change(function: Callable[[float], float], a: float, b: float, xtol: float) -> float:
     """Return x between a and b where f(x) = 0, to xtol, by Ridders' method (IEEE Trans. Circuits Syst. 26, 1979).
@@ -16,7 +13,7 @@ def sign_change(function: Callable[[float], float], a: float, b: float, xtol: fl
     at_a, at_b = function(a), function(b)
     if at_a == 0 or at_b == 0:
         return a if at_a == 0 else b
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(100):
         middle = 0.5 * (a + b)
         if not abs(b - a) > xtol or middle in (a, b):
             break

@@ -10,15 +10,14 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
+from linkplan.models.tree.joints import unit_steps
 
 # A singular value below this share of the least one at home counts as zero; singular poses are found to about 1e-8.
 _RANK_LOST = 1e-4
 # A local minimum of the least singular value is examined if it is below this share of the value at home.
 _SUSPECT_SHARE = 0.3
-# Number of directions in a plane that are tested (half a degree apart), and the step of the differences of J [rad].
-_N_DIRECTIONS, _DIFFERENCE_STEP = 360, 1e-5
-# A direction can be continued if its second-order residual is below this share of the largest: within a degree of a root.
-_CONTINUABLE_SHARE = 0.02
+# Step of the central differences of J [rad; extents on a slide].
+_DIFFERENCE_STEP = 1e-5
 # A quadratic form below this share of the largest is zero to the accuracy of differences and pose.
 _ZERO_FORM_SHARE = 1e-3
 
@@ -37,7 +36,7 @@ def _least_along(mechanism: Mechanism, poses: np.ndarray, columns: slice | np.nd
     rank = len(mechanism.dependent)
     if rank == 0:
         return np.ones(len(poses))
-    unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.joints])
+    unit = unit_steps(mechanism.joints, mechanism.extent_m)
     jacobian = sampled(mechanism.dynamics.closure_jacobian, poses) * unit
     return np.linalg.svd(jacobian[:, :, columns], compute_uv=False)[:, rank - 1]
 
@@ -50,7 +49,7 @@ def is_branching(mechanism: Mechanism, q: np.ndarray) -> bool:
 
 def closure_rank(mechanism: Mechanism, q: np.ndarray) -> int:
     """Return the rank of the closure at a pose (n_q,), relative to the least singular value at home."""
-    unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.joints])
+    unit = unit_steps(mechanism.joints, mechanism.extent_m)
     values = np.linalg.svd(np.array(mechanism.dynamics.closure_jacobian(q)) * unit, compute_uv=False)
     return int(np.sum(values[: len(mechanism.dependent)] > _RANK_LOST * least_values(mechanism, mechanism.home)[0]))
 
@@ -85,7 +84,7 @@ def has_single_motion(mechanism: Mechanism, q: np.ndarray) -> bool:
     the mechanism's degrees of freedom if these quadratic forms vanish exactly on a linear space of that dimension. A kernel
     of two dimensions is tested direction by direction. Larger ones are tested by `common_zeros`, which may be undecided.
     """
-    unit = np.array([1.0 if joint.kind == "hinge" else mechanism.extent_m for joint in mechanism.joints])
+    unit = unit_steps(mechanism.joints, mechanism.extent_m)
     rank = closure_rank(mechanism, q)
 
     def scaled(pose: np.ndarray) -> np.ndarray:
@@ -102,10 +101,10 @@ def has_single_motion(mechanism: Mechanism, q: np.ndarray) -> bool:
         forms = np.array([left_kernel @ derivative(x) @ kernel.T for x in kernel]).transpose(1, 0, 2)  # u, x, y
         motions = common_zeros(0.5 * (forms + forms.transpose(0, 2, 1)))
         return motions is not None and motions.shape[1] == mechanism.dof
-    angles = np.arange(_N_DIRECTIONS) * np.pi / _N_DIRECTIONS
+    angles = np.arange(360) * np.pi / 360
     directions = np.column_stack([np.cos(angles), np.sin(angles)]) @ kernel
     residual = np.array([np.abs(left_kernel @ derivative(x) @ x).max(initial=0.0) for x in directions])
-    small = residual < _CONTINUABLE_SHARE * residual.max()
+    small = residual < 0.02 * residual.max()  # within a degree of a root
     starts = small & ~np.roll(small, 1)  # the first direction follows the last
     return residual.max() > _RANK_LOST and int(starts.sum()) == 1
 

@@ -25,8 +25,6 @@ from linkplan.models.tree.tendons import limited_tendons
 
 # Name of the functions' parameter input.
 _PARAMETERS = "parameters"
-# Lower bound of a squared determinant under its root, below rounding: the root's derivative stays finite.
-_LEAST_SQUARED_DETERMINANT = 1e-40
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -271,7 +269,7 @@ def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoop
         of = {loops.rows[row] for row in rows}
         for loop in projected:
             if of <= set(loop.rows):
-                own[block] = ca.sqrt(ca.fmax(own[block], _LEAST_SQUARED_DETERMINANT))
+                own[block] = ca.sqrt(ca.fmax(own[block], 1e-40))  # the derivative stays finite at zero
                 here = J_z[list(loop.rows), list(loop.columns)]
                 signed[block] = determinant(ca.mtimes(ca.substitute(here, q, before).T, here))
     orientation = ca.Function("orientation", [before, q], [ca.densify(ca.vertcat(*signed))])

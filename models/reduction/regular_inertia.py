@@ -13,8 +13,6 @@ from linkplan.models.tree.joints import Joint
 # M_r, scaled to a unit diagonal, is singular if its least eigenvalue is below this. Accelerations would have less than four
 # correct digits; rounding leaves 1e-16.
 _SINGULAR_EIGENVALUE = 1e-12
-# A message names the coordinates whose part in the motion without kinetic energy is at least this share of the largest part.
-_NAMED_SHARE = 0.1
 
 
 def is_regular(inertia: np.ndarray) -> np.ndarray:
@@ -29,14 +27,14 @@ def is_regular(inertia: np.ndarray) -> np.ndarray:
 
 
 def without_inertia(inertia: np.ndarray) -> list[int]:
-    """Return the coordinates that move together without kinetic energy under a singular reduced inertia (n_s, n_s)."""
+    """Return the coordinates with a large part in the motion without kinetic energy of a singular inertia (n_s, n_s)."""
     diagonal = inertia.diagonal()
     bad = ~np.isfinite(inertia).all(axis=1) | ~(diagonal > 0)
     if bad.any():
         return np.flatnonzero(bad).tolist()
     scale = np.sqrt(diagonal)
     share = np.abs(np.linalg.eigh(inertia / np.outer(scale, scale))[1][:, 0])
-    return np.flatnonzero(share >= _NAMED_SHARE * share.max()).tolist()
+    return np.flatnonzero(share >= 0.1 * share.max()).tolist()
 
 
 def singular_inertia_text(joints: Sequence[Joint], inertia: np.ndarray) -> str:

@@ -21,10 +21,6 @@ SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
-# A rod gets a `RodChart` if its angle to the carrier's axis is above 30 deg at the reference (cosine of that angle). At a
-# smaller angle the motion may pass the chart's pole.
-_LARGEST_TILT_COSINE = 0.866
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Chart:
@@ -152,7 +148,8 @@ def _rotation(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> Stere
     For a rod, the axes of the stereographic chart are the child's axes, rotated so that the first is the rod's line.
     """
     axis, spin = carrying_axis(model, joint, reference), spin_line(model, joint)
-    if axis is not None and spin is not None and abs(float(axis @ spin)) < _LARGEST_TILT_COSINE:
+    # Closer than 30 deg (0.866 is the cosine) to the carrier's axis the motion may pass a rod chart's pole.
+    if axis is not None and spin is not None and abs(float(axis @ spin)) < 0.866:
         return RodChart(hinge=axis, line=spin)
     line = rod_line(model, joint) if int(model.jnt_type[joint]) == BALL else None
     if line is None:

@@ -1,6 +1,6 @@
 """Joints as internal coordinates: hinges, slides, and the three rotations of a ball joint."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -11,8 +11,8 @@ from linkplan.models.names import nearest
 from linkplan.models.tree.coordinates import BALL, FREE, HINGE, Coordinates, joint_label
 from linkplan.models.tree.passive import limits_off
 
-# A position [rad or m] below this is printed as zero: assembly closes loops to about 1e-12.
-_PRINTED_AS_ZERO = 1e-9
+# Positions below this are zero to rounding [rad or m]: assembly closes loops to about 1e-12.
+POSITION_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -46,7 +46,7 @@ class Joint:
 
     def said(self, position: float, digits: int = 4) -> str:
         """Return a position [rad or m] as text in the unit of files and messages, rounded to `digits` digits."""
-        return f"{0.0 if abs(position) < _PRINTED_AS_ZERO else self.shown(position):.{digits}g}"
+        return f"{0.0 if abs(position) < POSITION_ROUNDING else self.shown(position):.{digits}g}"
 
     def read(self, value: float) -> float:
         """Return a value in the unit of files and messages as a position [rad or m]."""
@@ -93,6 +93,11 @@ def _free_range(name: str, label: str, model: mujoco.MjModel, index: int) -> tup
             f" {lower:g} to {upper:g} (rad or m) is all of it"
         )
     return lower + margin, upper - margin
+
+
+def unit_steps(joints: Sequence[Joint], extent_m: float) -> np.ndarray:
+    """Return a unit step of each joint (n_joints,): 1 rad on a hinge, the mechanism's extent [m] on a slide."""
+    return np.array([1.0 if joint.kind == "hinge" else extent_m for joint in joints])
 
 
 def index_of(

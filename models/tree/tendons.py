@@ -17,8 +17,6 @@ HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 PULLEY = int(mujoco.mjtWrap.mjWRAP_PULLEY)
 SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
-# Least distance [m] between two sites, MuJoCo's mjMINVAL. Below it MuJoCo uses the world's x axis as direction.
-LEAST_LENGTH_M = 1e-15
 
 
 def tendon_label(model: mujoco.MjModel, tendon: int) -> str:
@@ -113,7 +111,7 @@ def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int
         if before is not None and int(model.site_bodyid[site]) == int(model.site_bodyid[before[0]]):
             length += float(ca.norm_2(ca.DM(model.site_pos[site] - model.site_pos[before[0]]))) / divisor
         elif before is not None:
-            # The lower bound makes the derivative zero, and not 0 / 0, where two sites coincide.
-            length += ca.sqrt(ca.fmax(ca.sumsqr(point - before[1]), LEAST_LENGTH_M**2)) / divisor
+            # MuJoCo's least length (mjMINVAL) makes the derivative zero, and not 0 / 0, where two sites coincide.
+            length += ca.sqrt(ca.fmax(ca.sumsqr(point - before[1]), 1e-15**2)) / divisor
         before = (site, point)
     return length

@@ -7,8 +7,6 @@ BALL, FREE, HINGE = (
     int(kind) for kind in (mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE)
 )
 CONNECT, WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
-# Two directions are parallel if the sine of their angle is below this.
-_PARALLEL_SINE = 1e-6
 
 
 def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray]]:
@@ -119,4 +117,5 @@ def _unit(v: np.ndarray) -> np.ndarray | None:
 
 
 def _in_line(lines: list) -> bool:
-    return all(line is not None and np.linalg.norm(np.cross(lines[0], line)) <= _PARALLEL_SINE for line in lines)
+    """Return True if all directions are parallel to 1e-6 rad."""
+    return all(line is not None and np.linalg.norm(np.cross(lines[0], line)) <= 1e-6 for line in lines)
