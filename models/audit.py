@@ -139,16 +139,15 @@ def _actuators(model: mujoco.MjModel):
         if np.isfinite([actuator.control_lower, actuator.control_upper]).any():
             within = f", clamped to its ctrlrange {actuator.control_lower:g} to {actuator.control_upper:g}"
         yield UnsupportedElement(
-            text=f"actuator {actuator.name} is a servo: a plan commands its effort{limits}, and its ctrl is set to what"
-            f" gives that effort against its gain and bias{within}",
+            text=f"actuator {actuator.name} is a servo: a plan commands its effort{limits}, and its ctrl is computed from"
+            f" that effort, its gain and its bias{within}",
             falsifies=False,
         )
 
 
 def _equalities(model: mujoco.MjModel):
-    off = (mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     for index in range(model.neq):
-        if any(disabled(model, bit) for bit in off):
+        if disabled(model, mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
             yield UnsupportedElement(
                 text=f"equality constraint {equality_name(model, index)} is switched off by a flag of the model's option",
                 falsifies=False,

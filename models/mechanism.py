@@ -329,8 +329,8 @@ def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _refuse_beyond_charts(name: str, coordinates: Coordinates, pose: np.ndarray) -> None:
-    left = coordinates.range_violation(pose)
-    if left is not None:
+    violation = coordinates.range_violation(pose)
+    if violation is not None:
         raise AssemblyError(
-            f"mechanism '{name}' assembles with {left}; give the model a keyframe 'home' near the pose meant"
+            f"mechanism '{name}' assembles with {violation}; give the model a keyframe 'home' near the pose meant"
         )

@@ -37,11 +37,11 @@ def conversion_notes(source: str | Path) -> list[str]:
         notes.append(f"MuJoCo's converter leaves out the URDF's elements {_some(list(dict.fromkeys(others)))}")
     if inside:
         notes.append(
-            f"MuJoCo passes over {_some(list(dict.fromkeys(inside)))} in the URDF's <mujoco> element, where it reads"
-            f" {', '.join(_READ_IN_MUJOCO)} alone"
+            f"MuJoCo ignores {_some(list(dict.fromkeys(inside)))} in the URDF's <mujoco> element, where it only reads"
+            f" {', '.join(_READ_IN_MUJOCO)}"
         )
     notes.append(
-        "a URDF has no actuators for MuJoCo, and no closures but mimic: an MJCF file with them that attaches it is a model,"
+        "MuJoCo reads no actuators from a URDF, and no closures except mimic: add them in an MJCF file that attaches it,"
         ' with <asset><model name="NAME" file="FILE.urdf"/></asset> and <frame><attach model="NAME" prefix="P_"/></frame>'
     )
     return notes

@@ -22,6 +22,7 @@ import numpy as np
 from linkplan.models.closure.second_pin import second_pin_residual
 from linkplan.models.errors import ModelError
 from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in
+from linkplan.models.tree.passive import disabled
 from linkplan.models.tree.rotations import product
 from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label
@@ -71,11 +72,9 @@ def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
         ModelError: if an active equality constraint is of another kind.
     """
     closures: list[Closure] = []
-    off = mujoco.mjtDisableBit.mjDSBL_EQUALITY.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
-    disabled = model.opt.disableflags & off
-    for index in range(model.neq):
-        if not model.eq_active0[index] or disabled:
-            continue
+    if disabled(model, mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
+        return ()
+    for index in np.flatnonzero(model.eq_active0).tolist():
         kind = mujoco.mjtEq(int(model.eq_type[index]))
         if kind not in _READERS:
             raise ModelError(
@@ -181,10 +180,10 @@ def _weld(model: mujoco.MjModel, tree: Tree, index: int):
     else:
         turns = [model.eq_data[index, 6:10] / np.linalg.norm(model.eq_data[index, 6:10]), np.array([1.0, 0, 0, 0])]
     q_1, q_2 = (product(f.quaternion, ca.SX(ca.DM(turn))) for f, turn in zip((first, second), turns, strict=True))
-    apart = product(ca.vertcat(q_2[0], -q_2[1:]), q_1)
+    relative = product(ca.vertcat(q_2[0], -q_2[1:]), q_1)
     lever = extent_m(model)
     # MuJoCo's rows are torquescale times the quaternion's vector part. The scalar part is 1 or -1 where the weld holds.
-    yield "orientation", 2 * lever * apart[1:], bodies[1], 2 * lever / torquescale, ("rad", lever)
+    yield "orientation", 2 * lever * relative[1:], bodies[1], 2 * lever / torquescale, ("rad", lever)
 
 
 def _polynomial(model: mujoco.MjModel, index: int, y: ca.SX, x: ca.SX | None) -> ca.SX:

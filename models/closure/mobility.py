@@ -152,7 +152,7 @@ def lost_freedoms(joints, actuators, dynamics, poses, mobility: Mobility, tolera
     maps = [np.array(dynamics.effort_map(q)).reshape(gammas[0].shape[1], -1) for q in poses]
     full = [np.array(dynamics.effort_matrix(q)).reshape(len(joints), -1) for q in poses]
     idle = [
-        f"actuator {actuator.name} has no effect: the loops hold what it acts on, {actuator.target}"
+        f"actuator {actuator.name} has no effect: the loops lock {actuator.target}"
         for j, actuator in enumerate(actuators)
         if all(
             np.abs(m[:, j]).max() <= ROUNDING_SHARE * max(np.abs(b[:, j]).max(), ROUNDING_SHARE)
@@ -166,15 +166,16 @@ def _rounding_notes(joints, mobility: Mobility, tolerance_m: float) -> list[str]
     """Return notes on the motions that count as free and on those that count as locked."""
     notes = []
     if mobility.freed_m:
+        n, gap = len(mobility.freed_m), max(mobility.freed_m)
+        motions = "1 motion counts" if n == 1 else f"{n} motions count"
         notes.append(
-            f"{len(mobility.freed_m)} motion{'s' if len(mobility.freed_m) > 1 else ''} that the file's rounding alone"
-            f" forbids taken as free: the loops gape by {max(mobility.freed_m):.2g} m along"
-            f" {'them' if len(mobility.freed_m) > 1 else 'it'} (closure_tolerance_m = {tolerance_m:g})"
+            f"{motions} as free that only rounding of the file locks: the loops open by {gap:.2g} m along"
+            f" {'it' if n == 1 else 'them'} (closure_tolerance_m = {tolerance_m:g})"
         )
     for direction, gap in mobility.locked:
         lead = joints[int(np.argmax(np.abs(direction)))]
         notes.append(
-            f"a motion of joint {lead.name} is locked by loops that are slightly off: moved by 0.1 rad they open by"
-            f" {gap:.2g} m (closure_tolerance_m = {tolerance_m:g})"
+            f"a motion of joint {lead.name} is locked by slightly inaccurate joint axes or points: after 0.1 rad the loops"
+            f" open by {gap:.2g} m (closure_tolerance_m = {tolerance_m:g})"
         )
     return notes

@@ -48,9 +48,9 @@ def follow(
             f"mechanism '{mechanism.name}' does not close at {_where(mechanism, path[arrived])}: the kinematic loop opens at"
             f" {_where(mechanism, poses[-1][mechanism.independent])}"
         )
-    left = mechanism.coordinates.range_violation(poses)
-    if left is not None:
-        raise AssemblyError(f"mechanism '{mechanism.name}' turns {left}")
+    violation = mechanism.coordinates.range_violation(poses)
+    if violation is not None:
+        raise AssemblyError(f"mechanism '{mechanism.name}' turns {violation}")
     return poses
 
 

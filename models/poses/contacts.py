@@ -73,7 +73,7 @@ class _PoseSample:
 
 def may_collide(model: mujoco.MjModel) -> bool:
     """Return True if any two geoms of a model can be in contact."""
-    if disabled(model, mujoco.mjtDisableBit.mjDSBL_CONTACT) or disabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
+    if disabled(model, mujoco.mjtDisableBit.mjDSBL_CONTACT, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
         return False
     return bool(model.npair) or bool(np.any(model.geom_contype) and np.any(model.geom_conaffinity))
 

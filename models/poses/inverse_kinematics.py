@@ -216,11 +216,11 @@ def _step(J: np.ndarray, r: np.ndarray, damping: float, low: np.ndarray, high: n
     import scipy
 
     stacked = np.vstack([J, np.sqrt(damping) * np.eye(len(low))])
-    wanted = np.concatenate([-r, np.zeros(len(low))])
-    step = np.linalg.lstsq(stacked, wanted, rcond=None)[0]
+    right = np.concatenate([-r, np.zeros(len(low))])
+    step = np.linalg.lstsq(stacked, right, rcond=None)[0]
     if np.all((low <= step) & (step <= high)):
         return step
-    return np.asarray(scipy.optimize.lsq_linear(stacked, wanted, bounds=(low, high)).x)
+    return np.asarray(scipy.optimize.lsq_linear(stacked, right, bounds=(low, high)).x)
 
 
 def _closed(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray | None:

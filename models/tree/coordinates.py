@@ -76,8 +76,8 @@ class Coordinates:
             turned = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
             c = chart.rotation.coordinates_of(turned)
             if near is not None:
-                gone = np.round((np.asarray(near)[..., chart.place] - c) / (2 * np.pi))
-                c = c + 2 * np.pi * np.where(chart.rotation.periodic & np.isfinite(gone), gone, 0.0)
+                turns = np.round((np.asarray(near)[..., chart.place] - c) / (2 * np.pi))
+                c = c + 2 * np.pi * np.where(chart.rotation.periodic & np.isfinite(turns), turns, 0.0)
             q[..., chart.place] = c
         return q
 

@@ -71,24 +71,23 @@ def friction_notes(model: mujoco.MjModel, transition: float, extent_m: float) ->
     turning, sliding = (any(one.turns is turns for one in found) for turns in (True, False))
     speeds = [f"{np.degrees(transition):.3g} deg/s"] * turning + [f"{transition * extent_m:.3g} m/s"] * sliding
     text = (
-        f"dry friction ({each}) is planned as f tanh(v / v_0), v_0 = {' or '.join(speeds)}: in full where things move"
-        " faster, none at rest, where the effort alone holds (mechanism.friction_transition_deg_s)"
+        f"dry friction ({each}) is planned as f tanh(v / v_0) with v_0 = {' or '.join(speeds)}: full friction at higher"
+        " speeds, and none at rest, where effort alone holds a pose (mechanism.friction_transition_deg_s)"
     )
     speeds_below = [(viscous_below(model, one), one) for one in found]
     slow, worst = max(speeds_below, key=lambda pair: pair[0] / (1.0 if pair[1].turns else extent_m))
     if slow > transition * (1.0 if worst.turns else extent_m):
         shown = f"{np.degrees(slow):.3g} deg/s" if worst.turns else f"{slow:.3g} m/s"
         text += (
-            f"; the simulator's own gives way below {shown} ({worst.name}): solreffriction and solimpfriction of the model,"
-            ' or mechanism.solref = "stiff", make it drier'
+            f"; the simulator's own friction is viscous below {shown} ({worst.name}); solreffriction and solimpfriction of"
+            ' the model, or mechanism.solref = "stiff", lower this speed'
         )
     return [text]
 
 
 def frictions_of(model: mujoco.MjModel) -> Iterator[DryFriction]:
     """Yield the dry friction of a model's joints and tendons; nothing if the model's options switch friction off."""
-    off = (mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-    if any(disabled(model, bit) for bit in off):
+    if disabled(model, mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
         return
     for dof in np.flatnonzero(model.dof_frictionloss > 0).tolist():
         joint = int(model.dof_jntid[dof])

@@ -89,8 +89,8 @@ def _free_range(name: str, label: str, model: mujoco.MjModel, index: int) -> tup
     lower, upper = (float(end) for end in model.jnt_range[index])
     if lower + margin > upper - margin:
         raise ModelError(
-            f"model '{name}' leaves joint {label} no position: its margin of {margin:g} from either end of its range of"
-            f" {lower:g} to {upper:g} (rad or m) is all of it"
+            f"model '{name}' leaves joint {label} no position: a margin of {margin:g} at either end leaves nothing of its"
+            f" range {lower:g} to {upper:g} (rad or m)"
         )
     return lower + margin, upper - margin
 

@@ -16,9 +16,9 @@ from linkplan.models.tree.coordinates import HINGE, SLIDE
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
-def disabled(model: mujoco.MjModel, bit: mujoco.mjtDisableBit) -> bool:
-    """Return True if a flag of the model's options switches something off."""
-    return bool(model.opt.disableflags & int(bit))
+def disabled(model: mujoco.MjModel, *bits: mujoco.mjtDisableBit) -> bool:
+    """Return True if any of these disable flags of the model's options is set."""
+    return any(model.opt.disableflags & int(bit) for bit in bits)
 
 
 def compensates(model: mujoco.MjModel) -> bool:
@@ -27,13 +27,13 @@ def compensates(model: mujoco.MjModel) -> bool:
     MuJoCo ignores negative `gravcomp` values if no body has a positive one. It skips all passive forces, including gravity
     compensation, if springs and dampers are both switched off.
     """
-    off = (mujoco.mjtDisableBit.mjDSBL_SPRING, mujoco.mjtDisableBit.mjDSBL_DAMPER)
-    return model.ngravcomp > 0 and not all(disabled(model, bit) for bit in off)
+    no_springs = disabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
+    return model.ngravcomp > 0 and not (no_springs and disabled(model, mujoco.mjtDisableBit.mjDSBL_DAMPER))
 
 
 def limits_off(model: mujoco.MjModel) -> bool:
     """Return True if the model's options switch off joint and tendon limits, or all constraints."""
-    return disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT) or disabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    return disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 
 def joint_armature(model: mujoco.MjModel) -> np.ndarray:

@@ -76,8 +76,8 @@ def limited_tendons(model: mujoco.MjModel) -> tuple[TendonLimit, ...]:
         low, high = (float(end) for end in model.tendon_range[tendon])
         if low + margin >= high - margin:
             raise ModelError(
-                f"tendon {name} is left no length: its margin of {margin:g} from either end of its range of {low:g} to"
-                f" {high:g} is all of it"
+                f"tendon {name} is left no length: a margin of {margin:g} at either end leaves nothing of its range {low:g}"
+                f" to {high:g}"
             )
         hinges = is_fixed(model, tendon) and any(
             int(model.jnt_type[model.dof_jntid[dof]]) == HINGE for dof in tendon_joints(model, tendon)
