@@ -14,16 +14,8 @@ from linkplan.planner.closed_chain.prescribed_plan import plan_prescribed
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.history import Say, Step, silent
-from linkplan.planner.search import (
-    attempts,
-    duration_continuation,
-    last_resorts,
-    margin_continuation,
-    starts,
-    touches,
-    waiting,
-)
+from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
+from linkplan.planner.search import attempts, duration_continuation, effort_continuation, starts, waiting
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.outcome import OUT_OF_TIME, why_stopped
@@ -38,6 +30,13 @@ Climb = Callable[[Search, Budget], Plan | None]
 
 def _one_start(search: Search) -> bool:
     return search.problem.solver.starts == 1 and search.starts_are_worth_it
+
+
+def _the_phase_plane_may_help(search: Search) -> bool:
+    """Return whether the phase plane has a motion where no plan passes, or a quicker one than the plan that passes."""
+    if search.solved:
+        return starts.is_slow(search) and not reasons.other_limits(search.problem)
+    return _one_start(search) and search.quickest is not None and not starts.no_time(search)
 
 
 def _sparing(start: Climb) -> Climb:
@@ -68,20 +67,14 @@ RUNGS: tuple[Rung, ...] = (
         budget=PATIENT,
     ),
     Rung(
-        name="the guess given",
-        tried=lambda search: _one_start(search) and search.problem.guess is not None,
-        climb=starts.from_the_guess,
-        budget=PATIENT,
-    ),
-    Rung(
-        name="a smooth path",
+        name="the guess given, then a smooth path",
         tried=_one_start,
-        climb=_sparing(starts.from_a_smooth_path),
+        climb=_sparing(starts.from_first_starts),
         budget=PATIENT,
     ),
     Rung(
         name="the phase plane, its bang efforts fixed",
-        tried=lambda search: _one_start(search) and search.quickest is not None and not starts.no_time(search),
+        tried=_the_phase_plane_may_help,
         climb=starts.from_the_phase_plane,
         budget=HURRIED,
     ),
@@ -89,29 +82,6 @@ RUNGS: tuple[Rung, ...] = (
         name="swings",
         tried=lambda search: _one_start(search) and not starts.no_time(search),
         climb=_sparing(starts.from_swings),
-        budget=HURRIED,
-    ),
-    Rung(
-        name="perturbed guesses",  # what a fixed duration forbids, other starts forbid too
-        tried=lambda search: (
-            _one_start(search)
-            and not search.missed
-            and search.problem.motion.duration_s is None
-            and not starts.no_time(search)
-        ),
-        climb=starts.from_perturbed_guesses,
-        budget=HURRIED,
-    ),
-    Rung(
-        name="the phase plane's quicker motion",
-        tried=lambda search: starts.is_slow(search) and not reasons.other_limits(search.problem),
-        climb=starts.quicker_by_the_phase_plane,
-        budget=PATIENT,
-    ),
-    Rung(
-        name="limits touched in an instant, passed there",
-        tried=touches.may_touch,
-        climb=touches.through_touches,
         budget=HURRIED,
     ),
     Rung(
@@ -134,18 +104,8 @@ RUNGS: tuple[Rung, ...] = (
     ),
     Rung(
         name="continuation in the effort limits",
-        tried=lambda search: _nothing_found(search) and last_resorts.efforts_suffice(search),
-        climb=last_resorts.from_least_peak_effort,
-        budget=HURRIED,
-    ),
-    Rung(
-        name="continuation in the margin to singular poses",
-        tried=lambda search: (
-            _nothing_found(search)
-            and margin_continuation.may_be_kept_clear(search.problem)
-            and (search.least_limit is None or last_resorts.efforts_suffice(search))
-        ),
-        climb=margin_continuation.from_margins,
+        tried=lambda search: _nothing_found(search) and effort_continuation.efforts_suffice(search),
+        climb=effort_continuation.from_least_peak_effort,
         budget=HURRIED,
     ),
 )
@@ -157,13 +117,8 @@ REPAIRS: tuple[Repair, ...] = (
         mend=attempts.enclosed,
     ),
     Repair(
-        name="without phase boundaries where efforts bend",
-        tried=lambda _search, problem, plan: attempts.unsound(plan) and attempts.lost_at_kinks(problem),
-        mend=attempts.without_kinks,
-    ),
-    Repair(
         name="finer meshes begun next to the coarser one's answer",
-        tried=lambda _search, _problem, plan: attempts.unsound(plan),
+        tried=lambda _problem, plan: attempts.unsound(plan),
         mend=attempts.from_next_to_it,
         always=False,
     ),
@@ -199,27 +154,26 @@ def plan_motion(problem: PlanningProblem, say: Say = silent, rungs: Sequence[Run
     Raises:
         ProblemError: when start, goal or reference contradict the mechanism itself.
     """
-    begun, history = replace(problem, solver=problem.solver.begun()), []
-    try:
-        plan = _planned(begun, say, rungs, history)
-    except OutOfTimeError:
-        message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
-        plan = Plan(problem=problem, status="failed", message=message, history=tuple(history))
+    begun, plans = replace(problem, solver=problem.solver.begun()), []
+    with recording(_with_the_best(say, plans)):
+        try:
+            plan = _planned(begun, rungs, plans)
+        except OutOfTimeError:
+            message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
+            plan = Plan(problem=problem, status="failed", message=message, history=recorded())
     return replace(plan, problem=problem)
 
 
-def _planned(problem: PlanningProblem, say: Say, rungs: Sequence[Rung], history: list[Step]) -> Plan:
-    """Return the plan of a problem with a deadline; `history` takes a note of every solve.
+def _planned(problem: PlanningProblem, rungs: Sequence[Rung], plans: list[Plan]) -> Plan:
+    """Return the plan of a problem with a deadline; `plans` takes those that the rungs lead to.
 
     Raises:
         OutOfTimeError: when the deadline passes before anything is known.
     """
     start_pose = start_pose_of(problem)
     if problem.motion.kind == "track":
-        return plan_prescribed(problem, start_pose, say)
-    plans: list[Plan] = []
-    said = _with_the_best(say, plans)
-    search = Search(problem=problem, start_pose=start_pose, say=said, history=history, repairs=REPAIRS, plans=plans)
+        return plan_prescribed(problem, start_pose)
+    search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
     return reasons.contradicted(search) or reasons.too_short(search) or climb(search, rungs) or _diagnosed(search)
 
 
@@ -235,5 +189,5 @@ def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:
 
 def _diagnosed(search: Search) -> Plan:
     """Return the plan that says why no motion was found."""
-    search.say("no motion found; looking for the limit that forbids one")
+    progress("no motion found; looking for the limit that forbids one")
     return next(plan for diagnosis in DIAGNOSES if (plan := diagnosis(search)) is not None)

@@ -27,7 +27,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.free_duration import bounded_by_guess
-from linkplan.planner.refinement.history import Say, Step, silent
+from linkplan.planner.refinement.history import Say, Step, record, recorded, recording, silent
 from linkplan.planner.search.presolve import plain_contradiction, start_pose_of
 from linkplan.planner.solvers.newton import Conditions, Optimum, conditions_of, newton_step
 from linkplan.planner.solvers.outcome import Solver
@@ -72,7 +72,7 @@ class Planner:
         """
         with self._alone:
             begun, plan = replace(problem, solver=problem.solver.begun()), None
-            with contextlib.suppress(OutOfTimeError):
+            with contextlib.suppress(OutOfTimeError), recording():
                 again = self.solve_again(begun)
                 plan = None if again is None else self._certified(begun, again)
             if plan is None:
@@ -144,13 +144,13 @@ class Planner:
         start_pose_of(problem)  # refuses what is out of reach
         if plain_contradiction(problem) is not None:
             return None
-        case, history = case_of(problem), []
+        case = case_of(problem)
         while True:
             trajectory = case.motion(solution)
             certificate = None if trajectory is None else case.certify(trajectory)
             if trajectory is None or certificate is None:
                 return None
-            history.append(_step(solution, certificate, "constraints tightened" if history else "solved again"))
+            record(_step(solution, certificate, "constraints tightened" if recorded() else "solved again"))
             if not case.error_report(certificate).overruns or case.n_tightenings == _TIGHTENED:
                 break
             # As of a plan from the beginning: the kept program's own tightening belongs to another motion.
@@ -159,7 +159,7 @@ class Planner:
             if not solution.converged or _held_back(problem, solution):
                 return None
         objective = own_objective(solution.transcribed, solution.objective, trajectory)
-        plan = finished(problem, trajectory, certificate, objective, history, None)
+        plan = finished(problem, trajectory, certificate, objective, None)
         if not plan.passed:
             return None
         self._take(solution)
@@ -226,6 +226,8 @@ def structure(problem: PlanningProblem) -> tuple:
     ends = (tuple(point.index for point in motion.goal_at), motion.goal_rows)
     lines = tuple(motor is not None and motor.has_line for motor in problem.motors)
     corners = problem.robust.corners
+    extra_limits = tuple((one.expression, *np.isfinite([one.lower, one.upper])) for one in problem.extra_limits)
+    extra = extra_limits + tuple(one.expression for one in problem.objective.extra)
     mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
     terms = tuple(problem.objective.weights)
     payload = problem.mechanism.payload
@@ -237,4 +239,4 @@ def structure(problem: PlanningProblem) -> tuple:
         terms,
         problem.reference is None,
     )
-    return (*of, finite, corners, sites, ends, given, motion.min_duration_s is None, via, lines, mesh)
+    return (*of, finite, corners, extra, sites, ends, given, motion.min_duration_s is None, via, lines, mesh)

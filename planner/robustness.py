@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion, silent
-from linkplan.planner.problem.objective import TERMS
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.robust import Robust
 
@@ -79,5 +78,4 @@ def saved_price(plan: Plan) -> Price | None:
 
 def _price(plan: Plan, nominal: float) -> Price:
     objective = plan.problem.objective
-    unit = TERMS[objective.name][1] if objective.name in TERMS else ""
-    return Price(objective=plan.objective, nominal=nominal, unit=unit, name=objective.name)
+    return Price(objective=plan.objective, nominal=nominal, unit=objective.unit, name=objective.name)

@@ -1,5 +1,6 @@
 """What tests have of their own, so that nothing found on the machine decides one: a cache of compiled functions, signals."""
 
+import os
 import signal
 
 import pytest
@@ -7,9 +8,11 @@ import pytest
 
 @pytest.fixture(autouse=True, scope="session")
 def own_cache(tmp_path_factory):
-    """Keep compiled functions in a folder of this run."""
+    """Keep compiled functions in a folder of this run, which all its workers share: a key is a hash of what is compiled."""
+    base = tmp_path_factory.getbasetemp()
+    run = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     patch = pytest.MonkeyPatch()
-    patch.setenv("LINKPLAN_CACHE", str(tmp_path_factory.mktemp("cache")))
+    patch.setenv("LINKPLAN_CACHE", str(run / "cache"))
     yield
     patch.undo()
 

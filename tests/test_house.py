@@ -27,12 +27,13 @@ ROOMS = {
         "source_table", "coordinate_choice", "mechanism", "poses",
     ),
     "planner": (
-        "transcription", "trajectory", "keys", "problem", "certificate", "solvers", "refinement", "plan", "closed_chain",
-        "ode", "search", "diagnosis", "planning", "robustness", "files", "motion_step", "replan", "batch",
+        "transcription", "trajectory", "keys", "problem", "limits", "certificate", "solvers", "refinement", "plan",
+        "closed_chain", "ode", "phase_plane", "search", "diagnosis", "planning", "robustness", "files", "motion_step",
+        "replan", "batch",
     ),
     "controllers": (
-        "reference", "trackers", "divergence", "integrator", "sampling", "rollout", "imperfections", "rigid_loop",
-        "ensemble", "batch", "controls", "playback",
+        "reference", "trackers", "divergence", "integrator", "sampling", "rollout", "imperfections",
+        "feedback_loop", "rigid_plant", "mujoco_plant", "simulate", "controls", "playback",
     ),
     "studies": (
         "output", "check", "tasks", "compare", "batch", "sensitivity", "experiment", "decompose", "frequency", "bode",

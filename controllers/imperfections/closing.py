@@ -1,7 +1,5 @@
 """The closed pose and rates of a plant that differs from its mechanism, by Newton's method on MuJoCo's own residuals."""
 
-import copy
-
 import mujoco
 import numpy as np
 
@@ -15,8 +13,8 @@ _GOOD_ENOUGH = 1e-9
 _MOST_STEPS = 50
 
 
-def closed_pose(model: mujoco.MjModel, mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
-    """Return the closed pose (n_q,) next to a pose, its independent coordinates kept.
+def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
+    """Return the closed pose (n_q,) next to a pose, its independent coordinates kept; `data` is overwritten.
 
     Raises:
         AssemblyError: when the loop does not close there.
@@ -24,7 +22,7 @@ def closed_pose(model: mujoco.MjModel, mechanism: Mechanism, pose: np.ndarray) -
     dependent = mechanism.dependent
     q, best, residual = np.array(pose, dtype=float), np.array(pose, dtype=float), np.inf
     for _ in range(_MOST_STEPS):
-        r, J = _equalities(model, mechanism, q)
+        r, J = _equalities(model, data, mechanism, q)
         size = float(np.abs(r).max(initial=0.0))
         if not size < residual:
             break
@@ -41,24 +39,31 @@ def closed_pose(model: mujoco.MjModel, mechanism: Mechanism, pose: np.ndarray) -
     return best
 
 
-def closed_rates(model: mujoco.MjModel, mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Return rates (n_q,) whose dependent ones keep the loop closed, J q' = 0."""
-    _, J = _equalities(model, mechanism, pose)
+def closed_rates(
+    model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, pose: np.ndarray, rates: np.ndarray
+) -> np.ndarray:
+    """Return rates (n_q,) whose dependent ones keep the loop closed, J q' = 0; `data` is overwritten."""
+    _, J = _equalities(model, data, mechanism, pose)
     found, dependent = np.array(rates, dtype=float), mechanism.dependent
     found[dependent] = 0.0
     found[dependent] = -np.linalg.lstsq(J[:, dependent], J @ found, rcond=None)[0]
     return found
 
 
-def _equalities(model: mujoco.MjModel, mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _equalities(
+    model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, q: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the equality constraints' residual (n_r,) and Jacobian (n_r, n_q) at a pose (n_q,)."""
-    model = copy.copy(model)
-    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
-    data = mujoco.MjData(model)
     data.qpos[:] = mechanism.qpos_of(q)
     mujoco.mj_fwdPosition(model, data)
     rows = data.efc_type == int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
-    J = data.efc_J.reshape(-1, model.nv)[rows].copy()
+    J = np.zeros((len(rows), model.nv))
+    if mujoco.mj_isSparse(model):
+        for row, begin, count in zip(J, data.efc_J_rowadr, data.efc_J_rownnz, strict=True):
+            row[data.efc_J_colind[begin : begin + count]] = data.efc_J[begin : begin + count]
+    else:
+        J[:] = data.efc_J.reshape(J.shape)
+    J = J[rows]
     if not mechanism.coordinates.trivial:
         J = J @ mechanism.qvel_of(np.tile(q, (model.nv, 1)), np.eye(model.nv)).T
     return data.efc_pos[rows].copy(), J

@@ -15,15 +15,17 @@ from linkplan.controllers.imperfections.stacking import stacked
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Driving:
-    """Drives of simulations (n,), all arrays (n, n_u) but `whole`, `late` and `fraction` (n,), and `queue` (n, p, n_u).
+    """Drives of simulations (n,): arrays (n, n_u), but `whole`, `late` and `fraction` (n,), `low` and `high` (n_u,).
 
-    A command acts after `whole` periods, `late` simulator steps and a `fraction` of one; slot k mod p of the queue holds the
-    command of instant k. `left` is what a lag leaves over a step, `mean` its mean over the step; `most` the largest change
-    in a step; `output` the lagged effort. `punctual`: all commands act at the beginning of a period; `together`: after so
-    many of them, None where that differs.
+    `queue` (n, p, n_u) holds the last p = `n_queued` commands. A command acts after `whole` periods, `late` simulator steps
+    and a `fraction` of one; slot k mod p of the queue holds the command of instant k. `left` is what a lag leaves over a
+    step, `mean` its mean over the step; `most` the largest change in a step; `output` the lagged effort. `punctual`: all
+    commands act at the beginning of a period; `together`: after so many of them, None where that differs. `take` and `act`
+    fill `queue` and `output`, the only arrays that change.
     """
 
-    limit: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
     resolution: np.ndarray
     factor: np.ndarray
     whole: np.ndarray
@@ -37,8 +39,14 @@ class Driving:
     lagged: bool
     scaled: bool
     rounded: bool
+    n_queued: int
     queue: np.ndarray
     output: np.ndarray
+
+    @property
+    def clamp(self) -> np.ndarray:
+        """The simulator's own limits (n, n_u, 2) [N.m or N]: those of the current at each machine's torque constant."""
+        return np.maximum(1.0, self.factor)[:, :, None] * np.stack([self.low, self.high], axis=1)
 
     def kept(self, rows: np.ndarray) -> "Driving":
         """Return the drives of some of these simulations, by a mask (n,)."""
@@ -66,9 +74,10 @@ def driving(
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(np.isinf(phases), 0.0, (1.0 - left) / phases)
     resolution, factor = of_all("resolution"), of_all("constant_factor")
-    memory = int(whole.max(initial=0)) + 2
+    n_queued = int(whole.max(initial=0)) + 2
     return Driving(
-        limit=np.array(limit, dtype=float),
+        low=np.array(limit[:, 0], dtype=float),
+        high=np.array(limit[:, 1], dtype=float),
         resolution=resolution,
         factor=factor,
         whole=whole,
@@ -82,30 +91,41 @@ def driving(
         lagged=bool(np.any(np.isfinite(bandwidth)) or np.any(np.isfinite(rate))),
         scaled=bool(np.any(factor != 1.0)),
         rounded=bool(np.any(resolution > 0)),
-        queue=np.zeros((len(drives), memory, n_u)),
+        n_queued=n_queued,
+        queue=np.zeros((len(drives), n_queued, n_u)),
         output=np.zeros((len(drives), n_u)),
     )
 
 
-def take(drives: Driving, k: int, command: np.ndarray) -> Driving:
-    """Return the drives after commands (n, n_u) of instant k, rounded and cut at the limits, have come in."""
+def stretches(drives: Driving, substeps: int) -> list[tuple[int, int]]:
+    """Return the simulator steps of a period between which efforts may change: (first, how many).
+
+    The first step of a period stands alone, for what is logged at its beginning.
+    """
+    if drives.lagged or np.any(drives.fraction):
+        return [(j, 1) for j in range(substeps)]
+    begins = sorted({0, 1, *drives.late.tolist()} - {substeps})
+    return [(j, after - j) for j, after in zip(begins, [*begins[1:], substeps], strict=True)]
+
+
+def take(drives: Driving, k: int, command: np.ndarray) -> None:
+    """Let commands (n, n_u) of instant k, rounded and cut at the limits, come in to the drives."""
     if drives.rounded:
         step = np.where(drives.resolution > 0, drives.resolution, 1.0)
         command = np.where(drives.resolution > 0, step * np.round(command / step), command)
-    command = np.minimum(np.maximum(command, drives.limit[:, 0]), drives.limit[:, 1])
+    slot = drives.queue[:, k % drives.n_queued]
+    np.maximum(command, drives.low, out=slot)
+    np.minimum(slot, drives.high, out=slot)
     if k == 0:
         # Before the first command arrives, the first one acts: the feedback loop is taken to be running already.
-        drives.queue[:] = command[:, None]
-        return replace(drives, output=command)
-    drives.queue[:, k % drives.queue.shape[1]] = command
-    return drives
+        drives.queue[:], drives.output[:] = slot[:, None].copy(), slot
 
 
-def act(drives: Driving, k: int, j: int) -> tuple[np.ndarray, Driving]:
-    """Return the mean efforts (n, n_u) that act over simulator step j of period k, and the drives after it."""
-    effort = _queued(drives, k)
+def act(drives: Driving, k: int, j: int) -> np.ndarray:
+    """Return the mean efforts (n, n_u) that act over simulator step j of period k."""
+    effort = arrived(drives, k)
     if not drives.punctual:
-        before = _queued(drives, k - 1)
+        before = arrived(drives, k - 1)
         share = np.minimum(np.maximum(drives.late + drives.fraction - j, 0.0), 1.0)[:, None]  # of the command before
         effort = share * before + (1.0 - share) * effort
     if drives.lagged:
@@ -113,13 +133,14 @@ def act(drives: Driving, k: int, j: int) -> tuple[np.ndarray, Driving]:
         settled = effort + (start - effort) * drives.left
         end = np.minimum(np.maximum(settled, start - drives.most), start + drives.most)
         mean = effort + (start - effort) * drives.mean
-        effort, drives = np.where(end == settled, mean, 0.5 * (start + end)), replace(drives, output=end)
-    return (effort * drives.factor if drives.scaled else effort), drives
+        effort = np.where(end == settled, mean, 0.5 * (start + end))
+        drives.output[:] = end
+    return effort * drives.factor if drives.scaled else effort
 
 
-def _queued(drives: Driving, k: int) -> np.ndarray:
+def arrived(drives: Driving, k: int) -> np.ndarray:
     """Return the commands (n, n_u) that have arrived by period k."""
-    p = drives.queue.shape[1]
+    p = drives.n_queued
     if drives.together is not None:
         return drives.queue[:, (k - drives.together) % p]
     return drives.queue[np.arange(len(drives.queue)), (k - drives.whole) % p]

@@ -1,6 +1,9 @@
-"""The gap of closures in many simulations at once, from MuJoCo's own places of what they tie."""
+"""The gap of closures and the contacts of many simulations at once, from MuJoCo's own places of what is tied.
 
-from collections.abc import Callable, Sequence
+What MuJoCo says is copied after every step and looked at for many steps together, since each look takes longer than a step.
+"""
+
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -8,39 +11,65 @@ from mujoco.batch import Batch
 
 from linkplan.controllers.trackers.linear import added
 
-Rows = np.ndarray | slice
+# Steps that are looked at together, at the most, and the memory that their copies may take.
+_MAX_STEPS, _MAX_BYTES = 64, 1 << 23
+_CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+_FIRST, _SECOND = slice(0, 3), slice(3, 6)
 
 
-def gaps(batch: Batch, models: Sequence[mujoco.MjModel]) -> Callable[[Rows], np.ndarray]:
-    """Return the function of a batch's rows that gives the largest gap's square (r,) [m2] of tied points after a step."""
-    model = models[0]
-    points = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
-    ties = [i for i in range(model.neq) if model.eq_active0[i] and int(model.eq_type[i]) in points]
-    at_sites = [i for i in ties if model.eq_objtype[i] == int(mujoco.mjtObj.mjOBJ_SITE)]
-    at_bodies = [i for i in ties if i not in at_sites]
-    sites = batch.bind("site_xpos") if at_sites else None
-    places, turns = (batch.bind("xpos"), batch.bind("xmat")) if at_bodies else (None, None)
-    anchors = np.array([[one.eq_data[i, :6] for one in models] for i in at_bodies])  # (ties, n, 6)
+class ClosureWatch:
+    """The largest gap of tied points and the most contacts of a batch's simulations so far.
 
-    def now(rows: Rows) -> np.ndarray:
-        squares = [added((sites[rows, model.eq_obj1id[i]] - sites[rows, model.eq_obj2id[i]]) ** 2) for i in at_sites]
-        for i, anchor in zip(at_bodies, anchors, strict=True):
-            swapped = int(model.eq_type[i]) == points[1]  # a weld's point is in its second body's frame
+    A simulation that is stepped no more stays as it was last, which adds nothing.
+    """
+
+    def __init__(self, batch: Batch, models: Sequence[mujoco.MjModel]) -> None:
+        model, n = models[0], len(models)
+        ties = [i for i in range(model.neq) if model.eq_active0[i] and int(model.eq_type[i]) in (_CONNECT, _WELD)]
+        self._model = model
+        self._at_sites = [i for i in ties if model.eq_objtype[i] == int(mujoco.mjtObj.mjOBJ_SITE)]
+        self._at_bodies = [i for i in ties if i not in self._at_sites]
+        self._anchors = np.array([[one.eq_data[i, :6] for one in models] for i in self._at_bodies])  # (ties, n, 6)
+        names = ["ncon", *(["site_xpos"] if self._at_sites else []), *(["xpos", "xmat"] if self._at_bodies else [])]
+        self._live = {name: batch.bind(name) for name in names}
+        size = sum(array.nbytes for array in self._live.values())
+        steps = max(1, min(_MAX_STEPS, _MAX_BYTES // max(size, 1)))
+        self._copies = {name: np.empty((steps, *array.shape), array.dtype) for name, array in self._live.items()}
+        self._pairs = [(self._copies[name], array) for name, array in self._live.items()]
+        self._steps, self._noted = steps, 0
+        self._squares, self._contacts = np.zeros(n), np.zeros(n, dtype=int)
+
+    def note(self) -> None:
+        """Take note of what the simulations' last steps left."""
+        for copies, live in self._pairs:
+            copies[self._noted] = live
+        self._noted += 1
+        if self._noted == self._steps:
+            self._look()
+
+    def largest(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the largest gaps [m] and the most contacts (n,) of all that was noted."""
+        self._look()
+        return np.sqrt(self._squares), self._contacts
+
+    def _look(self) -> None:
+        noted, self._noted = self._noted, 0
+        if not noted:
+            return
+        copies, model = {name: array[:noted] for name, array in self._copies.items()}, self._model
+        self._contacts = np.maximum(self._contacts, copies["ncon"].reshape(noted, -1).max(axis=0))
+        for i in self._at_sites:
+            sites = copies["site_xpos"]
+            self._widen(sites[:, :, model.eq_obj1id[i]] - sites[:, :, model.eq_obj2id[i]])
+        for i, anchor in zip(self._at_bodies, self._anchors, strict=True):
+            # MuJoCo holds a weld's point in its second body's frame first.
+            data = (_SECOND, _FIRST) if int(model.eq_type[i]) == _WELD else (_FIRST, _SECOND)
             ends = []
-            for body, data in zip(
-                (model.eq_obj1id[i], model.eq_obj2id[i]), (slice(3, 6), slice(0, 3)) if swapped else _CONNECT, strict=True
-            ):
-                turn = turns[rows, body].reshape(-1, 3, 3)
-                ends.append(places[rows, body] + added(turn * anchor[rows, None, data]))
-            squares.append(added((ends[0] - ends[1]) ** 2))
-        if not squares:
-            return np.zeros(len(batch.qpos[rows]))
-        worst = squares[0]
-        for square in squares[1:]:
-            worst = np.fmax(worst, square)
-        return worst
+            for body, columns in zip((model.eq_obj1id[i], model.eq_obj2id[i]), data, strict=True):
+                turn = copies["xmat"][:, :, body].reshape(noted, -1, 3, 3)
+                ends.append(copies["xpos"][:, :, body] + added(turn * anchor[:, None, columns]))
+            self._widen(ends[0] - ends[1])
 
-    return now
-
-
-_CONNECT = (slice(0, 3), slice(3, 6))
+    def _widen(self, apart: np.ndarray) -> None:
+        """Take in distances (steps, n, 3) between two points."""
+        self._squares = np.fmax(self._squares, np.fmax.reduce(added(apart**2), axis=0))

@@ -20,7 +20,7 @@ class Sensing:
     """Sensors of simulations (n,) and what they remember: arrays (n, n_s), `filtered` and `pole` (n, 1).
 
     `before` is the position measured last and `estimate` the velocity; `generators` make the noise, `drawn` holds the
-    present block of it (n, t, 2 n_s), or nothing where no sensor is noisy.
+    present block of it (n, t, 2 n_s), t = 0 where no sensor is noisy. `measure` fills these three, all else stays.
     """
 
     period_s: float
@@ -65,30 +65,30 @@ def sensing(sensors: Sequence[Sensors], position: np.ndarray, velocity: np.ndarr
             np.random.default_rng(np.random.SeedSequence(one.noise_seed)) if noisy else None for one in sensors
         ),
         perfect=not (np.any(resolution) or np.any(offset) or np.any(noise) or np.any(filtered)),
-        drawn=np.empty((n, 0, 2 * n_s)),
+        drawn=np.empty((n, _BLOCK if noisy else 0, 2 * n_s)),
         # As if the sensors had been read one period earlier, on the way to the start.
         before=_rounded(position - period_s * velocity + offset, resolution),
         estimate=np.array(velocity, dtype=float),
     )
 
 
-def measure(sensing: Sensing, k: int, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray, Sensing]:
-    """Return measured positions and velocities (n, n_s) at instant k for true ones, and the sensors afterwards."""
+def measure(sensing: Sensing, k: int, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return measured positions and velocities (n, n_s) at instant k for true ones."""
     if sensing.perfect:
-        return position, velocity, sensing
+        return position, velocity
     n_s, drawn = position.shape[1], sensing.drawn
     read, rate = position + sensing.offset, velocity
-    if np.any(sensing.noise):
+    if drawn.shape[1]:
         if k % _BLOCK == 0:
-            blocks = [generator.standard_normal((_BLOCK, 2 * n_s)) for generator in sensing.generators]
-            drawn = np.array(blocks).reshape(len(blocks), _BLOCK, 2 * n_s)
+            for block, generator in zip(drawn, sensing.generators, strict=True):
+                generator.standard_normal(out=block)
         noise = sensing.noise * drawn[:, k % _BLOCK]
         read, rate = read + noise[:, :n_s], rate + noise[:, n_s:]
     read = _rounded(read, sensing.resolution)
     difference = (read - sensing.before) / sensing.period_s
     estimate = sensing.pole * sensing.estimate + (1.0 - sensing.pole) * difference
-    rate = np.where(sensing.filtered, estimate, rate)
-    return read, rate, replace(sensing, drawn=drawn, before=read, estimate=estimate)
+    sensing.before[:], sensing.estimate[:] = read, estimate
+    return read, np.where(sensing.filtered, estimate, rate)
 
 
 def _rounded(value: np.ndarray, resolution: np.ndarray) -> np.ndarray:

@@ -1,10 +1,11 @@
-"""Servos in many simulations at once: motors that give the effort asked, as far as the range of their ctrl leaves it.
+"""Servos that give the effort asked, as far as the range of their ctrl leaves it.
 
-Who runs a plan on a servo works out the ctrl that gives an effort where it stands, at every step. With a gain and bias in
-the simulator that follow the state, that is a motor; here the model has the motor, and the ctrl's range is what is left of
-the servo:
+Who runs a plan on a servo works out the ctrl that gives an effort where it stands, at every step:
 
-    u between gain c + b0 + b1 l + b2 l' at both ends c of the range.
+    u = gain c + bias,   gain = g0 + g1 l + g2 l',   bias = b0 + b1 l + b2 l',   c within its range.
+
+Under integrators whose steps do not know how a force changes that is a motor, which is what the simulation then has. The
+implicit ones have the slopes of a servo's force in a step's inertia, whatever its ctrl: there servos stay what they are.
 """
 
 from dataclasses import dataclass
@@ -12,29 +13,16 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from linkplan.controllers.trackers.linear import added
-from linkplan.models.actuation.actuators import FIXED, NO_BIAS, constant_arms
-from linkplan.models.errors import ModelError
+from linkplan.models.actuation.actuators import FIXED, LEAST_GAIN, NO_BIAS
 from linkplan.models.mechanism import Mechanism
 
 # Integrators whose steps know nothing of how a servo's force changes.
 _EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
 
 
-def refuse_unfit(mechanism: Mechanism) -> None:
-    """Refuse a mechanism that cannot be simulated in a batch.
-
-    Raises:
-        ModelError: when a servo's range limits it by a gain that changes, or a length that is no sum of joints' positions.
-    """
-    for actuator in mechanism.actuators:
-        limited = np.isfinite([actuator.control_lower, actuator.control_upper]).any()
-        simple = not any(actuator.gains[1:]) and constant_arms(mechanism.model, actuator.index)
-        if actuator.is_servo and limited and not simple:
-            raise ModelError(
-                f"mechanism '{mechanism.name}': batches of simulations run servos of constant gain on hinges, slides and"
-                f" fixed tendons where a ctrlrange limits them; actuator {actuator.name} is another on {actuator.target}"
-            )
+def stay_servos(mechanism: Mechanism) -> bool:
+    """Return whether a mechanism has servos that a simulator step tells from motors."""
+    return any(one.is_servo for one in mechanism.actuators) and int(mechanism.model.opt.integrator) not in _EXPLICIT
 
 
 def as_motors(model: mujoco.MjModel, mechanism: Mechanism) -> None:
@@ -48,64 +36,42 @@ def as_motors(model: mujoco.MjModel, mechanism: Mechanism) -> None:
             model.actuator_ctrllimited[actuator.channel] = False
 
 
-def servo_bias(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return what makes servos' b1 l (n_u, nq) of qpos and b2 l' (n_u, nv) of qvel, where a step tells them from motors.
-
-    The implicit integrators have the slopes of servos' forces in a step's inertia, whatever their ctrl; under the others,
-    and without servos, None.
-
-    Raises:
-        ModelError: for a servo whose gain changes, or whose length is no sum of joints' positions.
-    """
-    model, servos = mechanism.model, [actuator for actuator in mechanism.actuators if actuator.is_servo]
-    if not servos or int(model.opt.integrator) in _EXPLICIT:
-        return None
-    by_position, by_rate = np.zeros((mechanism.n_u, model.nq)), np.zeros((mechanism.n_u, model.nv))
-    for j, actuator in enumerate(mechanism.actuators):
-        arms = constant_arms(model, actuator.index) if actuator.is_servo else {}
-        if actuator.is_servo and (any(actuator.gains[1:]) or not arms):
-            raise ModelError(
-                f"mechanism '{mechanism.name}': batches of simulations run servos of constant gain on hinges, slides and"
-                f" fixed tendons under an implicit integrator; actuator {actuator.name} is another on {actuator.target}"
-            )
-        for dof, arm in arms.items():
-            by_position[j, int(model.jnt_qposadr[int(model.dof_jntid[dof])])] = actuator.biases[1] * arm
-            by_rate[j, dof] = actuator.biases[2] * arm
-    return by_position, by_rate
-
-
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class ServoRanges:
-    """What the ranges of servos' ctrl leave of efforts (n, n_u); infinite for all other actuators.
+class ServoInversion:
+    """What makes ctrls (n, n_u) of efforts: coefficients (n_u, 3) of gains and biases, the ends (n_u,) of ctrls' ranges.
 
-    `by_position` (n_u, nq) and `by_rate` (n_u, nv) make an actuator's b1 l and b2 l' of qpos and qvel; `low` and `high`
-    (n_u,) are gain c + b0 at the ends of the range.
+    `motor` (n_u,) are the servos that the simulation has as motors: their ctrl is the effort that their range leaves.
     """
 
-    by_position: np.ndarray
-    by_rate: np.ndarray
+    gains: np.ndarray
+    biases: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    motor: np.ndarray
 
-    def within(self, effort: np.ndarray, qpos: np.ndarray, qvel: np.ndarray) -> np.ndarray:
-        """Return efforts (n, n_u) cut at the ranges where the servos stand, qpos (n, nq), and move, qvel (n, nv)."""
-        bias = added(qpos[:, None] * self.by_position) + added(qvel[:, None] * self.by_rate)
-        return np.clip(effort, self.low + bias, self.high + bias)
+    def controls(self, effort: np.ndarray, length: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the ctrls that give efforts at actuators' lengths and speeds, and the efforts that they give."""
+        gain = self.gains[:, 0] + self.gains[:, 1] * length + self.gains[:, 2] * rate
+        bias = self.biases[:, 0] + self.biases[:, 1] * length + self.biases[:, 2] * rate
+        none = np.abs(gain) <= LEAST_GAIN * np.abs(self.gains[:, 0])  # no ctrl gives an effort
+        wanted = np.where(none, 0.0, (effort - bias) / np.where(none, 1.0, gain))
+        ctrl = np.where(none, 0.0, np.minimum(np.maximum(wanted, self.low), self.high))
+        given = np.where((ctrl == wanted) & ~none, effort, gain * ctrl + bias)
+        return np.where(self.motor, given, ctrl), given
 
 
-def servo_ranges(mechanism: Mechanism) -> ServoRanges | None:
-    """Return the ranges of a mechanism's servos, None where there are none."""
-    model, actuators = mechanism.model, mechanism.actuators
-    if not any(actuator.limits_control for actuator in actuators):
+def servo_inversion(mechanism: Mechanism) -> ServoInversion | None:
+    """Return what makes ctrls of efforts; None where each is a multiple of the other, but for a constant."""
+    servos = np.array([one.is_servo for one in mechanism.actuators])
+    ranges = np.array([[one.control_lower, one.control_upper] for one in mechanism.actuators])
+    ranges[~servos] = -np.inf, np.inf
+    stay = stay_servos(mechanism)
+    if not (stay or np.isfinite(ranges).any()):
         return None
-    by_position, by_rate = np.zeros((len(actuators), model.nq)), np.zeros((len(actuators), model.nv))
-    low, high = np.full(len(actuators), -np.inf), np.full(len(actuators), np.inf)
-    for j, actuator in enumerate(actuators):
-        if not actuator.limits_control:
-            continue
-        ends = (actuator.gain * actuator.control_lower, actuator.gain * actuator.control_upper)
-        low[j], high[j] = min(ends) + actuator.biases[0], max(ends) + actuator.biases[0]
-        for dof, arm in constant_arms(model, actuator.index).items():
-            by_position[j, int(model.jnt_qposadr[int(model.dof_jntid[dof])])] = actuator.biases[1] * arm
-            by_rate[j, dof] = actuator.biases[2] * arm
-    return ServoRanges(by_position=by_position, by_rate=by_rate, low=low, high=high)
+    return ServoInversion(
+        gains=np.array([one.gains for one in mechanism.actuators]),
+        biases=np.array([one.biases for one in mechanism.actuators]),
+        low=ranges[:, 0],
+        high=ranges[:, 1],
+        motor=servos & (not stay),
+    )

@@ -24,6 +24,8 @@ from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label, 
 
 FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
 NO_BIAS, AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
+# A servo's gain below this share of its nominal gain counts as zero: no ctrl then gives a prescribed effort.
+LEAST_GAIN = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -76,7 +78,7 @@ class Actuator:
         """Return the ctrl that gives an effort at a length and speed, clipped to its range; zero if the gain vanishes."""
         state = np.array([1.0, length, velocity])
         gain = float(state @ self.gains)
-        if abs(gain) <= 1e-9 * abs(self.gain):  # zero to rounding
+        if abs(gain) <= LEAST_GAIN * abs(self.gain):
             return 0.0
         return min(max((effort - float(state @ self.biases)) / gain, self.control_lower), self.control_upper)
 

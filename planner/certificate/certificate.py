@@ -11,23 +11,16 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, joint_rates, least_effort, sampled
-from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Meeting
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.turning import whole_turns
 from linkplan.planner.certificate.boundary import exactly, missed
 from linkplan.planner.certificate.integration import integrate
-from linkplan.planner.certificate.margins import (
-    Margin,
-    actuator_speeds,
-    closure_forces,
-    least_between,
-    margins,
-    sample_points,
-    singularity_ratios,
-)
-from linkplan.planner.certificate.site_margins import ends_off_m, site_margins, waypoint_off_m, waypoint_times
+from linkplan.planner.certificate.site_ends import ends_off_m, waypoint_off_m, waypoint_times
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
+from linkplan.planner.limits.kinds import margins
+from linkplan.planner.limits.path_limit import Margin
+from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
@@ -105,11 +98,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         OutOfTimeError: when the deadline of judging passes before its poses are known.
     """
     mechanism, limits, until = problem.mechanism, problem.limits, problem.solver.certificate_deadline
-    points = sample_points(trajectory.velocity.shape[0] - 1)
-    time = trajectory.times_at(points)
-    s, v, a = (f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
-    u = trajectory.effort_at(time)
-    q = follow(mechanism, s, trajectory.start_pose, problem.solver.judging_deadline)
+    samples = samples_of(problem, trajectory)
+    time, q, v, a, u = samples.time, samples.q, samples.v, samples.a, samples.u
     worst: dict[str, float] = {}
 
     def peak(name: str, values: np.ndarray) -> float:
@@ -128,19 +118,15 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
     (position_margin, position_overrun), (speed_margin, speed_overrun) = _margins(
-        mechanism, limits, trajectory, points, q, v, time, worst
+        mechanism, limits, trajectory, samples.points, q, v, time, worst
     )
     ratio = float(singularity_ratios(problem, q).min())
-    others = margins(problem, trajectory, points, time, q, v, a, u) + site_margins(problem, trajectory, points, time, q)
-    forces = closure_forces(problem, q, v, a, u)
+    others = margins(samples)
     speed = max(float(np.abs(v).max()), _STILL / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = _boundary_error(problem, trajectory, speed)
-    if problem.motion.turns is not None:  # the dependent joints must be back too
-        gone, span = q[-1] - q[0], max(float(np.ptp(q)), _STILL)
-        moved = np.abs(np.array(mechanism.dynamics.velocity_map(q[0]))[:, problem.goes_on]).max(axis=1, initial=0.0) > 0
-        off = np.where(moved, 0.0, gone - whole_turns(mechanism, gone))
-        boundary_error = max(boundary_error, float(np.abs(off).max()) / span)
+    if problem.motion.turns is not None:
+        boundary_error = max(boundary_error, _turn_error(problem, q))
     site_error, sites_off = ends_off_m(problem, trajectory, time, q)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     allowed_error = np.where(hinge, np.radians(INTEGRATION_DEG), INTEGRATION_M)
@@ -183,17 +169,7 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
                     f"joint {joint.name} leaves its {what} by {-joint.shown(value):.3g} {joint.unit}"
                     f"{'/s' if 'speed' in what else ''} at t = {worst[f'{what} of {joint.name}']:.4g} s"
                 )
-    servos = any(a.is_servo for a in mechanism.actuators)
-    cut = control_excess(mechanism, q, v, u) if servos else np.zeros_like(u)
-    unmendable = []
-    for j in np.flatnonzero(cut.max(axis=0) > RANGE_SLACK):
-        if mechanism.actuators[j].limits_control:
-            continue  # a limit of the program, among the margins
-        at = int(np.argmax(cut[:, j]))
-        unmendable.append(
-            f"{mechanism.actuators[j].name} would need a ctrl {cut[at, j]:.3g} beyond its range at t = {time[at]:.4g} s to"
-            " give the planned effort"
-        )
+    unmendable = _ctrl_failures(samples)
     failures += unmendable + [margin.sentence() for margin in others if not margin.kept]
     return Certificate(
         effort_excess=effort_excess,
@@ -211,8 +187,8 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         speed_margin=speed_margin,
         singularity_ratio=ratio,
         peak_effort=np.abs(u).max(axis=0),
-        peak_power=np.abs(u * actuator_speeds(problem, q, v)).max(axis=0),
-        peak_closure_force=forces.max(axis=0, initial=0.0),
+        peak_power=np.abs(u * samples.actuator_speeds).max(axis=0),
+        peak_closure_force=samples.closure_forces.max(axis=0, initial=0.0),
         margins=others,
         speed_overrun=speed_overrun,
         position_overrun=position_overrun,
@@ -222,6 +198,31 @@ def certify(problem: PlanningProblem, trajectory: Trajectory) -> Certificate:
         failures=tuple(failures),
         unmendable=tuple(unmendable),
     )
+
+
+def _turn_error(problem: PlanningProblem, q: np.ndarray) -> float:
+    """Return by how much poses (n, n_q) of whole turns end beside their start, as a share of their range."""
+    mechanism, moved_by = problem.mechanism, q[-1] - q[0]
+    spins = np.abs(np.array(mechanism.dynamics.velocity_map(q[0]))[:, problem.goes_on]).max(axis=1, initial=0.0) > 0
+    error = np.where(spins, 0.0, moved_by - whole_turns(mechanism, moved_by))
+    return float(np.abs(error).max()) / max(float(np.ptp(q)), _STILL)
+
+
+def _ctrl_failures(samples: Samples) -> list[str]:
+    """Return a sentence for each servo that would need a ctrl beyond a range that is no limit of the program."""
+    actuators, failures = samples.problem.mechanism.actuators, []
+    if not any(actuator.is_servo for actuator in actuators):
+        return failures
+    excess = control_excess(samples.problem.mechanism, samples.q, samples.v, samples.u)
+    for j in np.flatnonzero(excess.max(axis=0) > RANGE_SLACK):
+        if actuators[j].limits_control:
+            continue
+        k = int(np.argmax(excess[:, j]))
+        failures.append(
+            f"{actuators[j].name} would need a ctrl {excess[k, j]:.3g} beyond its range at t = {samples.time[k]:.4g} s to"
+            " give the planned effort"
+        )
+    return failures
 
 
 def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v, time, worst):

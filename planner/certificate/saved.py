@@ -3,15 +3,18 @@
 Its duration, its reference, the pose in the middle of a periodic motion, and the objective's value as an integral.
 """
 
+import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.boundary import exactly, missed
-from linkplan.planner.certificate.margins import actuator_speeds
-from linkplan.planner.problem.objective import QUADRATIC
+from linkplan.planner.limits.effort_rate import effort_rates
+from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.scales import Scales
+from linkplan.planner.problem.terms import motor_losses
 from linkplan.planner.trajectory import Trajectory
 
 # Durations are numbers of a program, found to rounding and kept in full.
@@ -76,15 +79,14 @@ def _off_states(problem: PlanningProblem, trajectory: Trajectory) -> list[str]:
 
 def _off_objective(problem: PlanningProblem, trajectory: Trajectory, said: float) -> list[str]:
     try:
-        value = objective_value(problem, trajectory)
+        value, size = objective_value(problem, trajectory)
     except AssemblyError:  # a motion off its loops has failed its certificate already
         return []
-    objective = problem.objective
-    share = _KINKED_SHARE if objective.has("work") else _OBJECTIVE_SHARE
+    objective, size = problem.objective, max(abs(said), size)
+    share = _KINKED_SHARE if any(term.positive_power for term in objective.terms.values()) else _OBJECTIVE_SHARE
     nothing = negligible_objective(problem, trajectory)
-    smoothed = objective.has("tracking", "work") and not objective.has(*QUADRATIC)
-    low = (_SMOOTHED_SHARE if smoothed else 1.0 - share) * said - nothing
-    if low <= value <= (1.0 + share) * said + nothing:
+    below = (_SMOOTHED_SHARE if objective.is_smoothed else share) * size + nothing
+    if said - below <= value <= said + share * size + nothing:
         return []
     return [f"its objective is said to be {said:.6g}, and that of the motion is {value:.6g}"]
 
@@ -104,57 +106,32 @@ def negligible_objective(problem: PlanningProblem, trajectory: Trajectory) -> fl
     largest = np.abs(problem.limits.effort).max(axis=1)
     asked = np.maximum(np.abs(trajectory.effort).max(axis=(0, 1)), inertial / max(maps.max(initial=0.0), 1e-300))
     effort = np.where(np.isfinite(largest), largest, asked)
-    loads = maps @ effort
-    losses = np.array([0.0 if motor is None else motor.loss for motor in problem.motors])
-    small = _NEGLIGIBLE_SHARE
-    floors = {
-        "effort": T * np.sum((small * effort) ** 2),
-        "copper_loss": T * losses @ (small * effort) ** 2,
-        "effort_rate": np.sum((small * effort) ** 2) / T,
-        "tracking": T * np.sum((small * unit) ** 2),
-        "work": small * float(loads @ unit),
-        "closure_force": T * (small * loads.max(initial=0.0) / mechanism.extent_m) ** 2,
-    }
-    return float(sum(weight * floors.get(term, 0.0) for term, weight in problem.objective.weights.items()))
+    natural = Scales(time_s=T, position=unit, effort=effort, residual=maps @ effort, length_m=mechanism.extent_m)
+    floors = [
+        problem.objective.weight(name) * _NEGLIGIBLE_SHARE**term.order * np.sum(term.size(natural, problem.motors))
+        for name, term in problem.objective.terms.items()
+        if term.order
+    ]
+    return float(sum(floors))
 
 
-def objective_value(problem: PlanningProblem, trajectory: Trajectory) -> float:
-    """Return the objective of a motion [SI], integrated by Gauss-Legendre quadrature on every interval.
+def objective_value(problem: PlanningProblem, trajectory: Trajectory) -> tuple[float, float]:
+    """Return the integrals of a motion's objective and of its terms' absolute values [SI], by Gauss-Legendre quadrature.
 
     Raises:
-        AssemblyError: when the motion leaves what the loops allow, and a term needs its poses.
+        AssemblyError: when the motion leaves what the loops allow.
     """
     nodes, weights = np.polynomial.legendre.leggauss(_POINTS)
     time = trajectory.times_at(0.5 + 0.5 * nodes)
     width = (np.diff(trajectory.breaks_s)[:, None] * 0.5 * weights).ravel()
-    u, objective = trajectory.effort_at(time), problem.objective
-    integrands: dict[str, np.ndarray] = {"time": np.ones_like(time)}
-    if objective.has("effort"):
-        integrands["effort"] = np.sum(u**2, axis=1)
-    if objective.has("copper_loss"):
-        integrands["copper_loss"] = u**2 @ np.array([0.0 if motor is None else motor.loss for motor in problem.motors])
-    if objective.has("effort_rate"):
-        effort = trajectory.effort
-        degree = len(effort) - 1
-        rate = degree * np.diff(effort, axis=0) / np.diff(trajectory.breaks_s)[:, None] if degree else 0 * effort
-        slope = Trajectory(
-            breaks_s=trajectory.breaks_s,
-            position=trajectory.position,
-            velocity=trajectory.velocity,
-            effort=rate,
-            start_pose=trajectory.start_pose,
-            periodic=trajectory.periodic,
-        )
-        integrands["effort_rate"] = np.sum(slope.effort_at(time) ** 2, axis=1)
-    if objective.has("tracking"):
-        off = trajectory.position_at(time) - problem.reference.derivative(time)
-        integrands["tracking"] = np.sum(off**2, axis=1)
-    if objective.has("work", "closure_force"):
-        s, v, a = (f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
-        q = follow(problem.mechanism, s, trajectory.start_pose)
-        if objective.has("work"):
-            integrands["work"] = np.maximum(u * actuator_speeds(problem, q, v), 0.0).sum(axis=1)
-        if objective.has("closure_force"):
-            force = sampled(problem.mechanism.dynamics.closure_force, q, v, a, u)[:, :, 0]
-            integrands["closure_force"] = np.sum(force**2, axis=1)
-    return float(sum(weight * (width @ integrands[term]) for term, weight in objective.weights.items()))
+    objective, reference = problem.objective, problem.reference
+    at, symbols = free_instant(problem.mechanism, motor_losses(problem.motors))
+    integrands = ca.vertcat(*(objective.weight(name) * term.integrand(at) for name, term in objective.terms.items()))
+    s, v, a, u = (
+        f(time) for f in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at, trajectory.effort_at)
+    )
+    q = follow(problem.mechanism, s, trajectory.start_pose)
+    rate, _ = effort_rates(trajectory, time)
+    wanted = s if reference is None else reference.derivative(time)
+    values = sampled(ca.Function("objective", symbols, [ca.densify(integrands)]), q, v, a, u, rate, wanted)[:, :, 0]
+    return float(width @ values.sum(axis=1)), float(width @ np.abs(values).sum(axis=1))

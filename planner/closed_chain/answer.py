@@ -1,6 +1,5 @@
 """The plan of a certified motion: its status by the certificate, its message in words."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from linkplan.planner.certificate.certificate import Certificate
@@ -11,7 +10,7 @@ from linkplan.planner.closed_chain.prescribed import reference_demand
 from linkplan.planner.plan import Plan, tracking_errors
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.refinement.history import Step
+from linkplan.planner.refinement.history import recorded
 from linkplan.planner.trajectory import Trajectory
 
 
@@ -20,7 +19,6 @@ def finished(
     trajectory: Trajectory,
     certificate: Certificate,
     objective: float,
-    history: Sequence[Step],
     message: str | None,
     *,
     optimal: bool = True,
@@ -38,11 +36,11 @@ def finished(
         objective=objective,
         trajectory=trajectory,
         certificate=certificate,
-        history=tuple(history),
+        history=recorded(),
     )
     failure = _failure(plan)
     details: dict[str, float] = {}
-    best = f"{problem.objective.name.replace('_', ' ')}-optimal " if optimal else ""
+    best = optimality(problem) if optimal else ""
     sentence = message or f"{best}motion of {trajectory.duration_s:.6g} s"
     errors = tracking_errors(plan)
     if errors is not None and message is None and problem.objective.has("tracking"):
@@ -70,6 +68,11 @@ def finished(
     if failure is not None:
         return replace(plan, status="failed", message=f"failed: {failure}", details=details)
     return replace(plan, message=sentence, details=details)
+
+
+def optimality(problem: PlanningProblem) -> str:
+    """Return the words with which the message of an optimal plan begins."""
+    return f"{problem.objective.name.replace('_', ' ')}-optimal "
 
 
 def _failure(plan: Plan) -> str | None:

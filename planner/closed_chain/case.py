@@ -16,7 +16,7 @@ from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
-from linkplan.planner.refinement.tightening import AT_NODES, Tightening, evened, tightenings_of
+from linkplan.planner.refinement.tightening import Tightening, evened, tightenings_of
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
@@ -73,7 +73,7 @@ class MechanismCase:
     def error_report(self, certificate: Certificate) -> ErrorReport:
         """Return what a certificate says to refinement."""
         over = [certificate.speed_overrun, certificate.position_overrun]
-        over += [margin.overrun[None] for margin in certificate.margins if margin.what in AT_NODES]
+        over += [margin.overrun[None] for margin in certificate.margins if margin.of.tightened is not None]
         least = min(certificate.position_margin.min(), certificate.speed_margin.min())
         return ErrorReport(
             exact=is_exact(self.asked, certificate),
@@ -127,9 +127,9 @@ def _target(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> Refinem
     instant switches are not looked for: jumps may stand inside intervals.
     """
     objective = problem.objective
-    continuous_efforts = objective.has("effort", "copper_loss")
+    continuous_efforts = objective.efforts("bend")
     bending = kinks and continuous_efforts and not objective.has("tracking")
-    switches = not enclosed and (objective.has("time", "work") or bending) and not objective.has("effort_rate")
+    switches = not enclosed and (objective.efforts("jump") or bending) and not objective.efforts("smooth")
     lines = any(motor is not None and motor.has_line for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     tolerance = _OBJECTIVE if switches and (lines or bent) else None
@@ -169,8 +169,8 @@ def _tightened(problem: PlanningProblem, certificate: Certificate, *, speeds: bo
     if speeds:
         over = 1.1 * np.maximum(0.0, -certificate.speed_margin)[:, None]
         changed["speed"] = limits.speed + over * np.array([1.0, -1.0])
-    rate = np.array(limits.effort_rate)
+    problem = replace(problem, limits=replace(limits, **changed))
     for margin in certificate.margins:
-        if margin.what == "effort_rate" and not margin.kept and np.isfinite(margin.left):
-            rate[margin.item] += 1.1 * -margin.left * np.array([1.0, -1.0])
-    return replace(problem, limits=replace(limits, effort_rate=rate, **changed))
+        if margin.of.tightened is None and not margin.kept and np.isfinite(margin.left):
+            problem = margin.of.narrowed(problem, 1.1 * -margin.left)
+    return problem

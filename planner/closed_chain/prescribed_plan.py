@@ -7,15 +7,15 @@ from linkplan.planner.closed_chain.answer import finished
 from linkplan.planner.closed_chain.prescribed import highest_frequency, prescribe, reference_demand, rounded_down
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.history import Say
+from linkplan.planner.refinement.history import progress
 
 
-def plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray, say: Say) -> Plan:
+def plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray) -> Plan:
     """Return the plan of a reference that is to be followed exactly."""
-    say("following the reference")
+    progress("following the reference")
     demand = reference_demand(problem, start_pose)
     if demand is not None:
-        say("looking for the highest feasible frequency")
+        progress("looking for the highest feasible frequency")
         frequency = highest_frequency(problem, start_pose)
         details = {"needed": demand.needed, "limit": demand.limit, "time_s": demand.time_s}
         remedy = "no slower one keeps the limits"
@@ -31,4 +31,4 @@ def plan_prescribed(problem: PlanningProblem, start_pose: np.ndarray, say: Say) 
         )
     trajectory = prescribe(problem, start_pose)
     certificate = certify(problem, trajectory)
-    return finished(problem, trajectory, certificate, 0.0, [], "the reference keeps every limit and is followed exactly")
+    return finished(problem, trajectory, certificate, 0.0, "the reference keeps every limit and is followed exactly")

@@ -7,13 +7,12 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.closed_chain.force_rows import force_rows_of
-from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate, is_smoothed
+from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
 from linkplan.planner.closed_chain.lifted import is_lifted, lifted_start
-from linkplan.planner.closed_chain.mechanics import Scales
-from linkplan.planner.closed_chain.power_rows import power_rows_of
+from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.scales import Scales
 from linkplan.planner.refinement.tightening import Tightening
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
@@ -131,7 +130,7 @@ def transcribe(
         bang_efforts=bang_efforts,
         constrained_paths=constrained_paths,
     )
-    weight = smoothing if is_smoothed(problem.objective) and not least_limit else 0.0
+    weight = smoothing if problem.objective.is_smoothed and not least_limit else 0.0
     origin = Origin(mechanism=problem.mechanism, scales=scales, start_pose=np.array(guess.start_pose), smoothing=weight)
     return replace(transcribed, origin=origin)
 
@@ -198,8 +197,7 @@ def _start(problem: PlanningProblem, guess: Guess, scales: Scales, formulation: 
     """Return a guess as a scaled start: loops closed, efforts by inverse dynamics where it has none."""
     mechanism = problem.mechanism
     rate = scales.position / scales.time_s
-    levers = power_rows_of(problem, everywhere=formulation.rows.encloses).levers
-    forces = force_rows_of(problem, everywhere=formulation.rows.encloses)
+    limits = [limit for limit in limits_of(problem, enclosed=formulation.rows.encloses) if limit.n_unknowns]
 
     def states(times: np.ndarray) -> np.ndarray:
         return np.hstack([guess.position(times) / scales.position, guess.velocity(times) / rate])
@@ -214,11 +212,9 @@ def _start(problem: PlanningProblem, guess: Guess, scales: Scales, formulation: 
             algebraic = np.column_stack([algebraic, lifted])
         if formulation.n_z > algebraic.shape[1]:
             maps = sampled(mechanism.dynamics.effort_map, poses)
-            n_works = formulation.n_z - algebraic.shape[1] - len(levers) - forces.n_unknowns
+            n_works = formulation.n_z - algebraic.shape[1] - sum(limit.n_unknowns for limit in limits)
             spent = np.maximum(effort * np.einsum("ksu,ks->ku", maps, v) / scales.power, 0.0)[:, :n_works]
-            own = [maps[:, s, j] * scales.effort[j] * rate[s] / scales.power for j, s in levers]
-            borne = sampled(mechanism.dynamics.closure_force, poses, v, a, effort)[:, :, 0] if forces.closures else None
-            own += [borne[:, mechanism.closure_slice(c)] / problem.limits.closure_force[c] for c in forces.closures]
+            own = [limit.start_of_unknowns(problem, scales, (poses, v, a, effort)) for limit in limits]
             algebraic = np.column_stack([algebraic, spent, *own])
         return a / (rate / scales.time_s), np.zeros((len(times), 0)), algebraic, effort
 

@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from linkplan.models.poses.along import joint_rates
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.least_limit import LeastLimit
-from linkplan.planner.trajectory import Trajectory
 
 # Samples of a motion, and the share of its duration next to its ends at which it is at rest of itself.
 _SAMPLES, _BESIDE_ENDS = 2001, 0.02
@@ -59,26 +57,4 @@ def share_sentence(problem: PlanningProblem, factor: float, motion: Guess, *, at
     return (
         f"by the phase plane no motion leads there in any time: {said}, to pass {joint.name} = {place:.4g} {joint.unit}"
         f" at t = {time[at]:.3g} s"
-    )
-
-
-def overrun_sentence(problem: PlanningProblem, trajectory: Trajectory, poses: np.ndarray, what: str) -> str | None:
-    """Return the sentence on the joint that a motion takes furthest beyond its speed limit or range, or None."""
-    mechanism = problem.mechanism
-    time = trajectory.dense_times(8)
-    bounds = problem.limits.speed if what == "speed" else problem.limits.position
-    values = joint_rates(mechanism, poses, trajectory.velocity_at(time)) if what == "speed" else poses
-    over = np.maximum(values - bounds[:, 1], bounds[:, 0] - values)
-    joint_index = int(np.argmax(over.max(axis=0)))
-    at = int(np.argmax(over[:, joint_index]))
-    if over[at, joint_index] <= 0:
-        return None
-    joint = mechanism.joints[joint_index]
-    unit = joint.unit + ("/s" if what == "speed" else "")
-    value = values[at, joint_index]
-    bound = bounds[joint_index, 1] if value > bounds[joint_index, 1] else bounds[joint_index, 0]
-    verb = "move at" if what == "speed" else "reach"
-    return (
-        f"joint {joint.name} would have to {verb} {joint.shown(value):.4g} {unit} at t = {time[at]:.3g} s,"
-        f" {abs(joint.shown(value - bound)):.4g} {unit} beyond its limit of {joint.shown(bound):.4g}"
     )

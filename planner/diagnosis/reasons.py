@@ -3,22 +3,26 @@
 None of them returns a motion. What they compute is how far the limits would have to give, on motions made without them.
 """
 
-import functools
 from dataclasses import replace
 
 import numpy as np
 
 from linkplan.planner.diagnosis.far_too_short import far_too_short, path_effort
 from linkplan.planner.diagnosis.infeasibility import effort_sentence, share_sentence
-from linkplan.planner.diagnosis.relaxation import RELAXABLE, least_of, violated_sentence, without
+from linkplan.planner.diagnosis.relaxation import least_of
 from linkplan.planner.diagnosis.shortest_duration import shortest_sentence
+from linkplan.planner.limits.control import ControlLimit
+from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
+from linkplan.planner.limits.kinds import relaxed_kinds
+from linkplan.planner.limits.path_limit import PathLimit
+from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.refinement.history import progress, recorded
 from linkplan.planner.search.durations import SURELY_LIMITED, longest, may_swing
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import HURRIED, Search
 from linkplan.planner.search.least_limit import least_limit_of_starts
-from linkplan.planner.search.phase_plane import least_share
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import enough_time
@@ -30,7 +34,7 @@ _SAME = 1e-9
 
 def other_limits(problem: PlanningProblem) -> bool:
     """Return whether a motion has limits that the phase plane does not know of, which may be what makes it slow."""
-    return any(without(problem, what) is not None for what in RELAXABLE if what != "speed")
+    return any(kind is not SpeedLimit for kind in relaxed_kinds(problem))
 
 
 def contradicted(search: Search) -> Plan | None:
@@ -58,16 +62,13 @@ def solver_stopped(search: Search) -> Plan | None:
 
 def one_limit(search: Search) -> Plan | None:
     """Return the plan that names the limit without which there is a motion, and the least that it would have to be."""
-    for what in RELAXABLE:
-        plan = _without(search, what)
-        if plan is not None:
-            return plan
-    return None
+    found = (_without(search, kind) for kind in relaxed_kinds(search.problem))
+    return next((plan for plan in found if plan is not None), None)
 
 
 def efforts_contradicted(search: Search) -> Plan | None:
     """Return the plan that says that the solver missed a motion which the phase plane knows."""
-    if not _over(search) or not enough_time(search) or without(search.problem, "control") is not None:
+    if not _over(search) or not enough_time(search) or ControlLimit.of(search.problem):
         return None
     known = search.quickest.duration_s
     return _failed(search, f"by the phase plane a motion of {known:.5g} s keeps the effort limits, but it was not found")
@@ -92,10 +93,12 @@ def efforts(search: Search) -> Plan | None:
 def efforts_without_other_limits(search: Search) -> Plan | None:
     """Return the plan that says what efforts are missing even without the other limits."""
     problem = search.within(HURRIED)
-    bare = functools.reduce(lambda kept, what: without(kept, what) or kept, RELAXABLE, problem)
-    if bare is problem:
+    kinds, bare = relaxed_kinds(problem), problem
+    if not kinds:
         return None
-    least = least_limit_of_starts(bare, search.smooth, search.history)
+    for kind in kinds:
+        bare = kind.without(bare)
+    least = least_limit_of_starts(bare, search.smooth)
     if least is None or least.factor <= 1.0:
         return None
     sentence, details = effort_sentence(bare, least)
@@ -104,7 +107,7 @@ def efforts_without_other_limits(search: Search) -> Plan | None:
 
 def ranges(search: Search) -> Plan | None:
     """Return the plan that names the joint whose range forbids the motion."""
-    return _without(search, "position")
+    return _without(search, RangeLimit) if RangeLimit.of(search.problem) else None
 
 
 def efforts_by_the_phase_plane(search: Search) -> Plan | None:
@@ -125,7 +128,7 @@ def nothing_found(search: Search) -> Plan:
     stopped = solver_stopped(search)  # on the way to a reason
     if stopped is not None:
         return stopped
-    status = search.history[-1].solver_status if search.history else "no initial guess closes the kinematic loops"
+    status = recorded()[-1].solver_status if recorded() else "no initial guess closes the kinematic loops"
     path = path_effort(search.problem, search.smooth) if np.all(np.isfinite(search.problem.limits.effort)) else None
     asks = "" if path is None or path.factor <= 1 else f"; {path.sentence}"
     return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){asks}")
@@ -135,23 +138,20 @@ def _over(search: Search) -> bool:
     return search.named_limit is not None and search.named_limit.factor > 1.0
 
 
-def _without(search: Search, what: str) -> Plan | None:
+def _without(search: Search, kind: type[PathLimit]) -> Plan | None:
     """Return the plan that says by how much a motion made without a limit overruns it; None where it is not to blame."""
     problem, guess = search.within(HURRIED), search.smooth
-    relaxed = without(problem, what)
-    if relaxed is None:
-        return None
     mesh, durations = first_mesh(problem, guess)
-    word = f"without limits on {what}"
-    found = solve_from(relaxed, guess, mesh, durations, word, search.history, search.say)
+    word = f"without limits on {kind.key}"
+    found = solve_from(kind.without(problem), guess, mesh, durations, word)
     if found is None:
         return None
     motion = found.motion
-    if what in RELAXABLE and violated_sentence(problem, motion, what) is not None:
-        search.say(f"looking for the least limit on {what} that admits a motion")
+    if kind in relaxed_kinds(problem) and kind.violation(problem, motion) is not None:
+        progress(f"looking for the least limit on {kind.key} that admits a motion")
         durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
-        motion = least_of(problem, what, motion, mesh, durations, search.history)
-    sentence = violated_sentence(problem, motion, what)
+        motion = least_of(problem, kind, motion, mesh, durations)
+    sentence = kind.violation(problem, motion)
     return None if sentence is None else _infeasible(search, f"infeasible: {sentence}", {})
 
 
@@ -165,10 +165,9 @@ def _infeasible(search: Search, sentence: str, details: dict[str, float], *, sho
     known, asked = details.get("shortest_duration_s"), longest(problem)
     if known is not None and known <= asked * (1 + _SAME):
         return _failed(search, f"a motion of {known:.7g} s keeps every limit, one of {asked:.7g} s was not found", details)
-    history = tuple(search.history)
-    return Plan(problem=problem, status="infeasible", message=message, history=history, details=details)
+    return Plan(problem=problem, status="infeasible", message=message, history=recorded(), details=details)
 
 
 def _failed(search: Search, reason: str, details: dict[str, float] | None = None) -> Plan:
     said = f"failed: {reason}"
-    return Plan(problem=search.problem, status="failed", message=said, history=tuple(search.history), details=details or {})
+    return Plan(problem=search.problem, status="failed", message=said, history=recorded(), details=details or {})

@@ -1,12 +1,14 @@
 """Plans on disk: `plan.json`, `trajectory.npz` and `trajectory.csv` in a folder."""
 
+import functools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import asdict
 
 from linkplan.models.catalogue import is_file
 from linkplan.models.digest import part_hashes
@@ -15,16 +17,17 @@ from linkplan.models.poses.contacts import Meeting
 from linkplan.models.reading import shown
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.collisions import with_contacts
-from linkplan.planner.certificate.margins import Margin
 from linkplan.planner.certificate.saved import disagreements
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.files.folders import complete, plain_record, write_json
 from linkplan.planner.files.motion_table import motion_table
-from linkplan.planner.files.plan_record import FORMAT, PlanRecord, history_of, read_plan_record
+from linkplan.planner.files.plan_record import FORMAT, PlanRecord, extra_records, history_of, read_plan_record
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.files.trajectory_file import ARRAYS, read_trajectory
+from linkplan.planner.limits.path_limit import Margin
 from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_said
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.trajectory import Trajectory
 
@@ -70,6 +73,7 @@ def record(plan: Plan) -> dict:
             "versions": versions(),
             "fingerprint": part_hashes(mechanism.model),
             "problem": problem.source,
+            "extras": [asdict(one) for one in extra_records(problem.extras)],
         }
     )
 
@@ -160,13 +164,23 @@ def _from(place: Path, problem: PlanningProblem) -> str | None:
         return None
 
 
-def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool = False) -> Plan:
+def read_plan(
+    folder: str | Path,
+    overrides: Sequence[str] = (),
+    *,
+    anyway: bool = False,
+    extra_costs: Sequence[ExtraCost] = (),
+    extra_limits: Sequence[ExtraLimit] = (),
+) -> Plan:
     """Return a saved plan with its solves, its problem built again and its certificate made anew from the motion on disk.
 
     Args:
         folder: where the plan was saved.
         overrides: "key=value" settings on the saved problem, meant for those that do not change the plan (tracking).
         anyway: whether a plan that does not pass is returned, its status "failed", and not refused.
+        extra_costs: those that it was planned with. Files do not hold them: without them the objective is not checked, which
+            a note of the problem says.
+        extra_limits: likewise, the limits.
 
     Raises:
         CertificateError: when the motion on disk does not pass its certificate, or was never a plan that did.
@@ -179,7 +193,15 @@ def read_plan(folder: str | Path, overrides: Sequence[str] = (), *, anyway: bool
     trajectory = read_trajectory(folder / "trajectory.npz")
     for override in overrides:
         apply_override(said.problem, override)
-    plan = _judged(folder, said, trajectory, _problem_again(said, folder, overrides))
+    build = functools.partial(problem_from_tables, extra_costs=extra_costs, extra_limits=extra_limits)
+    problem = _problem_again(said, folder, build, overrides)
+    if problem.extras and extra_records(problem.extras) != said.extras:
+        had = extras_said(said.extras) if said.extras else "no extra limit or cost"
+        raise PlanFileError(f"'{folder}' was planned with {had}; plan.json has their bounds, weights and units; got others")
+    if said.extras and not problem.extras:
+        note = f"read without {_lost(said)}: nothing here was checked against it"
+        problem = replace(problem, notes=(*problem.notes, note))
+    plan = _judged(folder, said, trajectory, problem)
     if not plan.passed and not anyway:
         raise CertificateError(f"plan '{folder}' is not used: {plan.message}")
     return plan
@@ -205,7 +227,8 @@ def _judged(folder: Path, said: PlanRecord, trajectory: Trajectory, problem: Pla
             f"'{folder / 'trajectory.npz'}' holds a motion that the mechanism cannot make: {error}"
         ) from error
     status, message = said.status, said.message
-    misses = (*certificate.failures, *disagreements(problem, trajectory, said.objective))
+    lost_cost = not problem.objective.extra and any(one.kind == "cost" for one in said.extras)
+    misses = (*certificate.failures, *disagreements(problem, trajectory, None if lost_cost else said.objective))
     if misses:
         certificate = replace(certificate, failures=misses)
         status, message = "failed", f"failed: the motion on disk does not pass its certificate: {'; '.join(misses)}"
@@ -221,8 +244,17 @@ def _judged(folder: Path, said: PlanRecord, trajectory: Trajectory, problem: Pla
     )
 
 
-def _problem_again(said: PlanRecord, folder: Path, overrides: Sequence[str] = ()) -> PlanningProblem:
-    """Return a saved plan's problem, its model from beside the plan or from where it was; refused where that has changed."""
+def _lost(said: PlanRecord) -> str:
+    return f"{extras_said(said.extras)}, Python that the files do not hold"
+
+
+def _problem_again(
+    said: PlanRecord, folder: Path, build: Callable[..., PlanningProblem], overrides: Sequence[str] = ()
+) -> PlanningProblem:
+    """Return a saved plan's problem, its model from beside the plan or from where it was; refused where that has changed.
+
+    `build` makes a problem of a name and tables.
+    """
     tables = said.problem
     if isinstance(tables.get("limits"), dict):
         tables["limits"] = _unbounded(tables["limits"])
@@ -243,7 +275,7 @@ def _problem_again(said: PlanRecord, folder: Path, overrides: Sequence[str] = ()
         if isinstance(section, dict):
             section["model"] = model
         try:
-            problem = problem_from_tables(shown(said.name), tables)
+            problem = build(shown(said.name), tables)
         except LinkplanError as error:
             refusal = refusal or error
             continue
@@ -254,6 +286,7 @@ def _problem_again(said: PlanRecord, folder: Path, overrides: Sequence[str] = ()
     if changed:
         raise PlanFileError(f"{changed}; plan it again")
     why = refusal or "mechanism.model is no name"
+    why = f"{why}; it was planned with {_lost(said)}" if said.extras else why
     how = f" with {', '.join(overrides)}" if overrides else " again"
     raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built{how}: {why}") from refusal
 

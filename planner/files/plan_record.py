@@ -1,14 +1,16 @@
 """The record of a saved plan, `plan.json`, as far as it is read back."""
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, structs
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.json_record import read_record
 from linkplan.planner.plan import STATUSES
+from linkplan.planner.problem.extra import Extra
 from linkplan.planner.refinement.history import Step
 
 FORMAT = 1
@@ -32,6 +34,17 @@ class StepRecord(Struct, frozen=True):
     integration_error: float | None = None
 
 
+class ExtraRecord(Struct, frozen=True):
+    """A user's own limit or cost, without its expression; an infinite bound is null."""
+
+    kind: Literal["limit", "cost"]
+    name: str
+    unit: str
+    lower: float | None = None
+    upper: float | None = None
+    weight: float | None = None
+
+
 class PlanRecord(Struct, frozen=True):
     """What is read of `plan.json`; what else it says is for people, or follows from the motion."""
 
@@ -46,6 +59,7 @@ class PlanRecord(Struct, frozen=True):
     versions: dict[str, str] = {}
     fingerprint: dict[str, str] | None = None
     model_from_here: str | None = None
+    extras: list[ExtraRecord] = []
 
 
 def read_plan_record(folder: Path) -> PlanRecord:
@@ -69,6 +83,16 @@ def read_plan_record(folder: Path) -> PlanRecord:
     if said.format != FORMAT:
         raise PlanFileError(f"'{path}' has format {said.format}; this linkplan reads {FORMAT}")
     return said
+
+
+def extra_records(extras: Sequence[Extra]) -> list[ExtraRecord]:
+    """Return what a plan's record says of its users' own limits and costs."""
+    found = []
+    for one in extras:
+        numbers = {name: getattr(one, name, math.inf) for name in ("lower", "upper", "weight")}
+        finite = {name: value for name, value in numbers.items() if math.isfinite(value)}
+        found.append(ExtraRecord(kind=one.kind, name=one.name, unit=one.unit, **finite))
+    return found
 
 
 def history_of(said: PlanRecord) -> tuple[Step, ...]:

@@ -24,6 +24,7 @@ from linkplan.planner.files.limits_file import actuator_index, closure_index, li
 from linkplan.planner.files.motion_file import motion_of
 from linkplan.planner.files.named_coordinates import coordinates_note, other_coordinates
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
+from linkplan.planner.files.toml_text import toml_text
 from linkplan.planner.files.trajectory_file import read_trajectory
 from linkplan.planner.keys.limits_section import LimitsSection, RobustSection
 from linkplan.planner.keys.motion_section import MotionSection, ReferenceSection
@@ -36,6 +37,7 @@ from linkplan.planner.keys.sections import (
     SolverSection,
     TrackingSection,
 )
+from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_said
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.planning_problem import GuessedPath, PlanningProblem
 from linkplan.planner.problem.reference import Sine
@@ -67,7 +69,13 @@ def load_problem(source: str | Path, overrides: Sequence[str] = ()) -> PlanningP
 
 
 def problem_from_tables(
-    name: str, tables: Tables, folder: Path | None = None, mechanism: Mechanism | None = None
+    name: str,
+    tables: Tables,
+    folder: Path | None = None,
+    mechanism: Mechanism | None = None,
+    *,
+    extra_costs: Sequence[ExtraCost] = (),
+    extra_limits: Sequence[ExtraLimit] = (),
 ) -> PlanningProblem:
     """Return the problem that a file's tables mean.
 
@@ -76,6 +84,8 @@ def problem_from_tables(
         tables: as `tomllib` reads them; they are not changed.
         folder: the file's, from which paths in it are looked up before the working folder.
         mechanism: one that is loaded already, in place of what [mechanism] says.
+        extra_costs: running costs as expressions, which no table holds.
+        extra_limits: path limits as expressions.
 
     Raises:
         ProblemError: for anything in the tables that cannot be used.
@@ -100,7 +110,8 @@ def problem_from_tables(
     motors = read(kind_of("motors"), tables.get("motors", {}), "motors", known)
     guess = read_section(GuessSection, tables, "guess", known)
     for section, kind in _WHOLE.items():
-        read_section(kind, tables, section)
+        if tables.get(section) != {"minimize": {}}:  # which `Objective` refuses, but beside extra costs
+            read_section(kind, tables, section)
     imperfections_of(tables.get("imperfections", {}), mechanism)  # refused now, though planning knows nothing of them
     notes = []
     others = other_coordinates(tables, mechanism)
@@ -108,7 +119,7 @@ def problem_from_tables(
         notes.append(coordinates_note(mechanism, others))
         mechanism = _in_coordinates(tables, mechanism, others, folder)
     default = "tracking" if asked.kind == "track" or (asked.kind == "periodic" and sine is not None) else "effort"
-    objective = objective_from(tables.get("objective", {}).get("minimize", default))
+    objective = objective_from(tables.get("objective", {}).get("minimize", default), extra_costs)
     reference = None if sine is None else _reference(sine, mechanism)
     limits = limits_of(limited, mechanism)
     problem = PlanningProblem(
@@ -117,6 +128,7 @@ def problem_from_tables(
         motion=motion_of(asked, mechanism, reference, limits),
         objective=objective,
         limits=limits,
+        extra_limits=extra_limits,
         robust=robust_of(uncertain, mechanism),
         motors=motors_of(motors, mechanism),
         reference=reference,
@@ -131,6 +143,16 @@ def problem_from_tables(
     )
     _check_poses(asked, problem)
     return problem
+
+
+def file_text(problem: PlanningProblem, tables: Tables | None = None) -> str:
+    """Return a problem, or other tables in place of its own, as a file's text; a comment names what no file can hold.
+
+    Raises:
+        ProblemError: for a value that TOML has no form for.
+    """
+    text = toml_text(problem.source if tables is None else tables)
+    return f"# Without {extras_said(problem.extras)}: a problem file holds no Python.\n{text}" if problem.extras else text
 
 
 def _refuse_unknown_name(mechanism: Mechanism, noun: str, name: str, where: str) -> None:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.certificate.boundary import missed
-from linkplan.planner.certificate.margins import least_between, sample_points
+from linkplan.planner.limits.samples import least_between, sample_points
 from linkplan.planner.ode.integration import integrate
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory

@@ -5,9 +5,10 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from linkplan.models.errors import ProblemError
+from linkplan.planner.limits.path_limit import Tightened
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.tightening import Tightening, tightening_over
+from linkplan.planner.refinement.tightening import TightenedRow, Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Start, Units
 from linkplan.planner.transcription.interval import IntervalRows
 from linkplan.planner.transcription.system import Endpoint, System, node_symbols
@@ -87,7 +88,8 @@ def formulate_ode(
     low, high = problem.duration
     p = problem.parameters
     endpoint = _endpoint(problem, units, timed, least_limit)
-    tightening = tightening_over(tightenings, [("path", k) for k in range(len(problem.path_limit))], problem.path_limit)
+    rows = [TightenedRow("path", k, Tightened.BY_SHARE) for k in range(len(problem.path_limit))]
+    tightening = tightening_over(tightenings, rows, problem.path_limit)
 
     def theta(times: np.ndarray) -> np.ndarray:
         return np.broadcast_to(p, (*times.shape, len(p)))

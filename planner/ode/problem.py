@@ -81,6 +81,13 @@ class OdeProblem:
     solver: SolverSettings = field(default_factory=SolverSettings)
 
     def __post_init__(self) -> None:
+        self._freeze_arrays()
+        self._name_states_and_efforts()
+        self._check_settings()
+        self._check_functions()
+
+    def _freeze_arrays(self) -> None:
+        """Store start, goal, limits and parameters as arrays that cannot be changed, and refuse other shapes."""
         start, goal = _rows("start", self.start), _rows("goal", self.goal)
         if start.shape != goal.shape or len(start) == 0:
             raise ProblemError(f"start and goal have one value a state, got {len(start)} and {len(goal)}")
@@ -97,16 +104,23 @@ class OdeProblem:
             raise ProblemError("effort_limit has one [low, high] for each effort; a problem has at least one")
         if not np.all(np.isfinite(self.parameters)):
             raise ProblemError(f"parameters are finite numbers, got {self.parameters}")
+
+    def _name_states_and_efforts(self) -> None:
+        """Give states and efforts that have no names their numbers as names."""
+        for name, n in (("states", self.n_x), ("efforts", self.n_u)):
+            labels = tuple(getattr(self, name)) or tuple(f"{name[:-1]}{i}" for i in range(n))
+            if len(labels) != n:
+                raise ProblemError(f"{name} has {n} names, got {len(labels)}")
+            object.__setattr__(self, name, labels)
+
+    def _check_settings(self) -> None:
+        """Refuse a duration, indices, guesses and tolerances that mean nothing."""
         low, high = _duration(self.duration_s)
         if not (0 <= low <= high and high > 0 and np.isfinite(low)):
             raise ProblemError(
                 f"duration_s is a positive number, or (low, high) with 0 <= low < high, got {self.duration_s!r}"
             )
-        for name, n in (("states", n_x), ("efforts", self.n_u)):
-            labels = tuple(getattr(self, name)) or tuple(f"{name[:-1]}{i}" for i in range(n))
-            if len(labels) != n:
-                raise ProblemError(f"{name} has {n} names, got {len(labels)}")
-            object.__setattr__(self, name, labels)
+        n_x = self.n_x
         object.__setattr__(self, "returns", tuple(self.returns))
         object.__setattr__(self, "guesses", tuple(self.guesses))
         if any(not isinstance(i, int | np.integer) or not 0 <= i < n_x for i in self.returns):
@@ -121,7 +135,6 @@ class OdeProblem:
                 raise ProblemError(f"{name} is above 0 and at most 1, got {value!r}")
         if self.running_cost is None and self.final_cost is None:
             raise ProblemError("a problem needs running_cost, final_cost or both: otherwise no motion is the best")
-        self._check_functions()
 
     def _check_functions(self) -> None:
         """Refuse functions that give a wrong number of values."""

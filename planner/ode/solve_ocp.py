@@ -33,7 +33,7 @@ from linkplan.planner.ode.starts import (
 from linkplan.planner.ode.switches import has_arcs, switch_by_costates
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.history import Say, Step, silent, step_of
+from linkplan.planner.refinement.history import Say, Step, progress, record, recorded, recording, silent, step_of
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.solvers.outcome import OF_TIME, OUT_OF_TIME, why_stopped
@@ -97,21 +97,18 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     contradiction = _contradiction(problem)
     if contradiction is not None:
         return OdePlan(problem=problem, status="infeasible", message=contradiction)
-    begun = problem.solver.begun()
-    plan = _planned(replace(problem, solver=begun), say)
-    if plan.status in ("failed", "feasible") and begun.deadline.passed and OF_TIME not in plan.message:
-        plan = replace(plan, message=f"{plan.message}; the plan ran out of its {problem.solver.max_time_s:g} s {OF_TIME}")
+    with recording(say):
+        plan = _planned(replace(problem, solver=problem.solver.begun()))
     return replace(plan, problem=problem)
 
 
-def _planned(problem: OdeProblem, say: Say) -> OdePlan:
+def _planned(problem: OdeProblem) -> OdePlan:
     """Return the solution of a problem whose solves end at its deadline."""
-    history: list[Step] = []
     given = [completed(problem, guess) for guess in problem.guesses] or [straight_guess(problem)]
     if problem.solver.starts > 1:
-        found = _first_solutions(problem, perturbed(problem, given, problem.solver.starts), history, say)
+        found = _first_solutions(problem, perturbed(problem, given, problem.solver.starts))
     else:
-        found = _in_turn(problem, given, history, say)
+        found = _in_turn(problem, given)
     failed, tried = None, np.zeros(0)
     best_first = sorted(found, key=lambda one: (one.found.solution.objective, one.number))
     for one in problem.solver.certificate_deadline.take(best_first):
@@ -119,55 +116,56 @@ def _planned(problem: OdeProblem, say: Say) -> OdePlan:
         if np.any(np.abs(tried - objective) <= _ALIKE * abs(objective)):
             continue  # the same motion, that did not pass
         tried = np.append(tried, objective)
-        plan = _refined(problem, one, history, say)
+        plan = _refined(problem, one)
         if plan.status == "optimal" or one.away is not None:
             return plan
         failed = plan if failed is None or (failed.status, plan.status) == ("failed", "feasible") else failed
-    return failed or _explain(problem, given[0], history, say)
+    return failed or _explain(problem, given[0])
 
 
-def _in_turn(problem: OdeProblem, given: list[StateGuess], history: list[Step], say: Say) -> list[FirstSolution]:
+def _in_turn(problem: OdeProblem, given: list[StateGuess]) -> list[FirstSolution]:
     """Return first solutions from the guesses, and from further starts where those lead to none or time is open."""
-    found = _first_solutions(problem, given, history, say, enough=1)
-    stopped = not found and why_stopped(_last_status(history), problem.solver.max_time_s) is not None
+    found = _first_solutions(problem, given, enough=1)
+    stopped = not found and why_stopped(_last_status(), problem.solver.max_time_s) is not None
     if stopped or (found and not is_open(problem)):
         return found
     if not found:
         # Efforts that are free to swing along singular arcs lead far away from there.
         calm = replace(problem, mesh=replace(problem.mesh, effort="linear")) if is_affine(problem) else problem
-        found = _first_solutions(calm, integrated(problem), history, say, enough=1, first=len(given))
+        found = _first_solutions(calm, integrated(problem), enough=1, first=len(given))
         if found and not is_open(problem):
             return found
-    patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * history[-1].solve_s))
+    patience = min(problem.solver.max_time_s, max(_PATIENCE_S, _PATIENCE * recorded()[-1].solve_s))
     patient = replace(problem, solver=replace(problem.solver, max_iterations=_ITERATIONS, max_time_s=patience))
     others = of_other_durations(problem, given[0]) if is_open(problem) else []
     others += list(perturbed(problem, given, len(given) + _PERTURBATIONS))[len(given) :]
     if np.all(np.isfinite(problem.effort_limit)):
         # With limits a motion of no duration's solves may be another local one; what forbids one is found by the efforts.
-        return found + _first_solutions(patient, others if is_open(problem) else [], history, say, first=len(given))
-    found += _from_least_effort(patient, given[0], history, say)
-    return found or _first_solutions(patient, others, history, say, enough=1, first=len(given))
+        return found + _first_solutions(patient, others if is_open(problem) else [], first=len(given))
+    found += _from_least_effort(patient, given[0])
+    return found or _first_solutions(patient, others, enough=1, first=len(given))
 
 
-def _last_status(history: list[Step]) -> str:
+def _last_status() -> str:
     """Return what the last solve ended with; a plan without any had no time for it."""
-    return history[-1].solver_status if history else OUT_OF_TIME
+    steps = recorded()
+    return steps[-1].solver_status if steps else OUT_OF_TIME
 
 
-def _from_least_effort(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> list[FirstSolution]:
+def _from_least_effort(problem: OdeProblem, guess: StateGuess) -> list[FirstSolution]:
     """Return the solution that is begun from the motion of least squared effort, if there is one."""
-    for one in _first_solutions(of_least_effort(problem), [guess], history, say):
+    for one in _first_solutions(of_least_effort(problem), [guess]):
         case = OdeCase(problem, problem, one.case.units)
         motion = one.found.motion
         start, durations = case.start_from(motion), np.diff(motion.breaks_s[[0, -1]])
-        solved = attempt(case, start, one.found.mesh, durations, "start from least effort", history, say)
+        solved = attempt(case, start, one.found.mesh, durations, "start from least effort")
         if solved is not None:
             return [FirstSolution(case=case, found=solved, number=1)]
     return []
 
 
 def _first_solutions(
-    problem: OdeProblem, starts: Iterable[StateGuess], history: list[Step], say: Say, *, enough: int | None = None, first=0
+    problem: OdeProblem, starts: Iterable[StateGuess], *, enough: int | None = None, first=0
 ) -> list[FirstSolution]:
     """Return the solutions that starts lead to on the first mesh, the first `enough` of them."""
     found: list[FirstSolution] = []
@@ -175,7 +173,7 @@ def _first_solutions(
         case = OdeCase(problem, problem, units_of(problem, guess))
         mesh = uniform(problem.mesh.intervals) if problem.mesh.breaks is None else broken(problem.mesh.breaks)
         word = f"start {number + 1}" if number or problem.solver.starts > 1 else "first solve"
-        solved = attempt(case, start_of(guess, case.units), mesh, np.array([guess.duration_s]), word, history, say)
+        solved = attempt(case, start_of(guess, case.units), mesh, np.array([guess.duration_s]), word)
         away, times = None, 0
         while solved is not None and times < _FURTHER:
             held_at, before = unbounded_duration(problem, solved), solved.solution.objective
@@ -185,7 +183,7 @@ def _first_solutions(
             rescaled = sampled_guess(solved.motion)
             case = OdeCase(problem, problem, units_of(problem, rescaled))
             durations, what = np.array([rescaled.duration_s]), f"{word}, restarted from the bound on its duration"
-            solved, times = attempt(case, start_of(rescaled, case.units), mesh, durations, what, history, say), times + 1
+            solved, times = attempt(case, start_of(rescaled, case.units), mesh, durations, what), times + 1
             # Still a fraction of what it was, after time grew or shrank by what is beyond all guessing: there is no end.
             falls = solved is not None and times > 1 and solved.solution.objective < _FALLS * before
             away = held_at if falls else None
@@ -196,20 +194,20 @@ def _first_solutions(
     return found
 
 
-def _calmed(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution:
+def _calmed(first: FirstSolution) -> FirstSolution:
     """Return a first solution whose efforts are no wild polynomials between its nodes."""
     case, motion = first.case, first.found.motion
     before = case.certify(motion).integration_error
     if before <= _WILD:
         return first
     durations, what = np.diff(motion.breaks_s[[0, -1]]), "efforts piecewise constant at first"
-    solved = attempt(case, piecewise_constant(case, motion), first.found.mesh, durations, what, history, say, warm=True)
+    solved = attempt(case, piecewise_constant(case, motion), first.found.mesh, durations, what, warm=True)
     if solved is None or case.certify(solved.motion).integration_error >= before:
         return first
     return replace(first, found=solved)
 
 
-def _eased(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution:
+def _eased(first: FirstSolution) -> FirstSolution:
     """Return a first solution with efforts that are linear over intervals, where it has arcs on which they could chatter.
 
     On an arc within the limits an effort that enters affinely is held by the costates' higher derivatives alone: a
@@ -220,34 +218,32 @@ def _eased(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution
         return first
     case = replace(case, problem=replace(asked, mesh=replace(asked.mesh, effort="linear")))
     start, durations = case.start_from(motion), np.diff(motion.breaks_s[[0, -1]])
-    solved = attempt(case, start, first.found.mesh, durations, "efforts linear over intervals", history, say, warm=True)
+    solved = attempt(case, start, first.found.mesh, durations, "efforts linear over intervals", warm=True)
     if solved is None:
         return first
     before, after = (case.certify(one).integration_error for one in (motion, solved.motion))
     return replace(first, found=solved, case=case) if after < _SWINGS * before else first
 
 
-def _finest(
-    problem: OdeProblem, first: FirstSolution, history: list[Step], say: Say
-) -> Refined[OdeTrajectory, OdeCertificate]:
+def _finest(problem: OdeProblem, first: FirstSolution) -> Refined[OdeTrajectory, OdeCertificate]:
     """Return what a first solution is refined to; one with switch times already is as it is."""
     if not first.case.has_switch_times:
         solved = replace(problem, mesh=first.case.problem.mesh)
         first = replace(first, case=OdeCase(solved, problem, first.case.units))
-        first = switch_by_costates(_eased(_calmed(first, history, say), history, say), history, say)
+        first = switch_by_costates(_eased(_calmed(first)))
     guess = sampled_guess(first.found.motion)
     unstable = is_unstable(problem, first.found.motion, sizes_of(guess.state))
     if unstable:
         # In its own units, and from next to the coarser mesh: the solver loses such a motion more easily than others.
         first = replace(first, case=replace(first.case, units=units_of(problem, guess)))
-    refined = refine(first.case, first.found, history, say, warm=unstable)
+    refined = refine(first.case, first.found, warm=unstable)
     assert refined is not None  # a user's solution always has a certificate
     return refined
 
 
-def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say: Say) -> OdePlan:
+def _refined(problem: OdeProblem, first: FirstSolution) -> OdePlan:
     """Return the plan that a first solution is refined to."""
-    refined = _finest(problem, first, history, say)
+    refined = _finest(problem, first)
     trajectory, certificate, objective = refined.motion, refined.certificate, refined.solution.objective
     away = first.away or unbounded_duration(problem, refined)
     status, message = "optimal", f"optimum {objective:.10g} in {trajectory.duration_s:.8g} s"
@@ -274,12 +270,19 @@ def _refined(problem: OdeProblem, first: FirstSolution, history: list[Step], say
     return OdePlan(
         problem=problem,
         status=status,
-        message=message,
+        message=message if status == "optimal" else message + _out_of_time(problem),
         objective=objective,
         trajectory=trajectory,
         certificate=certificate,
-        history=tuple(history),
+        history=recorded(),
     )
+
+
+def _out_of_time(problem: OdeProblem) -> str:
+    """Return the words on a time limit that has passed; empty before it has."""
+    if not problem.solver.deadline.passed:
+        return ""
+    return f"; the plan ran out of its {problem.solver.max_time_s:g} s {OF_TIME}"
 
 
 def _moved(refined: Refined[OdeTrajectory, OdeCertificate]) -> str:
@@ -299,64 +302,62 @@ def _contradiction(problem: OdeProblem) -> str | None:
     return None
 
 
-def _explain(problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say) -> OdePlan:
+def _explain(problem: OdeProblem, guess: StateGuess) -> OdePlan:
     """Return the plan of a problem that no start solved: from the motion of the least limits, or the reason."""
     # Of the first start: those after it were given less time.
-    status = history[0].solver_status if history else OUT_OF_TIME
+    steps = recorded()
+    status = steps[0].solver_status if steps else OUT_OF_TIME
     stopped = why_stopped(status, problem.solver.max_time_s)
-    reason = f"failed: {stopped or f'no start led to a solution ({status})'}"
     if stopped is None and np.all(np.isfinite(problem.effort_limit)):
-        say("no solution found; looking for the least effort that admits one")
+        progress("no solution found; looking for the least effort that admits one")
         case = OdeCase(problem, problem, units_of(problem, guess))
         mesh, durations = uniform(problem.mesh.intervals), np.array([guess.duration_s])
         transcribed = case.transcribe(start_of(guess, case.units), mesh, durations, least_limit=True)
         solution = solve(transcribed, problem.solver)
-        history.append(step_of("least effort limit", transcribed, solution))
+        record(step_of("least effort limit", transcribed, solution))
         factor = float(solution.x[transcribed.program.layout.extra()][0])
         if solution.converged and factor > 1:
             found = f"efforts of {factor:.4g} times their limits are the least with which a motion was found"
             fixed = problem.duration[0] == problem.duration[1]
-            shorter = _least_time(problem, guess, history, say) if fixed else None
+            shorter = _least_time(problem, guess) if fixed else None
             if shorter is not None:
-                return _lengthened(problem, shorter, history, say)
+                return _lengthened(problem, shorter)
             # Where time is free a motion may build up energy by swings that no start has tried: what was found is no proof
             # then.
             message = f"infeasible: {found}" if fixed else f"failed: no solution was found; {found}, which is no proof"
             status = "infeasible" if fixed else "failed"
-            return OdePlan(problem=problem, status=status, message=message, history=tuple(history))
+            message += _out_of_time(problem)
+            return OdePlan(problem=problem, status=status, message=message, history=recorded())
         if solution.converged:
             start = case.start_from(case.motion(solution))
-            solved = attempt(case, start, mesh, durations, "start from the least limits", history, say)
+            solved = attempt(case, start, mesh, durations, "start from the least limits")
             if solved is not None:
-                return _refined(problem, FirstSolution(case=case, found=solved), history, say)
-    return OdePlan(problem=problem, status="failed", message=reason, history=tuple(history))
+                return _refined(problem, FirstSolution(case=case, found=solved))
+    reason = stopped or f"no start led to a solution ({status}){_out_of_time(problem)}"
+    return OdePlan(problem=problem, status="failed", message=f"failed: {reason}", history=recorded())
 
 
-def _least_time(
-    problem: OdeProblem, guess: StateGuess, history: list[Step], say: Say
-) -> Refined[OdeTrajectory, OdeCertificate] | None:
+def _least_time(problem: OdeProblem, guess: StateGuess) -> Refined[OdeTrajectory, OdeCertificate] | None:
     """Return the motion of least time between a problem's ends where one passes that is no longer than what was asked."""
-    say("looking for the shortest feasible duration")
+    progress("looking for the shortest feasible duration")
     quick = of_least_time(problem)
-    for one in sorted(_in_turn(quick, [guess], history, say), key=lambda one: one.found.solution.objective):
-        refined = _finest(quick, one, history, say)
+    for one in sorted(_in_turn(quick, [guess]), key=lambda one: one.found.solution.objective):
+        refined = _finest(quick, one)
         if refined.certificate.passed:
             return refined if refined.motion.duration_s <= problem.duration[1] else None
     return None
 
 
-def _lengthened(
-    problem: OdeProblem, shorter: Refined[OdeTrajectory, OdeCertificate], history: list[Step], say: Say
-) -> OdePlan:
+def _lengthened(problem: OdeProblem, shorter: Refined[OdeTrajectory, OdeCertificate]) -> OdePlan:
     """Return the plan begun from a shorter motion on its own mesh; one that is not found is not called infeasible."""
     mesh, motion = shorter.solution.transcribed.program.mesh, stretched(shorter.motion, problem.duration[1])
     case = OdeCase(problem, problem, units_of(problem, sampled_guess(motion)), has_switch_times=True)
     durations = np.bincount(mesh.segment, weights=np.diff(motion.breaks_s))
-    solved = attempt(case, case.start_from(motion), mesh, durations, "start from the least time", history, say)
+    solved = attempt(case, case.start_from(motion), mesh, durations, "start from the least time")
     if solved is not None:
-        return _refined(problem, FirstSolution(case=case, found=solved), history, say)
+        return _refined(problem, FirstSolution(case=case, found=solved))
     message = (
         f"failed: no start led to a solution of {problem.duration[1]:.8g} s; a motion of {shorter.motion.duration_s:.8g} s"
-        " is known, the shortest found"
+        f" is known, the shortest found{_out_of_time(problem)}"
     )
-    return OdePlan(problem=problem, status="failed", message=message, history=tuple(history))
+    return OdePlan(problem=problem, status="failed", message=message, history=recorded())

@@ -14,7 +14,6 @@ from linkplan.planner.ode.costates import Switching, is_affine, last_costates, s
 from linkplan.planner.ode.first_solution import FirstSolution
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Iterate, attempt
-from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
 from linkplan.planner.solvers.outcome import SUCCEEDED
 from linkplan.planner.solvers.solve import Solution
@@ -38,7 +37,7 @@ _BETTER = 1e-6
 _SURE = 10.0
 
 
-def switch_by_costates(first: FirstSolution, history: list[Step], say: Say) -> FirstSolution:
+def switch_by_costates(first: FirstSolution) -> FirstSolution:
     """Return a first solution with its efforts at the limits that their switching functions ask for, on a mesh cut there.
 
     Where an effort enters otherwise than affinely, has no two limits, or has an arc within them, the solution is returned
@@ -67,7 +66,7 @@ def switch_by_costates(first: FirstSolution, history: list[Step], say: Say) -> F
             (bang_efforts, "switch times from the costates"),
             (None, "switch times from the costates, efforts free"),
         ):
-            tried = attempt(asked, start, finer, durations, what, history, say, bang_efforts=efforts, warm=True)
+            tried = attempt(asked, start, finer, durations, what, bang_efforts=efforts, warm=True)
             replaces = tried is not None and tried.solution.status == SUCCEEDED
             if replaces and _replaces(asked, tried, solution, uncut=not first.case.has_switch_times):
                 better = replace(first, found=tried, case=replace(asked, has_switch_times=True, bang_efforts=efforts))

@@ -1,43 +1,45 @@
 """What a motion is best in: a weighted sum of terms, each an integral over the motion in SI units."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.names import nearest
-from linkplan.planner.keys.kinds import Term
-
-# Term: what it is, and its unit.
-TERMS: Mapping[Term, tuple[str, str]] = {
-    "effort": ("integral of the squared efforts", "N2 m2 s"),
-    "time": ("duration", "s"),
-    "tracking": ("integral of the squared distance from the reference", "rad2 s"),
-    "work": ("positive mechanical work of the actuators", "J"),
-    "copper_loss": ("integral of the motors' resistance times squared current", "J"),
-    "effort_rate": ("integral of the squared effort rates", "N2 m2 / s"),
-    "closure_force": ("integral of the squared closure forces", "N2 s"),
-}
-# Terms that make the best effort unique and smooth; without one of them a motion may chatter.
-QUADRATIC = ("effort", "copper_loss", "effort_rate")
+from linkplan.planner.problem.extra import ExtraCost, checked_extras
+from linkplan.planner.problem.terms import TERMS, Term, term_of_cost
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Objective:
-    """The sum of terms out of `TERMS`, each with its positive weight, per SI unit of the term."""
+    """The sum of terms out of `TERMS` and of `extra` costs, each with its positive weight, per SI unit of the term."""
 
     weights: Mapping[str, float]
+    extra: Sequence[ExtraCost] = ()
+    terms: Mapping[str, Term] = field(init=False)
 
     def __post_init__(self) -> None:
-        if not self.weights:
+        weights, extra = dict(self.weights), checked_extras(self.extra, ExtraCost, "extra_costs")
+        if not weights and not extra:
             raise ProblemError(f"objective.minimize names at least one of {', '.join(TERMS)}")
-        for term, weight in self.weights.items():
-            if term not in TERMS:
+        own = {cost.name: cost for cost in extra}
+        for term, weight in weights.items():
+            if term not in TERMS and term not in own:
                 raise ProblemError(f"objective.minimize is one of {', '.join(TERMS)}, got '{term}'{nearest(term, TERMS)}")
             if not (np.isfinite(weight) and weight > 0):
                 raise ProblemError(f"objective.minimize.{term} is a positive weight, got {weight!r}")
-        object.__setattr__(self, "weights", dict(self.weights))
+        for name in own:
+            if name in TERMS:
+                raise ProblemError(f"extra cost '{name}' has the name of a term of objective.minimize")
+        weights |= {name: cost.weight for name, cost in own.items()}
+        object.__setattr__(self, "weights", weights)
+        object.__setattr__(self, "extra", extra)
+        terms = {name: term_of_cost(own[name]) if name in own else TERMS[name] for name in weights}
+        object.__setattr__(self, "terms", terms)
+
+    def __reduce__(self) -> tuple:
+        return objective_from, (self.weights, self.extra)  # terms are functions, which are not pickled
 
     def has(self, *terms: str) -> bool:
         """Return whether any of the terms is in the sum."""
@@ -47,6 +49,20 @@ class Objective:
         """Return a term's weight, 0 where it is not in the sum."""
         return self.weights.get(term, 0.0)
 
+    def efforts(self, *shapes: str) -> bool:
+        """Return whether a term gives efforts one of these shapes (`Term.efforts`)."""
+        return any(term.efforts in shapes for term in self.terms.values())
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether a weight on the squared effort rate stands beside it: alone it lets efforts chatter."""
+        return any(term.chatters for term in self.terms.values()) and not self.efforts("bend", "smooth")
+
+    @property
+    def unit(self) -> str:
+        """The SI unit of an objective of one term; empty of a sum."""
+        return next(iter(self.terms.values())).unit if len(self.terms) == 1 else ""
+
     @property
     def name(self) -> str:
         """The objective in a few words: a term's name, or the weighted sum."""
@@ -55,12 +71,12 @@ class Objective:
         return " + ".join(term if weight == 1 else f"{weight:g} {term}" for term, weight in self.weights.items())
 
 
-def objective_from(value: object) -> Objective:
-    """Return the objective that a term's name or a table of weights means."""
+def objective_from(value: object, extra: Sequence[ExtraCost] = ()) -> Objective:
+    """Return the objective that a term's name or a table of weights means, with extra costs beside it."""
     if isinstance(value, Objective):
         return value
     if isinstance(value, str):
-        return Objective(weights={value: 1.0})
+        return Objective(weights={value: 1.0}, extra=extra)
     if not isinstance(value, Mapping):
         raise ProblemError(f"objective.minimize is a term ({', '.join(TERMS)}) or a table of term = weight, got {value!r}")
-    return Objective(weights=value)
+    return Objective(weights=value, extra=extra)

@@ -1,6 +1,7 @@
 """The continuous problem: which motion of which mechanism, best in which sense, within which limits."""
 
 import functools
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.keys.reading import checked
 from linkplan.planner.problem.corner_efforts import corner_out_of_reach
+from linkplan.planner.problem.extra import Extra, ExtraLimit, checked_extras, uses
 from linkplan.planner.problem.limits import Limits, Motor
 from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.objective import Objective, objective_from
@@ -49,6 +51,7 @@ class PlanningProblem:
     motion: Motion
     objective: Objective  # a term's name or a mapping of weights will do
     limits: Limits
+    extra_limits: Sequence[ExtraLimit] = ()
     robust: Robust = field(default_factory=Robust)
     motors: tuple[Motor | None, ...] = ()
     reference: Sine | None = None
@@ -79,7 +82,6 @@ class PlanningProblem:
         object.__setattr__(self, "tracking", self.tracking.tracked())
         checked("limits.contacts", self.contacts)
         checked("limits.unhonoured", self.unhonoured)
-        motion, objective = self.motion, self.objective
         falsifying = _falsifying(self.mechanism)
         if falsifying and self.unhonoured == "refuse":
             raise ProblemError(
@@ -89,7 +91,19 @@ class PlanningProblem:
             )
         if self.mechanism.n_u == 0:
             raise ProblemError(f"mechanism '{self.mechanism.name}' has no usable actuator; a plan needs one")
+        self._check_extras()
         self._check_objective()
+        self._check_motion()
+        self._check_shapes()
+        self._check_periods()
+        self._check_robust()
+        self._check_node_at_end()
+
+    def _check_motion(self) -> None:
+        """Refuse a motion whose kind does not go with its ends, its reference or its objective."""
+        motion, objective = self.motion, self.objective
+        if motion.kind == "periodic":
+            self._check_periodic()
         if motion.kind == "reach" and (motion.start is None or motion.goal is None):
             raise ProblemError(
                 "motion.kind 'reach' needs motion.start_deg and motion.goal_deg, or motion.start_at and motion.goal_at"
@@ -98,30 +112,35 @@ class PlanningProblem:
             raise ProblemError("motion.kind 'track' needs a [reference]")
         if motion.kind == "track" and list(objective.weights) != ["tracking"]:
             raise ProblemError(f"motion.kind 'track' prescribes the motion: minimize is 'tracking', got '{objective.name}'")
-        if motion.kind == "periodic" and motion.waypoints and motion.goal is not None:
+        if motion.turns is not None and self.reference is not None:
+            raise ProblemError("motion.turns goes on turn after turn, and a [reference] returns: keep one of them")
+
+    def _check_periodic(self) -> None:
+        """Refuse a periodic motion without anything that makes it move, or with ends that do not fit."""
+        motion, objective = self.motion, self.objective
+        if motion.waypoints and motion.goal is not None:
             raise ProblemError(
                 "motion.kind 'periodic' with motion.waypoints ends where it starts: it takes no motion.goal_deg"
             )
         turns = motion.turns is not None
-        if turns and self.reference is not None:
-            raise ProblemError("motion.turns goes on turn after turn, and a [reference] returns: keep one of them")
         one_end = (motion.start is None) != (motion.goal is None) and not (turns and motion.goal is None)
-        if motion.kind == "periodic" and not motion.waypoints and one_end:
+        if not motion.waypoints and one_end:
             raise ProblemError("motion.kind 'periodic' takes motion.start_deg and motion.goal_deg together, or neither")
         moves = motion.goal is not None or bool(motion.waypoints) or turns
-        if motion.kind == "periodic" and self.reference is None and not moves:
+        if self.reference is None and not moves:
             raise ProblemError(
                 "motion.kind 'periodic' needs a [reference], or motion.start_deg and motion.goal_deg, or motion.waypoints"
                 " or motion.turns"
             )
-        if motion.kind == "periodic" and not objective.has("tracking") and not moves:
+        if not objective.has("tracking") and not moves:
             raise ProblemError(
                 f"motion.kind 'periodic' with minimize '{objective.name}' needs motion.start_deg and motion.goal_deg to move"
                 " between, or motion.waypoints: without them the optimum is to stand still"
             )
-        self._check_shapes()
-        self._check_periods()
-        self._check_robust()
+
+    def _check_node_at_end(self) -> None:
+        """Refuse a scheme without a node at an interval's end if a pose there is left open."""
+        motion = self.motion
         needs_node = ["motion.goal_at that leaves a loop's pose open"]
         needs_node = needs_node if motion.goal_is_free and len(self.mechanism.dependent) else []
         opened = [f"motion.waypoints[{k}].at" for k, waypoint in enumerate(motion.waypoints) if waypoint.at_rows]
@@ -179,31 +198,26 @@ class PlanningProblem:
                 "objective.minimize 'time' needs finite limits.effort: without them no time is the least; there are none"
                 f" (a motor's ctrlrange, a servo's forcerange) for {', '.join(unlimited)}"
             )
-        if objective.has("tracking") and self.reference is None:
-            raise ProblemError("objective.minimize 'tracking' needs a [reference]")
         if list(objective.weights) == ["time"] and motion.stays:
             raise ProblemError("motion.start_deg is motion.goal_deg: a motion of least time between them takes no time")
-        if objective.has("time") and motion.duration_s is not None:
-            raise ProblemError(f"objective.minimize 'time' needs motion.duration_s = \"free\", got {motion.duration_s:g}")
-        if objective.has("tracking") and motion.duration_s is None:
-            raise ProblemError("objective.minimize 'tracking' needs a fixed motion.duration_s, got 'free'")
-        lacking = [
-            actuator.name
-            for actuator, motor in zip(self.mechanism.actuators, self.motors, strict=False)
-            if motor is None or motor.torque_constant is None
-        ]
-        if objective.has("copper_loss") and lacking:
-            raise ProblemError(
-                "objective.minimize 'copper_loss' needs motors.NAME.torque_constant and resistance_ohm of every actuator;"
-                f" missing for {', '.join(lacking)}"
-            )
-        if objective.has("closure_force") and not self.mechanism.closure_names:
-            raise ProblemError(f"objective.minimize 'closure_force' needs a closure; '{self.mechanism.name}' has none")
-        rated = np.any(np.isfinite(self.limits.effort_rate))
-        if (objective.has("effort_rate") or rated) and self.mesh.effort == "constant":
-            raise ProblemError(
-                "limits.effort_rate and minimize 'effort_rate' need mesh.effort linear or polynomial, got constant"
-            )
+        for name, term in objective.terms.items():
+            for need in term.needs:
+                lacking = NEEDS[need](self)
+                if lacking is not None:
+                    raise ProblemError(f"objective.minimize '{name}' needs {lacking}")
+        if np.any(np.isfinite(self.limits.effort_rate)) and self.mesh.effort == "constant":
+            raise ProblemError(f"limits.effort_rate needs {NEEDS['changing efforts'](self)}")
+
+    def _check_extras(self) -> None:
+        """Refuse extra limits and costs that this mechanism cannot have."""
+        object.__setattr__(self, "extra_limits", checked_extras(self.extra_limits, ExtraLimit, "extra_limits"))
+        for extra in self.extras:
+            uses(extra, self.mechanism)
+
+    @property
+    def extras(self) -> tuple[Extra, ...]:
+        """The users' own limits and costs."""
+        return (*self.extra_limits, *self.objective.extra)
 
     def _check_shapes(self) -> None:
         motion, mechanism = self.motion, self.mechanism
@@ -250,6 +264,37 @@ class PlanningProblem:
         return tuple(
             f"left out of the plan, which is false by it: {one.text}" if one.falsifies else one.text for one in found
         )
+
+
+def _free_duration(problem: PlanningProblem) -> str | None:
+    given = problem.motion.duration_s
+    return None if given is None else f'motion.duration_s = "free", got {given:g}'
+
+
+def _motors(problem: PlanningProblem) -> str | None:
+    lacking = [
+        actuator.name
+        for actuator, motor in zip(problem.mechanism.actuators, problem.motors, strict=False)
+        if motor is None or motor.torque_constant is None
+    ]
+    if not lacking:
+        return None
+    return f"motors.NAME.torque_constant and resistance_ohm of every actuator; missing for {', '.join(lacking)}"
+
+
+# What terms of an objective need of a problem: the words on what is lacking, None where nothing is.
+NEEDS: Mapping[str, Callable[[PlanningProblem], str | None]] = {
+    "reference": lambda problem: "a [reference]" if problem.reference is None else None,
+    "free duration": _free_duration,
+    "fixed duration": lambda problem: "a fixed motion.duration_s, got 'free'" if problem.motion.duration_s is None else None,
+    "motors": _motors,
+    "closures": lambda problem: (
+        None if problem.mechanism.closure_names else f"a closure; '{problem.mechanism.name}' has none"
+    ),
+    "changing efforts": lambda problem: (
+        "mesh.effort linear or polynomial, got constant" if problem.mesh.effort == "constant" else None
+    ),
+}
 
 
 @functools.lru_cache(maxsize=16)

@@ -8,7 +8,6 @@ import numpy as np
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.certified_iterate import certify_iterate
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
-from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.marking import most_overrun, widths_of
 from linkplan.planner.refinement.pontryagin import interval_breaks, released
 from linkplan.planner.refinement.state import RefinementState, observed
@@ -23,7 +22,7 @@ SAME_OBJECTIVE = 1e-6
 class Action(Protocol):
     """One step of a refinement."""
 
-    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+    def apply(self, state: RefinementState) -> RefinementState:
         """Return the state after the action; `ended` if no motion was found."""
         ...
 
@@ -32,33 +31,33 @@ class Action(Protocol):
 class ReadSwitches:
     """Read the switch times from the motion and solve for them as unknowns."""
 
-    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+    def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with switch times, or the same one where they make it no better."""
         found = state.at.found
-        better = settle_switch_times(state.case, found, history, say, position_rows=state.position_rows)
+        better = settle_switch_times(state.case, found, position_rows=state.position_rows)
         counted = replace(state, readings=state.readings + 1)
         if better.solution is found.solution:
             return replace(counted, ended=state.finished)
         everything = better.fixed is not None and better.fixed.everything
         # With everything held, halving removes an overrun: it has its full number of rounds.
         counted = replace(counted, rounds=state.rounds + 1, read_in=state.rounds if everything else state.read_in)
-        return observed(counted, certify_iterate(state.asked, better, history))
+        return observed(counted, certify_iterate(state.asked, better))
 
 
 @dataclass(frozen=True, slots=True)
 class ImposeRanges:
     """Impose the states' ranges at every instant, by rows on Bernstein coefficients, on the same mesh."""
 
-    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+    def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with ranges imposed; without them, for good, where they lead to no motion."""
         rows = replace(state, position_rows=True)
         what = "state limits imposed at every instant"
-        found = _solved_on(rows, np.zeros(state.at.n_intervals, dtype=bool), what, history, say)
+        found = _solved_on(rows, np.zeros(state.at.n_intervals, dtype=bool), what)
         if found is None:  # the error of this mesh leaves the range; a finer one keeps it
             return replace(state, rows_lost=True, rounds=state.rounds + 1)
         if state.target.switches:
-            found = settle_switch_times(state.case, replace(found, fixed=None), history, say, position_rows=True)
-        return observed(replace(rows, rounds=state.rounds + 1), certify_iterate(state.asked, found, history))
+            found = settle_switch_times(state.case, replace(found, fixed=None), position_rows=True)
+        return observed(replace(rows, rounds=state.rounds + 1), certify_iterate(state.asked, found))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +66,10 @@ class RaiseDegree:
 
     scheme: str
 
-    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+    def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with the scheme."""
         higher = replace(state, case=state.case.with_scheme(self.scheme))
-        return _after(higher, np.zeros(state.at.n_intervals, dtype=bool), f"higher degree, {self.scheme}", history, say)
+        return _after(higher, np.zeros(state.at.n_intervals, dtype=bool), f"higher degree, {self.scheme}")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -81,29 +80,29 @@ class Halve:
     tightens: bool = False
     tells: bool = True
 
-    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+    def apply(self, state: RefinementState) -> RefinementState:
         """Return the state on the finer mesh."""
         finer, what = state, "finer mesh"
         if self.tightens:
             finer, what = _tightened(state), "finer mesh, constraints tightened between the nodes"
-        return _after(finer, self.marked, what, history, say, tells=self.tells)
+        return _after(finer, self.marked, what, tells=self.tells)
 
 
 @dataclass(frozen=True, slots=True)
 class Tighten:
     """Tighten limits by their overrun between the nodes, on the same mesh."""
 
-    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+    def apply(self, state: RefinementState) -> RefinementState:
         """Return the state within tightened limits."""
         none = np.zeros(state.at.n_intervals, dtype=bool)
-        return _after(_tightened(state), none, "constraints tightened between the nodes", history, say)
+        return _after(_tightened(state), none, "constraints tightened between the nodes")
 
 
 @dataclass(frozen=True, slots=True)
 class Loosen:
     """Solve with the limits as asked, at first on the mesh of the best motion, later halved where they were overrun."""
 
-    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+    def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with the limits as asked."""
         best, loose = state.best.found, state.loose
         asked = state.asked.with_scheme(best.solution.transcribed.scheme.name)
@@ -111,13 +110,13 @@ class Loosen:
         marked = np.zeros(best.mesh.n_intervals, dtype=bool) if loose is None else most_overrun(loose)
         mesh, durations = halved(coarse.mesh, marked), np.bincount(coarse.mesh.segment, np.diff(coarse.motion.breaks_s))
         found = attempt(
-            asked, asked.start_from(coarse.motion), mesh, durations, "limits as asked", history, say,
+            asked, asked.start_from(coarse.motion), mesh, durations, "limits as asked",
             warm=True, fixed=_held_in(best), position_rows=state.position_rows,
         )  # fmt: skip
         new = replace(state, case=asked, rounds=state.rounds + 1, tightenings=0, idle=state.idle + 1, warm=True, ended=False)
         if found is None:
             return replace(new, ended=True, loose=state.best)
-        at = certify_iterate(state.asked, found, history)
+        at = certify_iterate(state.asked, found)
         return observed(replace(new, loose=at), at)
 
 
@@ -125,7 +124,7 @@ class Loosen:
 class ReleaseArcs:
     """Let held arcs begin and end where the sign of their multipliers changes (Pontryagin's principle)."""
 
-    def apply(self, state: RefinementState, history: list[Step], say: Say) -> RefinementState:
+    def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with the arcs released."""
         best = state.best.found
         release = released(best.solution)
@@ -137,11 +136,11 @@ class ReleaseArcs:
         switch_times = ends[1:-1][~np.isin(ends[1:-1], boundaries)]
         mesh, durations = mesh_with_switches(boundaries, switch_times, state.asked.problem.mesh.intervals)
         what = "arcs against their limits released"
-        found = attempt(finest, finest.start_from(best.motion), mesh, durations, what, history, say, warm=True, fixed=fixed)
+        found = attempt(finest, finest.start_from(best.motion), mesh, durations, what, warm=True, fixed=fixed)
         counted = replace(state, case=finest, releases=state.releases + 1, rounds=state.rounds + 1)
         if found is None:
             return replace(counted, ended=True)
-        return observed(replace(counted, ended=False, warm=True), certify_iterate(state.asked, found, history))
+        return observed(replace(counted, ended=False, warm=True), certify_iterate(state.asked, found))
 
 
 def _held_in(found: Iterate[Any]) -> FixedArcs | None:
@@ -156,17 +155,15 @@ def _tightened(state: RefinementState) -> RefinementState:
     return replace(state, case=case, tightenings=state.tightenings + 1)
 
 
-def _after(
-    state: RefinementState, marked: np.ndarray, what: str, history: list[Step], say: Say, *, tells: bool = True
-) -> RefinementState:
+def _after(state: RefinementState, marked: np.ndarray, what: str, *, tells: bool = True) -> RefinementState:
     """Return the state after a solve with marked intervals (n,) halved."""
-    found = _solved_on(state, marked, what, history, say)
+    found = _solved_on(state, marked, what)
     if found is None:
         return replace(state, ended=True)
-    return observed(replace(state, rounds=state.rounds + 1), certify_iterate(state.asked, found, history), tells=tells)
+    return observed(replace(state, rounds=state.rounds + 1), certify_iterate(state.asked, found), tells=tells)
 
 
-def _solved_on(state: RefinementState, marked: np.ndarray, what: str, history: list[Step], say: Say) -> Iterate[Any] | None:
+def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate[Any] | None:
     """Solve with the marked intervals (n,) halved and return the iterate, or None.
 
     The solver starts at the coarser solution (warm) if efforts are bang arcs or jump inside intervals, else with a large
@@ -180,7 +177,7 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str, history: l
 
     def tried(word: str, fixed: FixedArcs | None, **how: bool) -> Iterate[Any] | None:
         rows = state.position_rows
-        return attempt(case, start, mesh, durations, what + word, history, say, position_rows=rows, fixed=fixed, **how)
+        return attempt(case, start, mesh, durations, what + word, position_rows=rows, fixed=fixed, **how)
 
     def alike(finer: Iterate[Any]) -> bool:
         change = abs(finer.solution.objective - coarse.solution.objective)

@@ -14,7 +14,7 @@ from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
-from linkplan.planner.refinement.history import Say, Step, step_of
+from linkplan.planner.refinement.history import progress, record, recorded, step_of
 from linkplan.planner.refinement.switches import Motion
 from linkplan.planner.solvers.outcome import OUT_OF_TIME
 from linkplan.planner.solvers.solve import Solution, solve
@@ -189,8 +189,6 @@ def attempt(
     mesh: Mesh,
     durations: np.ndarray,
     what: str,
-    history: list[Step],
-    say: Say,
     *,
     warm: bool = False,
     close: bool = False,
@@ -206,8 +204,6 @@ def attempt(
         mesh: intervals.
         durations: (n_segments,) [s] of the mesh's segments in the start.
         what: the words on this solve in history and progress.
-        history: takes a note of it.
-        say: called with a line of progress.
         warm: as of `linkplan.planner.solvers.solve.build_solver`.
         close: likewise.
         position_rows: whether ranges are kept between the nodes by constraint rows.
@@ -217,7 +213,7 @@ def attempt(
     settings = case.problem
     if settings.solver.deadline.passed:
         return None
-    say(_attempted(what, settings.mesh.scheme, mesh, history))
+    progress(_attempted(what, settings.mesh.scheme, mesh))
     efforts, paths = (bang_efforts, None) if fixed is None else (fixed.efforts, fixed.paths)
     try:
         transcribed = case.transcribe(
@@ -226,7 +222,7 @@ def attempt(
     except (AssemblyError, OutOfTimeError):  # the loops of the start open between the instants at which it was sampled
         return None
     asked = _asked(transcribed, settings.solver, warm, close)
-    known = next((step for step in history if step.asked == asked), None)
+    known = next((step for step in recorded() if step.asked == asked), None)
     answer = None if known is None else known.answer
     if known is not None and answer is None:
         return None  # a repair that changes nothing here
@@ -234,7 +230,7 @@ def attempt(
         solution = Solution(**{**answer, "transcribed": transcribed, "build_s": 0.0, "solve_s": 0.0})
     else:
         solution = solve(transcribed, settings.solver, warm=warm, close=close)
-    history.append(step_of(what, transcribed, solution, asked if solution.status != OUT_OF_TIME else ""))
+    record(step_of(what, transcribed, solution, asked if solution.status != OUT_OF_TIME else ""))
     if not solution.converged:
         return None
     motion = case.motion(solution)
@@ -261,9 +257,10 @@ def _expressions(system: System, endpoint: Endpoint | None) -> bytes:
     return hashlib.sha256("|".join(function.serialize() for function in functions).encode()).digest()
 
 
-def _attempted(what: str, scheme: str, mesh: Mesh, history: list[Step]) -> str:
+def _attempted(what: str, scheme: str, mesh: Mesh) -> str:
     """Return the progress line of a solve that begins, with the objective of the previous one."""
     segments = f"{mesh.n_segments} segments" if mesh.n_segments > 1 else "1 segment"
-    last = history[-1] if history else None
+    steps = recorded()
+    last = steps[-1] if steps else None
     came = "" if last is None else f"; last objective {last.objective:.6g}" if last.converged else "; last one not solved"
     return f"{what}: {scheme}, {mesh.n_intervals} intervals, {segments}{came}"

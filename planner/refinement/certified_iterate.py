@@ -1,12 +1,12 @@
 """An iterate of the refinement with its certificate and its errors."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from linkplan.planner.refinement.case import Case, CertificateT, ErrorReport, Iterate, MotionT
-from linkplan.planner.refinement.history import Step
+from linkplan.planner.refinement.history import amend_last_step
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -36,15 +36,12 @@ class CertifiedIterate(Generic[MotionT, CertificateT]):
 CertifiedIterateT = TypeVar("CertifiedIterateT", bound=CertifiedIterate)
 
 
-def certify_iterate(
-    case: Case[MotionT, CertificateT], found: Iterate[MotionT], history: list[Step]
-) -> CertifiedIterate[MotionT, CertificateT]:
+def certify_iterate(case: Case[MotionT, CertificateT], found: Iterate[MotionT]) -> CertifiedIterate[MotionT, CertificateT]:
     """Certify an iterate and note its integration error in the history."""
     certificate = case.certify(found.motion)
     report = None if certificate is None else case.error_report(certificate)
     if report is not None:
-        history[-1] = replace(
-            history[-1],
+        amend_last_step(
             integration_error_deg=report.integration_error_deg,
             integration_error=report.integration_error,
         )

@@ -63,6 +63,7 @@ def next_action(state: RefinementState) -> Action | None:
 
 
 def _towards_a_certificate(state: RefinementState) -> Action | None:
+    """Return the next action on a motion that does not pass, or whose objective has not settled."""
     at, report = state.at, state.at.report
     if state.ended or state.rounds >= MAX_ROUNDS or (report is not None and not at.passed and not report.mendable):
         return None
@@ -75,6 +76,12 @@ def _towards_a_certificate(state: RefinementState) -> Action | None:
         return ReadSwitches()
     if report is not None and report.leaves_positions and not (state.position_rows or state.rows_lost):
         return ImposeRanges()
+    return _finer(state, over)
+
+
+def _finer(state: RefinementState, over: np.ndarray) -> Action | None:
+    """Return the action on the errors of the mesh and on the intervals (n,) that overrun a limit."""
+    at = state.at
     inexact, uneven = _inexact(state, over)
     higher = _higher_scheme(state, inexact if state.target.enclosed else inexact | uneven, over)
     if higher is not None:

@@ -1,7 +1,12 @@
-"""The record of the solves that lead to a plan, and the type of the progress callback."""
+"""The record of the solves that lead to a plan, and its progress.
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+A plan is made inside `recording`. Whatever solves calls `record` and `progress` there; no function passes a record on.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from linkplan.planner.solvers.solve import Solution
@@ -37,6 +42,47 @@ class Step:
     def saved(cls) -> tuple[str, ...]:
         """Return the names of what is saved of a step: all but what spares the search a second solve."""
         return tuple(name for name in cls.__slots__ if name not in ("asked", "answer"))
+
+
+# The steps of the plan that is being made in this thread, and where its progress goes.
+_STEPS: ContextVar[list[Step] | None] = ContextVar("steps", default=None)
+_SAY: ContextVar[Say] = ContextVar("say", default=silent)
+
+
+@contextmanager
+def recording(say: Say = silent) -> Iterator[list[Step]]:
+    """Record the solves made inside, and call `say` with lines of progress; a recording inside another is separate."""
+    steps: list[Step] = []
+    before, said_before = _STEPS.set(steps), _SAY.set(say)
+    try:
+        yield steps
+    finally:
+        _STEPS.reset(before)
+        _SAY.reset(said_before)
+
+
+def recorded() -> tuple[Step, ...]:
+    """Return the steps recorded so far; none outside of `recording`."""
+    return tuple(_STEPS.get() or ())
+
+
+def record(step: Step) -> None:
+    """Add a step to the record; outside of `recording` it is not kept."""
+    steps = _STEPS.get()
+    if steps is not None:
+        steps.append(step)
+
+
+def amend_last_step(**values: float | None) -> None:
+    """Change values of the last step, such as the integration error that its certificate found."""
+    steps = _STEPS.get()
+    if steps:
+        steps[-1] = replace(steps[-1], **values)
+
+
+def progress(text: str) -> None:
+    """Report a line of progress."""
+    _SAY.get()(text)
 
 
 def step_of(what: str, transcribed: Transcribed, solution: Solution, asked: str = "") -> Step:

@@ -6,14 +6,13 @@ from linkplan.models.interrupts import check
 from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT
 from linkplan.planner.refinement.certified_iterate import certify_iterate
 from linkplan.planner.refinement.decision import next_action
-from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.refinement.switch_search import at_bounds, settle_switch_times
 
 
 def refine(
-    case: Case[MotionT, CertificateT], found: Iterate[MotionT], history: list[Step], say: Say, *, warm: bool = False
+    case: Case[MotionT, CertificateT], found: Iterate[MotionT], *, warm: bool = False
 ) -> Refined[MotionT, CertificateT] | None:
     """Return the best motion towards the tolerance, or None without a certificate.
 
@@ -22,25 +21,23 @@ def refine(
     Args:
         case: what is refined, with the limits as they are asked.
         found: the first solution.
-        history: takes a note of every solve.
-        say: called with a line of progress.
         warm: whether finer meshes are solved from next to the coarser one's answer: less exact, but an unstable motion is
             not lost on the way.
     """
-    state = first_state(case, found, history, say, warm=warm)
+    state = first_state(case, found, warm=warm)
     while (action := next_action(state)) is not None:
         check()
-        state = action.apply(state, history, say)
+        state = action.apply(state)
     return state.result
 
 
 def first_state(
-    case: Case[MotionT, CertificateT], found: Iterate[MotionT], history: list[Step], say: Say, *, warm: bool
+    case: Case[MotionT, CertificateT], found: Iterate[MotionT], *, warm: bool
 ) -> RefinementState[MotionT, CertificateT]:
     """Return the state that a first solution leads to: with switch times as unknowns where efforts jump."""
     if found.fixed is None or not found.fixed.everything or at_bounds(found.solution) or case.target.enclosed:
         found = replace(found, fixed=None)
         if case.target.switches:
-            found = settle_switch_times(case, found, history, say)
-    at = certify_iterate(case, found, history)
+            found = settle_switch_times(case, found)
+    at = certify_iterate(case, found)
     return observed(RefinementState(asked=case, case=case, at=at, warm=warm), at)

@@ -14,7 +14,6 @@ from linkplan.planner.refinement.constrained_arcs import (
     path_arcs,
 )
 from linkplan.planner.refinement.held_arcs import held_throughout
-from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
 from linkplan.planner.solvers.solve import Solution
@@ -46,8 +45,6 @@ class _Reading:
 def settle_switch_times(
     case: Case[MotionT, CertificateT],
     found: Iterate[MotionT],
-    history: list[Step],
-    say: Say,
     *,
     position_rows: bool = False,
 ) -> Iterate[MotionT]:
@@ -73,7 +70,7 @@ def settle_switch_times(
             finer, durations = mesh_with_switches(boundaries, reading.switch_times_s, case.problem.mesh.intervals)
             finer = graded(finer, durations) if reading.graded else finer
             tried = attempt(
-                case, start, finer, durations, reading.what, history, say,
+                case, start, finer, durations, reading.what,
                 warm=True, position_rows=position_rows, fixed=reading.fixed,
             )  # fmt: skip
             # If everything is held, nothing can be gained between the nodes: the rest of the difference is the error of the

@@ -1,6 +1,7 @@
 """The switch times of a motion, read from the coefficients of its efforts."""
 
 import itertools
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -59,8 +60,7 @@ def find_switch_times(
     boundaries = breaks[[0, -1]] if boundaries_s is None else boundaries_s
     known_boundaries = np.searchsorted(breaks, boundaries[1:-1] - 1e-12 * breaks[-1]) if short else np.empty(0, dtype=int)
     at_boundaries = {0, len(breaks) - 1, *known_boundaries.tolist()}
-    switch_times: list[float] = []
-    pulses: list[list[float]] = []
+    found: list[list[float]] = []
     for j, (low, high) in enumerate(limit):
         if not (np.isfinite(low) and np.isfinite(high) and high > low):
             continue
@@ -71,32 +71,61 @@ def find_switch_times(
         edges = np.array(sorted({*(np.flatnonzero(np.diff(arc)) + 1).tolist(), *known_boundaries.tolist()}), dtype=int)
         starts, ends = np.concatenate([[0], edges]), np.concatenate([edges, [len(arc)]])
         for a, b in zip(starts, ends, strict=True):
-            before = 0 if a in at_boundaries else arc[a - 1]
-            after = 0 if b in at_boundaries else arc[b]
-            if arc[a] != 0:
-                if before != 0:
-                    switch_times.append(float(breaks[a]))
-            elif on_path is not None and on_path[a:b].any() and b - a <= 2:
-                switch_times += [float(breaks[k]) for k, neighbour in ((a, before), (b, after)) if neighbour != 0]
-            elif b - a > SMEARED_INTERVALS or (on_path is not None and on_path[a:b].any()):
-                # An arc of its own: its first and last interval may hold the rest of the arcs at limits beside it.
-                for k, inner, neighbour in ((a, a + 1, before), (b - 1, b - 2, after)):
-                    if neighbour != 0:
-                        at_limit, within = (high if neighbour > 0 else low), coefficients[:, inner].mean()
-                        u_before, u_after = (at_limit, within) if k == a else (within, at_limit)
-                        switch_times.append(
-                            _switch_time_in(breaks[k : k + 2], coefficients[:, k : k + 1], u_before, u_after)
-                        )
-            elif before * after > 0 and short:
-                pulses.append(_pulse_in(breaks[a : b + 1], coefficients[:, a:b], (low, high) if before < 0 else (high, low)))
-            elif before * after < 0 and continuous_efforts:
-                pulses.append([float(breaks[a]), float(breaks[b])])
-            elif before * after < 0 or (short and before + after):
-                # Next to a phase boundary or an end the arc on the other side is shorter than an interval: at the other
-                # limit.
-                u_before, u_after = (high, low) if before > 0 or after < 0 else (low, high)
-                switch_times.append(_switch_time_in(breaks[a : b + 1], coefficients[:, a:b], u_before, u_after))
-    return _spread([[switch_time] for switch_time in switch_times] + pulses, breaks, boundaries, SHARE_BESIDE_OTHERS[short])
+            piece = _Piece(
+                breaks=breaks[a : b + 1],
+                coefficients=coefficients[:, a:b],
+                at_limit=int(arc[a]),
+                before=0 if a in at_boundaries else int(arc[a - 1]),
+                after=0 if b in at_boundaries else int(arc[b]),
+                on_path=on_path is not None and bool(on_path[a:b].any()),
+            )
+            found += piece.switches(float(low), float(high), short=short, continuous_efforts=continuous_efforts)
+    return _spread(found, breaks, boundaries, SHARE_BESIDE_OTHERS[short])
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Piece:
+    """Successive intervals (n,) on which one effort is at one limit all along, or at none.
+
+    `at_limit`, and `before` and `after` of the pieces beside it, is 1 at the upper limit, -1 at the lower, 0 at none or
+    where the mesh is cut. `on_path` says that an interval of it follows a path limit.
+    """
+
+    breaks: np.ndarray  # (n + 1,) [s]
+    coefficients: np.ndarray  # (degree + 1, n)
+    at_limit: int
+    before: int
+    after: int
+    on_path: bool
+
+    def switches(self, low: float, high: float, *, short: bool, continuous_efforts: bool) -> list[list[float]]:
+        """Return groups of switch times [s] that the piece shows; the two of a pulse are one group."""
+        breaks, before, after, n = self.breaks, self.before, self.after, len(self.breaks) - 1
+        if self.at_limit:
+            return [[float(breaks[0])]] if before else []
+        if self.on_path and n <= 2:
+            return [[float(time)] for time, neighbour in ((breaks[0], before), (breaks[-1], after)) if neighbour]
+        if self.on_path or n > SMEARED_INTERVALS:
+            return self._ends_of_arc(low, high)
+        if before * after > 0 and short:
+            return [_pulse_in(breaks, self.coefficients, (low, high) if before < 0 else (high, low))]
+        if before * after < 0 and continuous_efforts:
+            return [[float(breaks[0]), float(breaks[-1])]]
+        if before * after < 0 or (short and before + after):
+            # Next to a phase boundary or an end the arc on the other side is shorter than an interval: at the other limit.
+            u_before, u_after = (high, low) if before > 0 or after < 0 else (low, high)
+            return [[_switch_time_in(breaks, self.coefficients, u_before, u_after)]]
+        return []
+
+    def _ends_of_arc(self, low: float, high: float) -> list[list[float]]:
+        """Return the ends of an arc within the limits: its first and last interval may hold a rest of the arcs beside it."""
+        found, n = [], len(self.breaks) - 1
+        for k, inner, neighbour in ((0, 1, self.before), (n - 1, n - 2, self.after)):
+            if neighbour:
+                at_limit, within = (high if neighbour > 0 else low), self.coefficients[:, inner].mean()
+                u_before, u_after = (at_limit, within) if k == 0 else (within, at_limit)
+                found.append([_switch_time_in(self.breaks[k : k + 2], self.coefficients[:, k : k + 1], u_before, u_after)])
+        return found
 
 
 def _switch_time_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
-from linkplan.planner.certificate.margins import Margin
+from linkplan.planner.limits.path_limit import Margin, Tightened
 
 # A little more than the overrun is taken off, so that the next motion keeps the limit and does not creep towards it.
 _MORE = 1.1
@@ -15,10 +16,14 @@ _FLOOR = 1e-7
 _LITTLE = 2e-5
 # Bounds are never tightened beyond this share of what lies between them.
 _MOST = 0.45
-# The limits that are rows of nodes, and so can be overrun between them.
-AT_NODES = ("speed", "motor", "power", "closure_force", "singular_margin", "control", "tendon", "site", "tube", "robust")
-# Of those, the ones whose rows are the square of what is limited, and those that are tightened in units of their rows.
-SQUARED, IN_UNITS = ("closure_force", "tube"), ("site", "tendon")
+
+
+class TightenedRow(NamedTuple):
+    """Which limit a row is of, and how it is tightened."""
+
+    what: str
+    item: int
+    tightened: Tightened
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -52,7 +57,7 @@ def tightenings_of(margins: tuple[Margin, ...], speed_overrun: np.ndarray, break
         if overrun.max(initial=0.0) > 0
     ]
     for margin in margins:
-        if margin.what in AT_NODES and not margin.kept:
+        if margin.of.tightened is not None and not margin.kept:
             found.append(
                 Tightening(
                     what=margin.what,
@@ -75,27 +80,28 @@ def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:
 
 
 def tightening_over(
-    tightenings: tuple[Tightening, ...], rows: list[tuple[str, int]], path: np.ndarray
+    tightenings: tuple[Tightening, ...], rows: list[TightenedRow], path: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray] | None:
     """Return a function from breaks (n + 1,) [s] to how much (n, n_path) the bounds `path` (n_path, 2) are tightened.
 
-    `rows` say for each path quantity which limit it is; the row of a closure's force is the force squared, that of a tube
-    the distance. A site's place and a tendon's length have no size of their own: their share is one of the row's unit.
+    `rows` say of which limits the first of these quantities are; the others are never tightened.
     """
     if not tightenings:
         return None
     size = np.where(np.isfinite(path), np.where(path == 0, 1.0, np.abs(path)), 0.0)
-    size[[what in IN_UNITS for what, _ in rows]] = 1.0
+    size[[column for column, row in enumerate(rows) if row.tightened is Tightened.IN_UNITS]] = 1.0
+    factor = [2.0 if row.tightened is Tightened.SQUARED else 1.0 for row in rows]
+    columns = {(row.what, row.item): column for column, row in enumerate(rows)}
     most = np.where(np.all(np.isfinite(path), axis=1), _MOST * (path[:, 1] - path[:, 0]), np.inf)
 
     def tightening(breaks_s: np.ndarray) -> np.ndarray:
         middle = (0.5 * (breaks_s[1:] + breaks_s[:-1]) - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
         amount = np.zeros((len(middle), len(path)))
         for one in tightenings:
-            if (one.what, one.item) in rows:
-                column = rows.index((one.what, one.item))
+            column = columns.get((one.what, one.item))
+            if column is not None:
                 share = one.share[np.clip(np.searchsorted(one.breaks, middle, side="right") - 1, 0, len(one.share) - 1)]
-                amount[:, column] += size[column, int(one.upper)] * (2 * share if one.what in SQUARED else share)
+                amount[:, column] += size[column, int(one.upper)] * factor[column] * share
         return np.minimum(amount, most)
 
     return tightening

@@ -6,13 +6,13 @@ import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.collisions import unavoidable
-from linkplan.planner.closed_chain.answer import finished
+from linkplan.planner.closed_chain.answer import finished, optimality
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.history import Say, Step
+from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.search.durations import with_longer_durations
 from linkplan.planner.search.first_mesh import PER_SWING, first_mesh, graded_mesh
@@ -50,10 +50,10 @@ def plan_from(
         return None
     problem = search.within(budget)
     missed = None
-    for found in _solved(problem, guess, f"start from {what}" if search.history else "first solve", search):
+    for found in _solved(problem, guess, f"start from {what}" if recorded() else "first solve", search):
         if found.solution.objective >= worth:
             continue
-        found, unbounded = with_longer_durations(problem, found, search.history, search.say)
+        found, unbounded = with_longer_durations(problem, found)
         if unbounded is not None:
             search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
             return None
@@ -70,13 +70,13 @@ def plan_from(
 def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -> list[Iterate]:
     """Return solutions from a start, the likelier first."""
     mesh, durations = first_mesh(problem, guess)
-    found = [solve_from(problem, guess, mesh, durations, word, search.history, search.say)]
+    found = [solve_from(problem, guess, mesh, durations, word)]
     if guess.switch_times_s is not None and search.only_time_counts:
         # Its switches are known: with switch times there and efforts held between them, the instants alone are to be found.
         graded, lengths = graded_mesh(guess, guess.switch_times_s, max(problem.mesh.intervals, PER_SWING * guess.swings))
         for warm, how in ((False, "bang efforts fixed"), (True, "bang efforts fixed, warm start")):
             attempted = solve_from(
-                problem, guess, graded, lengths, f"{word}, {how}", search.history, search.say,
+                problem, guess, graded, lengths, f"{word}, {how}",
                 bang_efforts=guess.bang_efforts, warm=warm,
             )  # fmt: skip
             found.append(attempted)
@@ -91,18 +91,16 @@ def _solved(problem: PlanningProblem, guess: Guess, word: str, search: Search) -
 
 def refined(search: Search, problem: PlanningProblem, found: Iterate, *, mended: bool = True) -> Plan:
     """Return the plan of a first solution; where its certificate does not pass, by way of the search's repairs."""
-    plan = certified(problem, found, search.history, search.say)
+    plan = certified(problem, found)
     for repair in search.repairs if mended else [repair for repair in search.repairs if repair.always]:
-        if not plan.passed and repair.tried(search, problem, plan):
-            plan = repair.mend(search, problem, found) or plan
+        if not plan.passed and repair.tried(problem, plan):
+            plan = repair.mend(problem, found) or plan
     return plan
 
 
 def certified(
     problem: PlanningProblem,
     found: Iterate,
-    history: list[Step],
-    say: Say,
     *,
     warm: bool = False,
     kinks: bool = True,
@@ -110,27 +108,27 @@ def certified(
 ) -> Plan:
     """Return the plan of a solution, refined until its certificate passes; `kinks` and `enclosed` as of `case_of`."""
     case = case_of(problem, kinks=kinks, enclosed=enclosed)
-    better = refine(case, found, history, say, warm=warm)
+    better = refine(case, found, warm=warm)
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
         if problem.solver.judging_deadline.passed:
             message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
-        return Plan(problem=problem, status="failed", message=message, history=tuple(history))
+        return Plan(problem=problem, status="failed", message=message, history=recorded())
     solved_for = better.solution
-    better, change = unsmoothed(case, better, history, say)
+    better, change = unsmoothed(case, better)
     solution = better.solution
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
     against = better.against
-    plan = finished(problem, better.motion, better.certificate, objective, history, None, optimal=not len(against))
     moved = change if better.solution is not solved_for else better.moved
+    optimal = not len(against) and moved <= _NOT_SETTLED
+    plan = finished(problem, better.motion, better.certificate, objective, None, optimal=optimal)
     said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > MOVES else ""
     if len(against):
         said += (
             f"; the arc at t = {against[0]:.4g} s would rather leave its limit (Pontryagin's principle): not a local optimum"
         )
     if plan.passed:
-        unsettled = plan.status == "optimal" and moved > _NOT_SETTLED
-        plan = only_feasible(plan, said) if unsettled else replace(plan, message=plan.message + said)
+        plan = replace(plan, message=plan.message + said)
     return replace(plan, solved=replace(solution.transcribed, start=solution.x))
 
 
@@ -138,7 +136,6 @@ def without_solving(
     problem: PlanningProblem,
     motion: Trajectory,
     objective: float,
-    history: list[Step],
     said: str,
     *,
     best: str | None = None,
@@ -149,12 +146,12 @@ def without_solving(
     """
     certificate = certify(problem, motion)
     optimal = best is not None and certificate.dynamics_residual <= _JUST_THESE * np.abs(motion.effort).max()
-    return finished(problem, motion, certificate, objective, history, best if optimal else said, optimal=optimal)
+    return finished(problem, motion, certificate, objective, best if optimal else said, optimal=optimal)
 
 
 def only_feasible(plan: Plan, why: str) -> Plan:
     """Return a plan that passes as one that is not known to be the best, and the words on why."""
-    return replace(plan, status="feasible", message=(plan.message.partition("-optimal ")[2] or plan.message) + why)
+    return replace(plan, status="feasible", message=plan.message.removeprefix(optimality(plan.problem)) + why)
 
 
 def unsound(plan: Plan) -> bool:
@@ -162,57 +159,45 @@ def unsound(plan: Plan) -> bool:
     return plan.certificate is not None and plan.certificate.mendable
 
 
-def lost_at_kinks(problem: PlanningProblem) -> bool:
-    """Return whether the only switches looked for are kinks of efforts that do not jump: worth a thousandth at the most."""
-    return case_of(problem).target.switches and not case_of(problem, kinks=False).target.switches
-
-
-def without_kinks(search: Search, problem: PlanningProblem, found: Iterate) -> Plan:
-    """Return the plan of a motion whose efforts' kinks are not looked for."""
-    return certified(problem, found, search.history, search.say, kinks=False)
-
-
-def from_next_to_it(search: Search, problem: PlanningProblem, found: Iterate) -> Plan | None:
+def from_next_to_it(problem: PlanningProblem, found: Iterate) -> Plan | None:
     """Return the plan whose finer meshes begin next to the coarser one's answer; None where it does not pass."""
-    kinks = not lost_at_kinks(problem)
-    plan = certified(problem, found, search.history, search.say, warm=True, kinks=kinks)
+    # Kinks of efforts that do not jump are not looked for: they are worth a thousandth of the objective at the most.
+    plan = certified(problem, found, warm=True, kinks=False)
     return plan if plan.passed else None
 
 
-def may_be_enclosed(search: Search, problem: PlanningProblem, plan: Plan) -> bool:
+def may_be_enclosed(problem: PlanningProblem, plan: Plan) -> bool:
     """Return whether limits on power or pin force, overrun between the nodes, may be kept there by rows on coefficients."""
-    del search
     margins = () if plan.certificate is None else plan.certificate.margins
-    overrun = any(margin.what in ("power", "closure_force") and not margin.kept for margin in margins)
+    overrun = any(margin.of.enclosable and not margin.kept for margin in margins)
     return problem.mesh.effort == "polynomial" and overrun and not case_of(problem).enclosed
 
 
-def enclosed(search: Search, problem: PlanningProblem, found: Iterate) -> Plan | None:
+def enclosed(problem: PlanningProblem, found: Iterate) -> Plan | None:
     """Return the plan of a motion whose limits on power and pin force are kept at every instant; None if none passes."""
-    plan = certified(problem, found, search.history, search.say, enclosed=True)
+    plan = certified(problem, found, enclosed=True)
     return plan if plan.passed else None
 
 
-def constant_efforts_would_do(search: Search, problem: PlanningProblem, plan: Plan) -> bool:
+def constant_efforts_would_do(problem: PlanningProblem, plan: Plan) -> bool:
     """Return whether a polynomial effort overruns limits between its nodes: along an arc it swings about what keeps it.
 
     Efforts whose rate is limited or costs have no jumps, and cannot be constant over intervals.
     """
-    del search
     if np.any(np.isfinite(problem.limits.effort_rate)) or problem.objective.has("effort_rate"):
         return False
     overrun = plan.certificate is not None and not all(margin.kept for margin in plan.certificate.margins)
     return problem.mesh.effort == "polynomial" and overrun
 
 
-def with_constant_efforts(search: Search, problem: PlanningProblem, found: Iterate) -> Plan | None:
+def with_constant_efforts(problem: PlanningProblem, found: Iterate) -> Plan | None:
     """Return the plan of a motion whose efforts are constant over intervals; None where it does not pass."""
-    plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=search.within(HURRIED).solver)
+    plain = replace(problem, mesh=replace(problem.mesh, effort="constant"), solver=HURRIED.of(problem.solver))
     mesh = found.mesh
     durations = np.bincount(mesh.segment, np.diff(found.motion.breaks_s))
     what = "efforts constant over intervals"
-    again = solve_from(plain, motion_of(found.motion), mesh, durations, what, search.history, search.say)
-    plan = None if again is None else certified(plain, again, search.history, search.say)
+    again = solve_from(plain, motion_of(found.motion), mesh, durations, what)
+    plan = None if again is None else certified(plain, again)
     if plan is None or not plan.passed:
         return None
     freely = found.solution.objective

@@ -11,10 +11,10 @@ import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.switch_search import at_bounds
 from linkplan.planner.search.attempts import certified, only_feasible
@@ -23,8 +23,7 @@ from linkplan.planner.search.durations import longest
 from linkplan.planner.search.first_mesh import PER_SWING, graded_mesh
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.least_time import shortest_motion
-from linkplan.planner.search.margin_continuation import nears_singular
-from linkplan.planner.search.phase_plane import stretched
+from linkplan.planner.search.singular_poses import nears_singular
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import least_time_motion, no_time, with_switch_times
 from linkplan.planner.transcription.mesh import Mesh, uniform
@@ -69,15 +68,15 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
     if swung is None or swung.duration_s > longest(problem):
         return None
     n_intervals = max(2 * problem.mesh.intervals, PER_SWING * swings)
-    at = continued(problem, swung, n_intervals, search.history, search.say)
+    at = continued(problem, swung, n_intervals)
     if at is None:
         return None
     final = replace(problem, mesh=replace(problem.mesh, scheme=at.scheme), guess=None)
     if problem.motion.duration_s is None:  # where the motion ends before that, it is as good as without
         final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
     durations, what = at.shares * at.start.duration_s, "at its full length"
-    found = solve_from(final, at.start, at.mesh, durations, what, search.history, search.say, warm=True)
-    plan = None if found is None else certified(final, found, search.history, search.say, warm=True)
+    found = solve_from(final, at.start, at.mesh, durations, what, warm=True)
+    plan = None if found is None else certified(final, found, warm=True)
     if plan is None or not plan.passed:
         return None
     if at.lost:
@@ -107,9 +106,7 @@ def _quickest(search: Search, budget: Budget) -> tuple[Guess | None, int]:
     return (None if plan is None else with_switch_times(plan)), 1
 
 
-def continued(
-    problem: PlanningProblem, quickest: Guess, n_intervals: int, history: list[Step], say: Say
-) -> Continued | None:
+def continued(problem: PlanningProblem, quickest: Guess, n_intervals: int) -> Continued | None:
     """Return the motion that a problem's objective prefers, reached from one of least time; None where it is lost.
 
     A free duration's motions on the way are motions of the problem: where longer ones are lost, it is the last of them.
@@ -118,17 +115,15 @@ def continued(
         problem: of a fixed duration, or of a free one.
         quickest: a motion that keeps the dynamics in less time.
         n_intervals: of the first mesh.
-        history: where steps are noted.
-        say: called with a line of progress now and then.
     """
     fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s or 0.0
 
     def solve(at: Continued, allowed: float) -> Continued | None:
-        found = _step(problem, at, allowed, history, say)
+        found = _step(problem, at, allowed)
         for _ in range(_WINDOWS):
             if found is None or not found.held:
                 break
-            before, found = found, _step(problem, found, allowed, history, say) or found
+            before, found = found, _step(problem, found, allowed) or found
             if _saved_little(before, found):
                 break  # windows hold what does not count, or no more is to be had
         return found
@@ -167,7 +162,7 @@ def _saved_little(before: Continued, after: Continued) -> bool:
     return before.objective - after.objective < SAVED * abs(after.objective)
 
 
-def _step(problem: PlanningProblem, at: Continued, allowed: float, history: list[Step], say: Say) -> Continued | None:
+def _step(problem: PlanningProblem, at: Continued, allowed: float) -> Continued | None:
     """Return the best motion within a duration from one of a shorter; None where it is lost."""
     fixed, least = problem.motion.duration_s is not None, problem.motion.min_duration_s
     motion = replace(problem.motion, min_duration_s=least if least is not None and least <= allowed else None)
@@ -177,8 +172,8 @@ def _step(problem: PlanningProblem, at: Continued, allowed: float, history: list
     start = stretched(at.start, allowed) if fixed else at.start
     durations = at.shares * start.duration_s
     what = f"the least-time motion continued to {allowed:.4g} s"
-    found = attempt(case, start, at.mesh, durations, what, history, say, warm=True)
-    better = None if found is None else refine(case, found, history, say, warm=True)
+    found = attempt(case, start, at.mesh, durations, what, warm=True)
+    better = None if found is None else refine(case, found, warm=True)
     if better is None or not better.certificate.passed:
         return None
     transcribed = better.solution.transcribed

@@ -5,11 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import motion_of
+from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.free_duration import LONGER, bounded_by_guess
-from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.search.continuation import Steps, followed
-from linkplan.planner.search.phase_plane import stretched
 from linkplan.planner.search.solving import Iterate, solve_from
 from linkplan.planner.solvers.solve import Solution
 
@@ -21,9 +20,7 @@ SURELY, SURELY_LIMITED = 1.001, 1.01
 _LONGER, _LONGER_BY, _FALLS = 2, 30.0, 1e-3
 
 
-def with_longer_durations(
-    problem: PlanningProblem, found: Iterate, history: list[Step], say: Say
-) -> tuple[Iterate, str | None]:
+def with_longer_durations(problem: PlanningProblem, found: Iterate) -> tuple[Iterate, str | None]:
     """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
 
     def solve(at: _BoundedByGuess, longer: float) -> _BoundedByGuess | None:
@@ -33,7 +30,7 @@ def with_longer_durations(
         start = stretched(motion_of(at.found.motion), duration)
         shares = at.found.solution.x[at.found.solution.transcribed.program.layout.durations()]
         what = "from a longer motion"
-        further = solve_from(problem, start, at.found.mesh, duration * shares / shares.sum(), what, history, say)
+        further = solve_from(problem, start, at.found.mesh, duration * shares / shares.sum(), what)
         if further is None:
             return None
         falls = further.solution.objective < _FALLS * at.found.solution.objective and problem.motion.max_duration_s is None

@@ -14,11 +14,12 @@ import numpy as np
 from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.models.interrupts import check
 from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
+from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.history import Say, Step, silent
+from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.refinement.history import recorded
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, settled_limit
-from linkplan.planner.search.phase_plane import least_time_guess
 from linkplan.planner.search.solving import Iterate
 from linkplan.planner.solvers.outcome import INVALID, OF_TIME, OUT_OF_TIME
 
@@ -35,6 +36,13 @@ class Budget:
     iterations: int | None = None
     share_of_time: float = 1.0
 
+    def of(self, settings: SolverSettings) -> SolverSettings:
+        """Return the settings of a solver within this budget."""
+        fewer = settings.max_iterations
+        if self.iterations is not None:
+            fewer = min(self.iterations, fewer or self.iterations)
+        return replace(settings, max_iterations=fewer, deadline=settings.deadline.within_share(self.share_of_time))
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Search:
@@ -47,9 +55,7 @@ class Search:
 
     problem: PlanningProblem
     start_pose: np.ndarray
-    say: Say
     repairs: Sequence["Repair"] = ()
-    history: list[Step] = field(default_factory=list)
     plans: list[Plan] = field(default_factory=list)
     verdicts: list[Plan] = field(default_factory=list)  # answers that no further rung would change
     # The plan of least time, once it was looked for: from the phase plane's motion, and by the first rungs of the ladder.
@@ -69,7 +75,7 @@ class Search:
     @cached_property
     def least_limit(self) -> LeastLimit | None:
         """The least factor on the effort limits with which a motion was found; None where none was."""
-        return least_limit_of_starts(self.within(Budget(iterations=HURRIED.iterations)), self.smooth, self.history)
+        return least_limit_of_starts(self.within(Budget(iterations=HURRIED.iterations)), self.smooth)
 
     @cached_property
     def named_limit(self) -> LeastLimit | None:
@@ -77,7 +83,7 @@ class Search:
         found = self.least_limit
         if found is None or found.factor <= 1.0:
             return found
-        return settled_limit(self.within(Budget(iterations=HURRIED.iterations)), found, self.history)
+        return settled_limit(self.within(Budget(iterations=HURRIED.iterations)), found)
 
     def first_starts(self) -> Iterator[tuple[str, Guess]]:
         """Yield the user's own guess where it closes the loops, then the smooth path, with a word on each."""
@@ -87,16 +93,12 @@ class Search:
         yield "a smooth path", self.smooth
 
     def of_another(self, problem: PlanningProblem) -> "Search":
-        """Return a search for another problem's motion from the same start, silent and with a history of its own."""
-        return Search(problem=problem, start_pose=self.start_pose, say=silent, repairs=self.repairs)
+        """Return a search for another problem's motion from the same start; it is climbed inside its own `recording`."""
+        return Search(problem=problem, start_pose=self.start_pose, repairs=self.repairs)
 
     def within(self, budget: Budget) -> PlanningProblem:
         """Return the problem with the settings that a budget allows its solves."""
-        ends = self.deadline.within_share(budget.share_of_time)
-        fewer = self.problem.solver.max_iterations
-        if budget.iterations is not None:
-            fewer = min(budget.iterations, fewer or budget.iterations)
-        return replace(self.problem, solver=replace(self.problem.solver, max_iterations=fewer, deadline=ends))
+        return replace(self.problem, solver=budget.of(self.problem.solver))
 
     @property
     def deadline(self) -> Deadline:
@@ -134,7 +136,8 @@ class Search:
         """The solver's word where nothing more is to be had of it: time is up, or a number is not finite; None elsewhere."""
         if self.deadline.left_s < _NO_TIME_S:
             return OUT_OF_TIME
-        if not self.plans and self.history and self.history[-1].solver_status == INVALID:
+        steps = recorded()
+        if not self.plans and steps and steps[-1].solver_status == INVALID:
             return INVALID
         return None
 
@@ -153,13 +156,13 @@ class Rung:
 class Repair:
     """One way of mending a motion whose certificate does not pass: when it is tried, and by which function.
 
-    Both take the search and the problem within its budget, `tried` the plan so far, `mend` the first solution: it returns
-    another plan, or None where it found none.
+    Both take the problem within its budget, `tried` the plan so far, `mend` the first solution: it returns another plan, or
+    None where it found none.
     """
 
     name: str
-    tried: Callable[[Search, PlanningProblem, Plan], bool]
-    mend: Callable[[Search, PlanningProblem, Iterate], Plan | None]
+    tried: Callable[[PlanningProblem, Plan], bool]
+    mend: Callable[[PlanningProblem, Iterate], Plan | None]
     always: bool = True  # or only for motions that are worth every repair
 
 
@@ -181,7 +184,7 @@ def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
     best = search.best
     if best is None:
         return None
-    cut = search.stopped == OUT_OF_TIME and OF_TIME not in best.message
+    cut = search.stopped == OUT_OF_TIME and best.trajectory is not None  # without a motion the message says so already
     found = "the best found within" if best.passed else "the search ran out of"
     said = f"; {found} its {search.problem.solver.max_time_s:g} s {OF_TIME}" if cut else ""
-    return replace(best, problem=search.problem, history=tuple(search.history), message=best.message + said)
+    return replace(best, problem=search.problem, history=recorded(), message=best.message + said)

@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.problem.planning_problem import PlanningProblem
-from linkplan.planner.refinement.history import Step, step_of
+from linkplan.planner.refinement.history import record, step_of
 from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
 from linkplan.planner.search.first_mesh import first_mesh
@@ -35,7 +35,7 @@ class LeastLimit:
     first: float  # the factor on the mesh as given
 
 
-def least_limit_of_starts(problem: PlanningProblem, guess: Guess, history: list[Step]) -> LeastLimit | None:
+def least_limit_of_starts(problem: PlanningProblem, guess: Guess) -> LeastLimit | None:
     """Return the least factor on the effort limits from several starts; None where none led to a motion.
 
     Further starts are tried while the factor is above 1.
@@ -46,7 +46,7 @@ def least_limit_of_starts(problem: PlanningProblem, guess: Guess, history: list[
     starts = itertools.chain([guess], itertools.islice(others, _STARTS - 1))
     for start in problem.solver.deadline.take(starts):
         known = None if best is None else best.first
-        found = least_limit(problem, start, *first_mesh(problem, start), history, known=known)
+        found = least_limit(problem, start, *first_mesh(problem, start), known=known)
         if found is not None and (best is None or found.factor < best.factor):
             best = found
         if best is None or best.factor <= 1.0:
@@ -54,14 +54,14 @@ def least_limit_of_starts(problem: PlanningProblem, guess: Guess, history: list[
     return best
 
 
-def settled_limit(problem: PlanningProblem, found: LeastLimit, history: list[Step]) -> LeastLimit:
+def settled_limit(problem: PlanningProblem, found: LeastLimit) -> LeastLimit:
     """Return a least factor from meshes ever finer, until it changes by less than a tenth of a thousandth.
 
     On a first mesh a motion may gain from what the mesh does not see, and needs more than it seems.
     """
     for _ in range(_FINER):
         mesh = halved(found.mesh, np.ones(found.mesh.n_intervals, dtype=bool))
-        finer = least_limit(problem, motion_of(found.trajectory), mesh, found.durations, history)
+        finer = least_limit(problem, motion_of(found.trajectory), mesh, found.durations)
         if finer is None:
             return found
         before, found = found, finer
@@ -75,7 +75,6 @@ def least_limit(
     guess: Guess,
     mesh: Mesh,
     durations: np.ndarray,
-    history: list[Step],
     *,
     known: float | None = None,
 ) -> LeastLimit | None:
@@ -91,7 +90,7 @@ def least_limit(
     for _ in problem.solver.deadline.take(range(2)):
         transcribed = transcribe(problem, guess, mesh, durations, least_limit=True, bang_efforts=bang_efforts)
         solution = solve(transcribed, problem.solver)
-        history.append(step_of("least effort limit", transcribed, solution))
+        record(step_of("least effort limit", transcribed, solution))
         if not solution.converged:
             break
         factor = float(solution.x[transcribed.program.layout.extra()][0])

@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.plan import Plan
+from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.ladder import HURRIED, PATIENT, Rung, Search, climb
-from linkplan.planner.search.starts import along_power, from_a_smooth_path, from_the_phase_plane, is_along_power
+from linkplan.planner.search.starts import along_power, from_first_starts, from_the_phase_plane, is_along_power
 
 # Rungs that look for it.
 _RUNGS = (
     Rung(
         name="the phase plane along limits on power and pin force", tried=is_along_power, climb=along_power, budget=HURRIED
     ),
-    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_a_smooth_path, budget=PATIENT),
+    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_first_starts, budget=PATIENT),
     Rung(
         name="the phase plane",
         tried=lambda search: search.starts_are_worth_it and search.quickest is not None,
@@ -36,8 +37,9 @@ def shortest_motion(search: Search) -> Plan | None:
         mesh = replace(search.problem.mesh, effort="polynomial")
         hurried = search.within(replace(PATIENT, share_of_time=_SHARE))
         free = replace(hurried, objective="time", motion=motion, mesh=mesh, guess=None)
-        search.say("looking for the shortest feasible duration")
-        plan = climb(search.of_another(free), _RUNGS)
+        progress("looking for the shortest feasible duration")
+        with recording():
+            plan = climb(search.of_another(free), _RUNGS)
         search.shortest.append(plan if plan is not None and plan.passed else None)
     found += [plan for plan in search.shortest if plan is not None]
     return min(found, key=lambda plan: plan.trajectory.duration_s, default=None)

@@ -11,8 +11,10 @@ from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, is_open, reach
 from linkplan.models.poses.singular_poses import all_regular
-from linkplan.planner.certificate.margins import singularity_ratios
-from linkplan.planner.certificate.site_margins import SITE_SLACK, title
+from linkplan.planner.certificate.site_ends import SITE_SLACK
+from linkplan.planner.limits.extra import ExtraPathLimit
+from linkplan.planner.limits.samples import singularity_ratios
+from linkplan.planner.limits.site import site_title
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.problem.sites import SiteLimit, SitePoint
 from linkplan.planner.search.turning import check_turns
@@ -154,18 +156,18 @@ def _branches_on_the_way(problem: PlanningProblem) -> str | None:
 
 
 def _site_beyond(problem: PlanningProblem) -> str | None:
-    """Return the sentence on a site or tendon that start, goal or a waypoint puts beyond its limits, or None."""
+    """Return the sentence on a site, tendon or extra limit that start, goal or a waypoint overruns, or None."""
     motion, limits = problem.motion, problem.limits
     places = [("the start", motion.start, None), ("the goal", motion.goal, motion.goal_at if motion.goal_is_free else None)]
     for k, waypoint in enumerate(motion.waypoints):
         places.append((f"motion.waypoints[{k}]", waypoint.guessed, waypoint.at if waypoint.at_rows else None))
     for name, s, open_at in places:
-        if s is None or np.any(np.isnan(s)) or not (limits.site or problem.mechanism.tendons):
+        if s is None or np.any(np.isnan(s)) or not _limits_poses(problem):
             continue
         pose = close_at(problem.mechanism, s)[None]
-        tendon = _tendon_beyond(problem, pose, f"at {name}") if open_at is None else None
-        if tendon is not None:
-            return tendon
+        sentence = _pose_beyond(problem, pose, f"at {name}") if open_at is None else None
+        if sentence is not None:
+            return sentence
         for limit in limits.site:
             known = open_at is None or _known(limit, open_at)
             sentence = _beyond(problem, limit, pose, f"at {name}") if known else None
@@ -181,12 +183,37 @@ def _known(limit: SiteLimit, points: tuple[SitePoint, ...]) -> bool:
 
 
 def _on_the_only_way(problem: PlanningProblem) -> str | None:
-    """Return the sentence on a site or tendon that leaves its limits between start and goal of a single freedom."""
-    poses = _only_way(problem) if problem.limits.site or problem.mechanism.tendons else None
+    """Return the sentence on a limit on poses that is overrun between start and goal of a single freedom."""
+    poses = _only_way(problem) if _limits_poses(problem) else None
     if poses is None:
         return None
     beyond = (_beyond(problem, limit, poses, _PASSES) for limit in problem.limits.site)
-    return _tendon_beyond(problem, poses, _PASSES) or next((found for found in beyond if found), None)
+    return _pose_beyond(problem, poses, _PASSES) or next((found for found in beyond if found), None)
+
+
+def _limits_poses(problem: PlanningProblem) -> bool:
+    return bool(problem.limits.site or problem.mechanism.tendons or problem.extra_limits)
+
+
+def _pose_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> str | None:
+    """Return the sentence on a tendon or extra limit that the worst of poses (n, n_q) overruns, or None."""
+    return _tendon_beyond(problem, poses, when) or _extra_beyond(problem, poses, when)
+
+
+def _extra_beyond(problem: PlanningProblem, poses: np.ndarray, when: str) -> str | None:
+    """Return the sentence on an extra limit on the pose alone that the worst of poses (n, n_q) overruns, or None."""
+    for limit in ExtraPathLimit.of(problem):
+        if not limit.of_position:
+            continue
+        extra, values = limit.extra, limit.values(problem.mechanism, poses)
+        nearest = np.clip(values, extra.lower, extra.upper)
+        k = int(np.argmax(np.abs(values - nearest)))
+        off = abs(values[k] - nearest[k])
+        if off > SITE_SLACK * extra.size:
+            unit = f" {extra.unit}".rstrip()
+            value = f"{values[k]:.6g}{unit} {when}, {off:.4g}{unit} beyond its limit of {nearest[k]:.6g}"
+            return f"infeasible: the extra limit '{extra.name}' is {value}"
+    return None
 
 
 @functools.lru_cache(maxsize=4)
@@ -258,7 +285,7 @@ def _beyond(problem: PlanningProblem, limit: SiteLimit, poses: np.ndarray, when:
     if off <= SITE_SLACK * problem.mechanism.extent_m:
         return None
     value = f"{float(values[k]):.6g} m {when}"
-    return f"infeasible: {title(limit)} is {value}, {off:.4g} m beyond its limit of {float(nearest[k]):.6g}"
+    return f"infeasible: {site_title(limit)} is {value}, {off:.4g} m beyond its limit of {float(nearest[k]):.6g}"
 
 
 def _beyond_ctrl(problem: PlanningProblem) -> str | None:

@@ -9,11 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.planner.closed_chain.case import MechanismCase
-from linkplan.planner.closed_chain.formulate import SMOOTHING, is_smoothed
+from linkplan.planner.closed_chain.formulate import SMOOTHING
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.refinement.refine import refine
 from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.search.continuation import Steps, followed
@@ -37,13 +36,13 @@ class _Smoothed:
     objective: float
 
 
-def unsmoothed(case: MechanismCase, refined: Refined, history: list[Step], say: Say) -> tuple[Refined, float]:
+def unsmoothed(case: MechanismCase, refined: Refined) -> tuple[Refined, float]:
     """Return a tracking motion whose smoothing was taken out, and by what share a finer mesh changed its objective.
 
     Where no smoothing is in the objective, or the motion does not pass, it is returned as it is, with no change.
     """
     problem: PlanningProblem = case.problem
-    if not (is_smoothed(problem.objective) and problem.objective.has("tracking") and refined.certificate.passed):
+    if not (problem.objective.is_smoothed and problem.objective.has("tracking") and refined.certificate.passed):
         return refined, 0.0
     unit = refined.solution.transcribed.units.objective
 
@@ -55,8 +54,8 @@ def unsmoothed(case: MechanismCase, refined: Refined, history: list[Step], say: 
             mesh = halved(mesh, np.ones(mesh.n_intervals, dtype=bool))
         now = replace(at.case.with_scheme(scheme), smoothing=smoothing)
         what = f"smoothing of efforts {smoothing / SMOOTHING:.3g} of the first" + (", finer mesh" if finer else "")
-        found = attempt(now, now.start_from(motion), mesh, durations, what, history, say, warm=True)
-        better = None if found is None else refine(now, found, history, say, warm=True)
+        found = attempt(now, now.start_from(motion), mesh, durations, what, warm=True)
+        better = None if found is None else refine(now, found, warm=True)
         if better is None or not better.certificate.passed:
             return None
         objective = own_objective(better.solution.transcribed, better.solution.objective, better.motion)

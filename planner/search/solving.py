@@ -7,7 +7,6 @@ import numpy as np
 from linkplan.planner.closed_chain.case import case_of, held_arcs_of
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.case import Iterate, attempt
-from linkplan.planner.refinement.history import Say, Step
 from linkplan.planner.transcription.mesh import Mesh
 
 __all__ = ["Iterate", "solve_from"]
@@ -19,8 +18,6 @@ def solve_from(
     mesh: Mesh,
     durations: np.ndarray,
     what: str,
-    history: list[Step],
-    say: Say,
     *,
     warm: bool = False,
     bang_efforts: np.ndarray | None = None,
@@ -30,6 +27,4 @@ def solve_from(
     The arcs of a guess along limits on power and pin force are held.
     """
     fixed = None if guess.power_arcs is None else held_arcs_of(problem, guess)
-    return attempt(
-        case_of(problem), guess, mesh, durations, what, history, say, warm=warm, bang_efforts=bang_efforts, fixed=fixed
-    )
+    return attempt(case_of(problem), guess, mesh, durations, what, warm=warm, bang_efforts=bang_efforts, fixed=fixed)

@@ -6,20 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses, users_guess
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, swinging_guesses
+from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess, stretched
+from linkplan.planner.phase_plane.detours import detour_may_pay
+from linkplan.planner.phase_plane.legs_motion import legs_motion
+from linkplan.planner.phase_plane.power_legs import knows_pins, power_guess
 from linkplan.planner.plan import Plan
+from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.refinement.marking import raised
 from linkplan.planner.search.attempts import certified, plan_from, without_solving
-from linkplan.planner.search.detours import detour_may_pay
 from linkplan.planner.search.durations import SURELY, SURELY_LIMITED, longest, with_longer_durations
 from linkplan.planner.search.first_mesh import first_mesh, mesh_along_power
 from linkplan.planner.search.ladder import HURRIED, Budget, Search
-from linkplan.planner.search.legs_motion import legs_motion
-from linkplan.planner.search.phase_plane import phase_plane_applies, phase_plane_guess, stretched
-from linkplan.planner.search.power_legs import knows_pins, power_guess
 from linkplan.planner.search.solving import solve_from
 
-# Perturbed guesses tried after the first failure, where the user asks for no further starts.
+# Perturbed guesses among the starts of a search with several starts, before they are drawn without end.
 _PERTURBATIONS = 3
 # Perturbed guesses tried for one that closes the loops, per one that is wanted.
 _MOST_TRIED = 20
@@ -55,19 +56,18 @@ def enough_time(search: Search) -> bool:
     return search.quickest is not None and longest(search.problem) >= SURELY * search.quickest.duration_s
 
 
-def from_the_guess(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the user's guess leads to; None where it does not close the loops."""
-    guess = users_guess(search.problem, search.start_pose)
-    return None if guess is None else plan_from(search, budget, "the guess given", guess, mended=not search.only_time_counts)
-
-
-def from_a_smooth_path(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the smoothest path leads to."""
-    return plan_from(search, budget, "a smooth path", search.smooth, mended=not search.only_time_counts)
+def from_first_starts(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan that the user's guess leads to, or else the smoothest path."""
+    return _first_of(search, budget, search.first_starts(), mended=not search.only_time_counts)
 
 
 def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the phase plane's motion leads to; where it swings, first that of the motion of least time."""
+    """Return the plan that the phase plane's motion leads to; where a plan passes already, only a quicker one.
+
+    Where it swings and the objective is not time, the first start is the motion of least time.
+    """
+    if search.solved:
+        return _quicker_by_the_phase_plane(search, budget)
     return _first_of(search, budget, _of_the_phase_plane(search, budget))
 
 
@@ -106,9 +106,9 @@ def along_power(search: Search, budget: Budget) -> Plan | None:
     for finer in _FINER:
         mesh, durations = mesh_along_power(guess, finer * problem.mesh.intervals)
         what = "the phase plane, its arcs held"
-        found = solve_from(problem, guess, mesh, durations, what, search.history, search.say, warm=True)
+        found = solve_from(problem, guess, mesh, durations, what, warm=True)
         if found is not None:
-            plan = certified(problem, found, search.history, search.say)
+            plan = certified(problem, found)
             if plan.passed and plan.trajectory.duration_s <= (1 + _LATE) * guess.duration_s:
                 return plan
             known = plan if plan.passed else None
@@ -122,14 +122,14 @@ def _the_legs_themselves(search: Search) -> Plan | None:
     """Return the plan of legs along limits on power, which need no solver; None where its certificate does not pass."""
     if search.stopped:
         return None
-    search.say("the phase plane along limits on power, integrated")
+    progress("the phase plane along limits on power, integrated")
     motion = legs_motion(search.problem, search.start_pose)
     if motion is None:
         return None
     problem, said = search.problem, f"motion of {motion.duration_s:.6g} s, integrated along limits on effort and power"
     best = f"time-optimal {said}: the quickest that turns back only where it must"
     objective = problem.objective.weight("time") * motion.duration_s
-    plan = without_solving(problem, motion, objective, search.history, said, best=best)
+    plan = without_solving(problem, motion, objective, said, best=best)
     return plan if plan.passed else None
 
 
@@ -139,12 +139,7 @@ def from_swings(search: Search, budget: Budget) -> Plan | None:
     return _first_of(search, budget, (("a swing", swing) for swing in swings))
 
 
-def from_perturbed_guesses(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the smooth path leads to, perturbed at random."""
-    return _first_of(search, budget, itertools.islice(perturbed_guesses(search.problem, search.start_pose), _PERTURBATIONS))
-
-
-def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]]) -> Plan | None:
+def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, mended: bool = True) -> Plan | None:
     """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
     missed = None
     for what, guess in search.deadline.take(starts):
@@ -152,7 +147,7 @@ def _first_of(search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]
             search.plans.append(missed)
             if not search.starts_are_worth_it:
                 return None
-        missed = plan_from(search, budget, what, guess)
+        missed = plan_from(search, budget, what, guess, mended=mended)
         if search.verdicts or search.stopped or (missed is not None and missed.passed):
             break
     return missed
@@ -167,7 +162,7 @@ def is_slow(search: Search) -> bool:
     return search.quickest is not None and search.best.trajectory.duration_s > _SLOW * search.quickest.duration_s
 
 
-def quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
+def _quicker_by_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     """Return a least-time plan that is quicker than the one found; None where there is none."""
     known = search.best.trajectory.duration_s
     plan = plan_from(search, budget, "the phase plane", search.quickest, worth=_WORTH * known, mended=False)
@@ -196,7 +191,9 @@ def least_time_plan(search: Search, budget: Budget) -> Plan | None:
         problem = search.within(budget)
         motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
         free = search.of_another(replace(problem, objective="time", motion=motion, guess=None))
-        search.least_times.append(plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False))
+        with recording():
+            plan = plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
+        search.least_times.append(plan)
     return search.least_times[0]
 
 
@@ -211,17 +208,17 @@ def best_of_several(search: Search, budget: Budget) -> Plan | None:
     for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(closed, wanted)), start=1):
         mesh, durations = first_mesh(problem, guess)
         word = f"start {number} of {wanted}, {what}"
-        solved = solve_from(problem, guess, mesh, durations, word, search.history, search.say)
+        solved = solve_from(problem, guess, mesh, durations, word)
         if solved is not None:
             found.append((solved.solution.objective, number, solved))
     missed = None
     for _, number, solved in problem.solver.certificate_deadline.take(sorted(found, key=lambda item: item[:2])):
-        search.say(f"refining start {number}")
-        solved, unbounded = with_longer_durations(problem, solved, search.history, search.say)
+        progress(f"refining start {number}")
+        solved, unbounded = with_longer_durations(problem, solved)
         if unbounded is not None:
             search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
             return None
-        plan = certified(problem, solved, search.history, search.say)
+        plan = certified(problem, solved)
         if plan.passed:
             told = {"starts": wanted, "starts_solved": len(found), "best_start": number}
             return replace(plan, details={**plan.details, **told})

@@ -12,17 +12,17 @@ import numpy as np
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
+from linkplan.planner.certificate.saved import objective_value
 from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.phase_plane.bang_bang_motions import stretched
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.attempts import certified, refined, without_solving
 from linkplan.planner.search.duration_continuation import DURATION_FACTOR
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.least_time import shortest_motion
-from linkplan.planner.search.phase_plane import stretched
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.bernstein import bernstein_value
 from linkplan.planner.transcription.mesh import Mesh
 
 # Efforts that hold a pose are within their limits and miss no more than this share of the largest; a wait shorter than this
@@ -71,7 +71,7 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
         return None
     for what, guess, mesh, durations in _waits(problem, quick, wait):
         for warm in (True, False):
-            found = solve_from(problem, guess, mesh, durations, what, search.history, search.say, warm=warm)
+            found = solve_from(problem, guess, mesh, durations, what, warm=warm)
             plan = None if found is None else refined(search, problem, found)
             if plan is not None and plan.passed:
                 return plan
@@ -95,12 +95,12 @@ def _rest_and_motion(search: Search, budget: Budget, quick: Plan) -> Plan | None
         if effort is None:
             continue
         whole = _joined(moving.trajectory, wait, effort, first=end == "start")
-        objective = _objective(problem, whole)
+        objective, _ = objective_value(problem, whole)
         said = (
             f"motion of {whole.duration_s:.6g} s: {moving.message} and a rest of {wait:.4g} s"
             f" {'before' if end == 'start' else 'after'} it; that longer motions are no better was not shown"
         )
-        plan = without_solving(problem, whole, objective, search.history, said)
+        plan = without_solving(problem, whole, objective, said)
         if plan.passed:
             return plan
     return None
@@ -116,8 +116,8 @@ def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None
     lengths = np.bincount(mesh.segment, weights=np.diff(quick.trajectory.breaks_s))
     durations = lengths * duration / lengths.sum()
     what = "the least-time motion with a little more time"
-    found = solve_from(problem, start, mesh, durations, what, search.history, search.say, warm=True)
-    plan = None if found is None else certified(problem, found, search.history, search.say, warm=True, kinks=False)
+    found = solve_from(problem, start, mesh, durations, what, warm=True)
+    plan = None if found is None else certified(problem, found, warm=True, kinks=False)
     return plan if plan is not None and plan.passed else None
 
 
@@ -132,17 +132,6 @@ def _joined(motion: Trajectory, wait: float, effort: np.ndarray, *, first: bool)
         parts[name] = np.concatenate([rest, given] if first else [given, rest], axis=1)
     breaks = [[0.0], wait + motion.breaks_s] if first else [motion.breaks_s, [motion.duration_s + wait]]
     return replace(motion, breaks_s=np.concatenate(breaks), **parts)
-
-
-def _objective(problem: PlanningProblem, motion: Trajectory) -> float:
-    """Return the objective of a motion, exact for its efforts' polynomials."""
-    nodes, weights = np.polynomial.legendre.leggauss(len(motion.effort))
-    widths = np.diff(motion.breaks_s)
-    squares = np.array([bernstein_value(motion.effort, (1 + x) / 2) ** 2 for x in nodes])
-    integrals = np.einsum("k,kij,i->j", weights / 2, squares, widths)
-    losses = np.array([0.0 if motor is None else motor.loss for motor in problem.motors])
-    of = {"time": motion.duration_s, "effort": integrals.sum(), "copper_loss": losses @ integrals}
-    return float(sum(weight * of[term] for term, weight in problem.objective.weights.items()))
 
 
 def _waits(problem: PlanningProblem, quick: Plan, wait: float) -> Iterator[tuple[str, Guess, Mesh, np.ndarray]]:

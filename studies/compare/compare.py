@@ -5,9 +5,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.rollout import ControlLoop, Rollout, run
+from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
+from linkplan.controllers.simulate import simulate_one
 from linkplan.controllers.trackers.computed_torque import computed_torque
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.integral_lqr import integral_lqr
@@ -172,7 +174,7 @@ BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
 def track(plan: Plan, asked: Asked, mismatch: Mismatch | None = None, reference: SampledReference | None = None) -> Rollout:
     """Return one tracker's run on a plan, under a mismatch if one is given; `reference` is the plan's, if at hand."""
     reference = tracking_reference(plan) if reference is None else reference
-    return run(plan.problem.mechanism, reference, build_tracker(asked, plan, reference), _loop(plan, mismatch))
+    return simulate_one(_plant(plan, mismatch), build_tracker(asked, plan, reference), reference)
 
 
 def compare(
@@ -189,24 +191,25 @@ def compare(
     if len(trackers) < max(1, len(built)):
         names = ", ".join(tracker.name for tracker in built)
         raise ProblemError(f"trackers that are compared are one or more with names of their own, got {names or 'none'}")
-    mechanism = plan.problem.mechanism
     cases = [None] if mismatch is None else [None, mismatch]
     runs: list[dict[str, Rollout]] = [{}, {}]
     for case, results in zip(cases, runs, strict=False):
+        plant = _plant(plan, case)  # built once, for all trackers
         for name, tracker in trackers.items():
             say(f"{name}, {'nominal' if case is None else case.name}: {reference.n} control periods")
-            results[name] = run(mechanism, reference, tracker, _loop(plan, case))
-    needs = {name: run_time(trackers[name], mechanism, rollout) for name, rollout in runs[0].items()}
+            results[name] = simulate_one(plant, tracker, reference)
+    needs = {name: run_time(trackers[name], plan.problem.mechanism, rollout) for name, rollout in runs[0].items()}
     return Comparison(plan=plan, nominal=runs[0], mismatch=mismatch, mismatched=runs[1], run_time=needs)
 
 
-def _loop(plan: Plan, mismatch: Mismatch | None) -> ControlLoop:
+def _plant(plan: Plan, mismatch: Mismatch | None) -> MujocoPlant:
     problem = plan.problem
-    return ControlLoop(
+    loop = ControlLoop(
         effort_limit=np.array(problem.limits.actuators_effort),
         delay_periods=problem.tracking.delay_periods + (mismatch.delay_periods if mismatch else 0),
         mass_factor=mismatch.mass_factor if mismatch else 1.0,
     )
+    return MujocoPlant(mechanism=problem.mechanism, loop=loop)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a run that diverged has errors without end

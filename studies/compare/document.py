@@ -4,9 +4,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from linkplan.controllers.reference import sample
-from linkplan.controllers.rollout import ControlLoop, Rollout, run, run_as_it_stands
-from linkplan.controllers.trackers.pd import pd
+from linkplan.controllers.mujoco_plant import MujocoPlant, PlantAsItStands
+from linkplan.controllers.reference import SampledReference, sample
+from linkplan.controllers.rollout import ControlLoop, Rollout
+from linkplan.controllers.simulate import simulate_one
+from linkplan.controllers.trackers.pd import PD, pd
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.reference import Sine
@@ -28,11 +30,11 @@ def is_the_documents(plan: Plan) -> bool:
 def mended_runs(plan: Plan, say: Callable[[str], None]) -> dict[tuple[str, float], Rollout]:
     """Return the runs of the mended model, by (model, KD), on the plan of the document's sinusoid."""
     mechanism, runs = plan.problem.mechanism, {}
+    plant = MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=plan.problem.limits.effort))
+    reference = sample(mechanism, plan.trajectory, float(mechanism.model.opt.timestep), DURATION_S)
     for kd in KD:
         say(f"{MENDED}, KP = {KP:g}, KD = {kd:g}")
-        reference = sample(mechanism, plan.trajectory, float(mechanism.model.opt.timestep), DURATION_S)
-        tracker = pd(mechanism, reference, KP, kd)
-        runs[MENDED, kd] = run(mechanism, reference, tracker, ControlLoop(effort_limit=plan.problem.limits.effort))
+        runs[MENDED, kd] = simulate_one(plant, pd(mechanism, reference, KP, kd), reference)
     return runs
 
 
@@ -40,18 +42,20 @@ def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, floa
     """Return the runs of the document's model as it was printed, by (model, KD)."""
     source, runs = load_mechanism("optimus-knee-source"), {}
     driven = source.actuators[0].channel
-    others = {channel: _IDLE_CTRL for channel in range(source.model.nu) if channel != driven}
-
-    def desired(time: float, order: int) -> float:
-        return float(sine.derivative(np.array([time]), order)[0, 0])
-
+    plant = PlantAsItStands(
+        mechanism=source, idle_ctrl={channel: _IDLE_CTRL for channel in range(source.model.nu) if channel != driven}
+    )
+    period_s = float(source.model.opt.timestep)
+    time = period_s * np.arange(round(DURATION_S / period_s))
+    position, velocity = sine.derivative(time, 0), sine.derivative(time, 1)
+    reference = SampledReference(
+        period_s=period_s, time_s=time, pose=position, position=position, velocity=velocity,
+        effort=np.zeros_like(position), cycle=None,
+    )  # fmt: skip
     for kd in KD:
         say(f"{AS_PRINTED}, KP = {KP:g}, KD = {kd:g}")
-
-        def law(t: float, q: float, v: float, kd: float = kd) -> float:
-            return KP * (desired(t, 0) - q) + kd * (desired(t, 1) - v)
-
-        runs[AS_PRINTED, kd] = run_as_it_stands(source, law, lambda t: sine.derivative(t)[:, 0], DURATION_S, others)
+        law = PD(reference=reference, kp=KP, kd=kd, map=np.ones((reference.n, 1, 1)))
+        runs[AS_PRINTED, kd] = simulate_one(plant, law, reference)
     return runs
 
 

@@ -9,12 +9,11 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 
 import numpy as np
 
-from linkplan.controllers.ensemble import run_ensemble
 from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Machine
-from linkplan.controllers.imperfections.plant import plant
+from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample, state_at
-from linkplan.controllers.rigid_loop import run_rigid
-from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.rigid_plant import RigidPlant
+from linkplan.controllers.simulate import Plant, simulate
 from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.controllers.trackers.tracker import AnyTracker, TrackerWithMemory
 from linkplan.models.errors import ProblemError
@@ -81,21 +80,25 @@ def climb(experiment: Experiment, asked: Asked) -> Ladder:
     machines = [experiment.machine(i) for i in range(n)]
     law = build_tracker(asked, plan, reference)
     free = _unlimited(law)
-    unlimited = replace(loop, effort_limit=np.tile([-np.inf, np.inf], (mechanism.n_u, 1)))
+    limited = MujocoPlant(mechanism=mechanism, loop=loop)
+    infinite = np.tile([-np.inf, np.inf], (mechanism.n_u, 1))
+    unlimited = MujocoPlant(mechanism=mechanism, loop=replace(loop, effort_limit=infinite))
+    rigid = RigidPlant(mechanism=mechanism, delay_periods=loop.delay_periods)
     failure: list[str | None] = [None] * n
-    found = [*_ideal(experiment, asked), _sampled(experiment, free, _alike(machines))]
+    clocked = [Imperfections(clock=one.clock) for one in _alike(machines)]
+    found = [*_ideal(experiment, asked), _errors(rigid, free, reference, clocked)]
     groups = {_GROUPS.get(factor.key, "model") for factor in experiment.section.factors}
-    for rung, limits, tracker in (
+    for rung, plant, tracker in (
         ("simulator", unlimited, free),
         ("devices", unlimited, free),
         ("model", unlimited, free),
-        ("limits", loop, law),
+        ("limits", limited, law),
     ):
         if rung in ("devices", "model") and rung not in groups:
             found.append(found[-1])
         else:
             these = [_stripped(one, rung) for one in (_alike(machines) if rung == "simulator" else machines)]
-            found.append(_simulated(experiment, tracker, these, limits))
+            found.append(_errors(plant, tracker, reference, these))
     for rung, (_, failed) in zip(RUNGS, found, strict=True):
         for i in range(n):
             said = failed[i if len(failed) > 1 else 0]
@@ -145,7 +148,7 @@ def _ideal(experiment: Experiment, asked: Asked) -> list[_Found]:
     law = _unlimited(_rebuilt(experiment, asked, fine))
     whole, found = completed(law, fine), []
     for one in (law,) if whole is law else (whole, law):
-        runs = run_rigid(mechanism, fine, one, [Clock()], (fine.pose[:1], fine.velocity[:1]))
+        runs = simulate(RigidPlant(mechanism=mechanism), one, fine)
         found.append((coarse.position[:, None] - runs.pose[::FINER][:, :, mechanism.independent], runs.failure))
     return [found[0], found[-1]]
 
@@ -182,28 +185,13 @@ def _unlimited(law: AnyTracker) -> AnyTracker:
     return replace(law, effort_limit=np.broadcast_to([-np.inf, np.inf], limit.shape))
 
 
-def _sampled(experiment: Experiment, law: AnyTracker, machines: Sequence[Imperfections]) -> _Found:
-    """Return the errors on rigid loops, at the clocks and with the delays of machines."""
-    mechanism, reference, loop = experiment.plan.problem.mechanism, experiment.reference, experiment.loop
-    clocks = [one.clock for one in machines]
-    starts = [plant(mechanism, reference, loop, Imperfections(clock=clock), 1) for clock in clocks]
-    pose = np.array([one.pose for one in starts])
-    velocity = np.array([one.rates for one in starts])[:, mechanism.independent]
-    runs = run_rigid(mechanism, reference, law, clocks, (pose, velocity), loop.delay_periods)
-    begun, period = (np.array([getattr(clock, name) for clock in clocks]) for name in ("phase_periods", "period_factor"))
-    time = (np.arange(reference.n)[:, None] + begun) * period * reference.period_s
-    return state_at(reference, time)[0] - runs.pose[:, :, mechanism.independent], runs.failure
-
-
 def _alike(machines: Sequence[Imperfections]) -> Sequence[Imperfections]:
     """Return the first machine alone where all have its clock and softness: until something else comes in they are one."""
     known = {(one.machine.loop_solref, *(getattr(one.clock, field.name) for field in fields(Clock))) for one in machines}
     return machines[:1] if len(known) == 1 else machines
 
 
-def _simulated(experiment: Experiment, law: AnyTracker, machines: Sequence[Imperfections], loop: ControlLoop) -> _Found:
-    """Return the errors in MuJoCo."""
-    mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
-    ran = run_ensemble(mechanism, reference, law, loop, machines)
-    position = ran.pose[:, :, mechanism.independent]
-    return state_at(reference, ran.time_s)[0] - position, ran.failure
+def _errors(plant: Plant, law: AnyTracker, reference: SampledReference, machines: Sequence[Imperfections]) -> _Found:
+    """Return the errors of machines at their own times."""
+    ran = simulate(plant, law, reference, machines)
+    return state_at(reference, ran.time_s)[0] - ran.pose[:, :, plant.mechanism.independent], ran.failure

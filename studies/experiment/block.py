@@ -1,6 +1,7 @@
 """The unit of an experiment's work: a block of samples under every tracker, as columns."""
 
-from linkplan.controllers.ensemble import bytes_each, run_ensemble
+from linkplan.controllers.mujoco_plant import MujocoPlant
+from linkplan.controllers.simulate import bytes_each, simulate
 from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.laws import law_of
 from linkplan.studies.experiment.metrics import measured, metrics_of, within_tube
@@ -34,12 +35,13 @@ def run_block(experiment: Experiment, block: int, threads: int = 0, batch: int |
     mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
     together = max(1, min(batch or BLOCK, _MOST_BYTES // bytes_each(mechanism, reference.n)))
     found: dict[tuple[int, str], dict] = {}
-    for name in experiment.settings.trackers:
-        tracker = law_of(name, experiment)
-        for first in range(samples.start, samples.stop, together):
-            part = range(first, min(samples.stop, first + together))
-            machines = [experiment.machine(sample) for sample in part]
-            ensemble = run_ensemble(mechanism, reference, tracker, experiment.loop, machines, threads)
+    plant = MujocoPlant(mechanism=mechanism, loop=experiment.loop, threads=threads)
+    laws = {name: law_of(name, experiment) for name in experiment.settings.trackers}
+    for first in range(samples.start, samples.stop, together):
+        part = range(first, min(samples.stop, first + together))
+        machines = [experiment.machine(sample) for sample in part]  # built once, for all trackers
+        for name, law in laws.items():
+            ensemble = simulate(plant, law, reference, machines)
             for i, sample in enumerate(part):
                 found[sample, name] = {
                     "success": within_tube(ensemble, i, experiment.yardstick),

@@ -11,7 +11,6 @@ from msgspec import Struct
 
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import plant
-from linkplan.controllers.imperfections.servos import refuse_unfit
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.trackers.names import TRACKERS
@@ -121,11 +120,10 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
 
     Raises:
         ProblemError: for imperfections that cannot be used.
-        LinkplanError: for a mechanism that batches cannot simulate, or a machine in the middle that cannot be built.
+        LinkplanError: for a machine in the middle that cannot be built.
     """
     problem = plan.problem
     mechanism = problem.mechanism
-    refuse_unfit(mechanism)
     section = imperfections_of(imperfections_asked(plan), mechanism)
     layout = layout_of(section.factors, settings.design, settings.samples, settings.levels, settings.seed)
     trajectory, tracking = plan.trajectory, problem.tracking

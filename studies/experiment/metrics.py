@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.ensemble import Ensemble
 from linkplan.controllers.reference import SampledReference, state_at
+from linkplan.controllers.simulate import Ensemble
 from linkplan.models.mechanism import Mechanism
 
 

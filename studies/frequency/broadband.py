@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from linkplan.controllers.batch import BatchControlLoop
 from linkplan.models.errors import LinkplanError
 from linkplan.studies.frequency.excitation import Measurement, Setup, quantities, refuse_long, signal_amplitude
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort
+from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 
 # A repetition holds this many cycles of the lowest frequency asked for; lines are odd multiples of its own rate.
 _CYCLES = 3
@@ -61,12 +61,12 @@ def run(
     hold = np.array([loop.point.hold for loop, _ in rows])
     read, pushes = (np.array(of) for of in zip(*[channel_effort(loop.point, channel) for loop, _ in rows], strict=True))
     effort = np.array([excitation == "effort" for _, excitation in rows])
-    batch = BatchControlLoop(
+    batch = SimulatedLoops(
         mechanism,
         pose=np.array([loop.point.pose for loop, _ in rows]),
         velocity=state[:, n_s:],
         gain=np.array([loop.gain for loop, _ in rows]),
-        first_effort=hold,
+        under_way=hold,
         timing=timing,
         effort_limit=effort_limit,
     )
@@ -87,7 +87,7 @@ def run(
         cut = np.any((commands < low) | (commands > high), axis=2).sum(axis=0)
         command = np.sum((commands - hold) * read, axis=2)
         log = np.stack([put_in, command, x[:, :, channel] - state[:, channel]], axis=2)
-        say(f"{batch.k} control periods, {repetition + 1} repetitions")
+        say(f"{batch.periods} control periods, {repetition + 1} repetitions")
         kept = [*kept, np.fft.rfft(log, axis=0) * 2 / N][-setup.windows :]
         repetition += 1
         if len(kept) > 1:
@@ -103,7 +103,7 @@ def run(
         origin = f"measured in MuJoCo, {setup.method}, {excitation}"
         responses[place] |= quantities(loops[place], channel, excitation, frequency, found, quality, origin)
     return Measurement(
-        responses=tuple(responses), simulated_steps=batch.k * n * timing.substeps, conditions=batch.conditions()
+        responses=tuple(responses), simulated_steps=batch.periods * n * timing.substeps, conditions=batch.conditions()
     )
 
 

@@ -7,7 +7,7 @@ in, Y the position:
     effort:      S = U / W,   T = 1 - S,   L = (W - U) / U,   plant = Y / U     open loop from closed-loop data
     reference:   Y / R,   control sensitivity U / R
 
-All frequencies, points and excitations run at once, each in a simulation of its own (`linkplan.controllers.batch`).
+All frequencies, points and excitations run at once, each in a simulation of its own (`simulated_loops`).
 """
 
 from dataclasses import dataclass

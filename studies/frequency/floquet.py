@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.batch import BatchControlLoop
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, simulated, spectral_radius
 from linkplan.controllers.trackers.feedforward import Feedforward
@@ -21,6 +20,7 @@ from linkplan.controllers.trackers.tracker import Tracker
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, follow
+from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 
 # Disturbances of the state [rad or m, and per second]: small beside any motion, large beside the simulator's rounding.
 _POSITION, _SPEED, _EFFORT = 1e-5, 1e-3, 1e-4
@@ -170,12 +170,12 @@ def floquet(
 def _steady(mechanism, reference: SampledReference, tracker: Tracker, timing: Sampling, effort_limit):
     """Return the motion that a tracker settles on, over a cycle, and the commands (memory, n_u) under way at its start."""
     n = reference.n
-    batch = BatchControlLoop(
+    batch = SimulatedLoops(
         mechanism,
         pose=reference.pose[:1],
         velocity=reference.velocity[:1],
         gain=tracker_gains(tracker)[:1],
-        first_effort=reference.effort[:1],
+        under_way=reference.effort[:1],
         timing=timing,
         effort_limit=effort_limit,
     )
@@ -228,31 +228,25 @@ def _measured(
         pose[i + 1] = close_at(mechanism, s, motion.pose[0])
         velocity[n_s + i + 1, i] += scale[n_s + i]
     gain = tracker_gains(tracker)[:n]
-    batch = BatchControlLoop(
-        mechanism,
-        pose=pose,
-        velocity=velocity,
-        gain=np.broadcast_to(gain[0], (size + 1, n_u, 2 * n_s)),
-        first_effort=np.tile(motion.effort[0], (size + 1, 1)),
-        timing=timing,
-        effort_limit=effort_limit,
-    )
-    # The state's commands run from u_{-1} back; slot k mod memory of the queue holds u_{k - memory} before instant k.
+    # The state's commands run from u_{-1} back.
     p = timing.memory
-    batch.queue[:] = before
-    for back in range(p):
-        for j in range(n_u):
-            row = 2 * n_s + back * n_u + j
-            batch.queue[row + 1, (p - 1 - back) % p, j] += scale[row]
-    everyone = np.arange(size + 1)
-    states, commands = batch.run(everyone, *_signals(reference, tracker, size + 1), gain)
-    history = np.empty((n + 1, size + 1, size))
-    history[:n, :, : 2 * n_s], history[n, :, : 2 * n_s] = states, batch.state(everyone)
     under_way = np.repeat(before[:, None], size + 1, axis=1)
     for back in range(p):
         for j in range(n_u):
             row = 2 * n_s + back * n_u + j
             under_way[p - 1 - back, row + 1, j] += scale[row]
+    batch = SimulatedLoops(
+        mechanism,
+        pose=pose,
+        velocity=velocity,
+        gain=np.broadcast_to(gain[0], (size + 1, n_u, 2 * n_s)),
+        under_way=under_way,
+        timing=timing,
+        effort_limit=effort_limit,
+    )
+    states, commands = batch.run(np.arange(size + 1), *_signals(reference, tracker, size + 1), gain)
+    history = np.empty((n + 1, size + 1, size))
+    history[:n, :, : 2 * n_s], history[n, :, : 2 * n_s] = states, batch.state()
     whole = np.concatenate([under_way, commands])  # whole[k + p] = u_k
     for back in range(p):
         columns = slice(2 * n_s + back * n_u, 2 * n_s + (back + 1) * n_u)

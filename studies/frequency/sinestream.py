@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from linkplan.controllers.batch import BatchControlLoop
 from linkplan.studies.frequency.excitation import (
     Measurement,
     Setup,
@@ -18,6 +17,7 @@ from linkplan.studies.frequency.excitation import (
     whole_samples,
 )
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, channel_effort
+from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 
 # Harmonics of the fundamental that count as distortion.
 _HARMONICS = 5
@@ -65,12 +65,12 @@ def run(
         if excitation == "reference+ff":
             ahead[row * n_f : (row + 1) * n_f] = loop.feedforward(frequency, channel)
     moves_effort = np.repeat([excitation == "effort" for _, excitation in rows], n_f)
-    batch = BatchControlLoop(
+    batch = SimulatedLoops(
         mechanism,
         pose=np.repeat([loop.point.pose for loop, _ in rows], n_f, axis=0),
         velocity=state[:, n_s:],
         gain=np.repeat([loop.gain for loop, _ in rows], n_f, axis=0),
-        first_effort=hold,
+        under_way=hold,
         timing=timing,
         effort_limit=effort_limit,
     )

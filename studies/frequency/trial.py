@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.batch import BatchControlLoop
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop
+from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 
 # The kick [rad/s or m/s], and the share of the room to the effort limits that its command may take: a growing loop is to be
 # seen before its limits change it. The simulator's rounding shows in velocities of 1e-11.
@@ -37,12 +37,12 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
     pushes = np.abs(np.array([loop.gain for loop in loops])[:, :, n_s:]).sum(axis=2)
     with np.errstate(divide="ignore"):
         kick = np.minimum(_KICK, (_ROOM * room / pushes).min(axis=1))
-    batch = BatchControlLoop(
+    batch = SimulatedLoops(
         mechanism,
         pose=np.array([loop.point.pose for loop in loops]),
         velocity=np.repeat(kick[:, None], n_s, axis=1),
         gain=np.array([loop.gain for loop in loops]),
-        first_effort=hold,
+        under_way=hold,
         timing=timing,
         effort_limit=effort_limit,
     )
@@ -61,7 +61,7 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
         with np.errstate(invalid="ignore"):  # infinity less infinity, of what blew up
             rate, change = shape[-1] - shape[half], shape[-1] - shape[0]
         plain = np.abs(change) > np.log(_PLAIN)
-        over = plain | ~np.isfinite(change) | (batch.k >= most_periods)
+        over = plain | ~np.isfinite(change) | (batch.periods >= most_periods)
         # Where all is over within the first stretch, the kick itself is the measure.
         gone = speed[active] < kick[active] / _PLAIN
         blown = ~(speed[active] < _GROWN * kick[active])
@@ -70,4 +70,4 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
         done = active[over]
         settles[done] = np.where(gone, True, np.where(blown, False, trend < 0))[over]
         active = active[~over]
-    return Trials(settles=settles, periods=batch.k)
+    return Trials(settles=settles, periods=batch.periods)

@@ -18,15 +18,15 @@ from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.collisions import noted
-from linkplan.planner.certificate.margins import singularity_ratios
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
+from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.ladder import PATIENT, Rung
 from linkplan.planner.search.presolve import start_pose_of
-from linkplan.planner.search.starts import from_a_smooth_path
+from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.outcome import OF_TIME
 from linkplan.studies.new.hanging import at_rest, driven_columns, hanging_columns, hung, is_equilibrium, rests_by_itself
 
@@ -53,7 +53,7 @@ _GRAVITY = 9.81
 _PATIENCE_S, _SHARE_OF_TIME, _LEAST_LEFT_S = 40.0, 0.5, 1.0
 # Motions of many joints are moved together by less: the whole of it is that of so many.
 _AT_ONCE = 2
-_SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_a_smooth_path, budget=PATIENT),)
+_SMOOTH = (Rung(name="a smooth path", tried=lambda _: True, climb=from_first_starts, budget=PATIENT),)
 _SHUT = "every straight way from home is shut: by a singular pose, a joint's range, a contact or too great a weight"
 # A feedback loop's natural frequency times the motion's duration.
 _CYCLES = 8.0

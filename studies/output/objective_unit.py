@@ -1,15 +1,14 @@
 """The unit of a problem's objective: of efforts by what its actuators give, of distances by what its joints are."""
 
-from linkplan.planner.problem.objective import TERMS
 from linkplan.planner.problem.planning_problem import PlanningProblem
 
 
 def objective_unit(problem: PlanningProblem) -> str:
     """Return the unit of a single term, with a blank in front; nothing for a sum."""
     terms = list(problem.objective.weights)
-    if len(terms) != 1:
+    unit, mechanism = problem.objective.unit, problem.mechanism
+    if not unit:
         return ""
-    unit, mechanism = TERMS[terms[0]][1], problem.mechanism
     units = [unit]
     if terms[0].startswith("effort"):
         of_kind = {"N.m": unit, "N": unit.replace("N2 m2", "N2")}

@@ -25,6 +25,7 @@ if TYPE_CHECKING:  # what editors and type checkers read; `_HOMES` below says th
     from linkplan.mechanisms import check, load_mechanism
     from linkplan.models.errors import LinkplanError
     from linkplan.planner.ode.problem import OdeProblem
+    from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
     from linkplan.plans import Plan, Planner, plan, read_plan, solve_ocp
     from linkplan.problems import Problem
     from linkplan.tracking import compare, track
@@ -32,6 +33,8 @@ if TYPE_CHECKING:  # what editors and type checkers read; `_HOMES` below says th
     __version__: str
 
 __all__ = [
+    "ExtraCost",
+    "ExtraLimit",
     "LinkplanError",
     "OdeProblem",
     "Plan",
@@ -54,6 +57,8 @@ __all__ = [
 # The module of each public name, loaded when the name is first used (PEP 562). No module of this package bears a public
 # name: importing it would put the module in the name's place.
 _HOMES = {
+    "ExtraCost": "linkplan.planner.problem.extra",
+    "ExtraLimit": "linkplan.planner.problem.extra",
     "LinkplanError": "linkplan.models.errors",
     "OdeProblem": "linkplan.planner.ode.problem",
     "Plan": "linkplan.plans",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +21,7 @@ from linkplan.planner.files.motion_table import MotionTable, motion_table
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 from linkplan.planner.refinement.history import Step
 from linkplan.planner.replan import Planner as Replanner
 from linkplan.problems import Problem
@@ -44,19 +46,29 @@ def plan(problem: Problem | str | Path, progress: Progress | None = None) -> Pla
     return Plan(problem=asked, answer=plan_motion(asked.planning, listener(progress)))
 
 
-def read_plan(folder: str | Path, *, anyway: bool = False) -> Plan:
+def read_plan(
+    folder: str | Path,
+    *,
+    anyway: bool = False,
+    extra_costs: Sequence[ExtraCost] = (),
+    extra_limits: Sequence[ExtraLimit] = (),
+) -> Plan:
     """Return a saved plan: its problem built again, its certificate made anew from the motion on disk.
 
     Args:
         folder: where it was saved.
         anyway: whether a plan whose motion does not pass its certificate is returned, its status "failed", and not refused.
+        extra_costs: those that it was planned with. Files do not hold them: without them the objective is not checked, which
+            a note of the plan says.
+        extra_limits: likewise, the limits.
 
     Raises:
         CertificateError: when the motion does not pass.
         LinkplanError: when the folder or a file in it is missing, truncated, no plan's, or its model has changed since.
     """
     folder = path_of(folder, "folder")
-    answer, note = plan_folder.read_plan(folder, anyway=anyway), plan_folder.unchecked(folder)
+    answer = plan_folder.read_plan(folder, anyway=anyway, extra_costs=extra_costs, extra_limits=extra_limits)
+    note = plan_folder.unchecked(folder)
     if note is not None:
         LOG.warning("%s: %s", folder, note)
     return Plan(problem=Problem(planning=answer.problem), answer=answer)

@@ -11,10 +11,10 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.names import nearest
 from linkplan.plain import plain
-from linkplan.planner.files.problem_file import mechanism_from_tables, problem_from_tables
+from linkplan.planner.files.problem_file import file_text, mechanism_from_tables, problem_from_tables
 from linkplan.planner.files.tables import read_tables, set_key
-from linkplan.planner.files.toml_text import toml_text
 from linkplan.planner.keys.reading import KEYS
+from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.presolve import start_pose_of
 
@@ -24,6 +24,7 @@ _SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracki
 _MOTION = tuple(key for key in KEYS["motion"] if key != "kind")
 # Names stand in titles of figures and in tables.
 _LONGEST_NAME = 500
+_EXTRAS = ("extra_costs", "extra_limits")
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 
 
@@ -56,6 +57,8 @@ class Problem:
         mesh: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`.
         solver: `starts`, `compile`, `max_time_s`.
         tracking: `kp`, `kd`, `period_s`, `delay_periods`, `duration_s` and the weights of LQR.
+        extra_costs: a list of `ExtraCost`, running costs beside `minimize`; with {} there they are the whole objective.
+        extra_limits: a list of `ExtraLimit`, limits on every instant.
         name: of the problem in messages, tables and files; by default the mechanism's with the kind of motion.
 
     Raises:
@@ -98,6 +101,8 @@ class Problem:
         mesh: Mapping | None = None,
         solver: Mapping | None = None,
         tracking: Mapping | None = None,
+        extra_costs: Sequence[ExtraCost] | None = None,
+        extra_limits: Sequence[ExtraLimit] | None = None,
         name: str | None = None,
     ) -> Problem:
         """Return the problem of going from a start to a goal; the arguments are those of `Problem`.
@@ -130,6 +135,8 @@ class Problem:
         mesh: Mapping | None = None,
         solver: Mapping | None = None,
         tracking: Mapping | None = None,
+        extra_costs: Sequence[ExtraCost] | None = None,
+        extra_limits: Sequence[ExtraLimit] | None = None,
         name: str | None = None,
     ) -> Problem:
         """Return the problem of a motion that returns to its own first state; the arguments are those of `Problem`.
@@ -152,6 +159,7 @@ class Problem:
         mesh: Mapping | None = None,
         solver: Mapping | None = None,
         tracking: Mapping | None = None,
+        extra_limits: Sequence[ExtraLimit] | None = None,
         name: str | None = None,
     ) -> Problem:
         """Return the problem of following a reference exactly; the arguments are those of `Problem`."""
@@ -184,12 +192,15 @@ class Problem:
         return self.planning.mechanism
 
     def to_dict(self) -> dict:
-        """Return the problem as the tables of a problem file, a copy."""
+        """Return the problem as the tables of a problem file, a copy; extra costs and limits have no place in them."""
         return copy.deepcopy(self.planning.source)
 
     def to_toml(self) -> str:
-        """Return the problem as the text of a problem file: `from_file` of it, written down, is the same problem."""
-        return toml_text(self.planning.source)
+        """Return the problem as the text of a problem file: `from_file` of it, written down, is the same problem.
+
+        Extra costs and limits are Python and not in it: a comment in its first line names them.
+        """
+        return file_text(self.planning)
 
     def replace(self, **changes: object) -> Problem:
         """Return the problem with some of the builders' arguments in place of what they were; None takes one back.
@@ -200,7 +211,7 @@ class Problem:
         Raises:
             LinkplanError: for an unknown argument, or as the builders do.
         """
-        legal = ("mechanism", *_MECHANISM, *_MOTION, "minimize", *_SECTIONS, "name")
+        legal = ("mechanism", *_MECHANISM, *_MOTION, "minimize", *_SECTIONS, *_EXTRAS, "name")
         for key in changes:
             if key not in legal:
                 raise ProblemError(
@@ -214,8 +225,8 @@ class Problem:
             table = _updated(dict(mechanism.source), asked)
             mechanism = mechanism_from_tables({"mechanism": table})
         _fill(tables, changes)
-        name = changes.get("name")
-        return _checked(problem_from_tables(self.name if name is None else _name(name), tables, None, mechanism))
+        name, extras = changes.get("name"), self._extras() | _given_extras(changes)
+        return _checked(problem_from_tables(self.name if name is None else _name(name), tables, None, mechanism, **extras))
 
     def with_settings(self, settings: Mapping[str, object]) -> Problem:
         """Return the problem with single values of its tables set, by dotted key: {"limits.effort.act_O": [-80, 80]}.
@@ -227,7 +238,10 @@ class Problem:
         before = copy.deepcopy(tables["mechanism"])
         _set(tables, settings)
         mechanism = self.mechanism if tables["mechanism"] == before else None
-        return _checked(problem_from_tables(self.name, tables, None, mechanism))
+        return _checked(problem_from_tables(self.name, tables, None, mechanism, **self._extras()))
+
+    def _extras(self) -> dict:
+        return {"extra_costs": self.planning.objective.extra, "extra_limits": self.planning.extra_limits}
 
     def __repr__(self) -> str:
         motion = self.planning.motion
@@ -240,7 +254,12 @@ def _built(kind: str, mechanism: object, name: str | None, said: Mapping[str, ob
     tables: dict[str, dict] = {"mechanism": {}, "motion": {"kind": kind}}
     loaded = _mechanism(mechanism)
     _fill(tables, {key: value for key, value in said.items() if value is not None})
-    return _checked(problem_from_tables(f"{loaded.name}-{kind}" if name is None else _name(name), tables, None, loaded))
+    name = f"{loaded.name}-{kind}" if name is None else _name(name)
+    return _checked(problem_from_tables(name, tables, None, loaded, **_given_extras(said)))
+
+
+def _given_extras(said: Mapping[str, object]) -> dict:
+    return {key: () if said[key] is None else said[key] for key in _EXTRAS if key in said}
 
 
 def _checked(planning: PlanningProblem) -> Problem:

@@ -14,7 +14,7 @@ from linkplan.planner.certificate.certificate import (
     Certificate,
 )
 from linkplan.planner.certificate.collisions import who
-from linkplan.planner.certificate.site_margins import ENDS_SHARE
+from linkplan.planner.certificate.site_ends import ENDS_SHARE
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.studies.report.document import Checklist, Item

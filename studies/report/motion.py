@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.margins import actuator_speeds, closure_forces
+from linkplan.planner.limits.samples import actuator_speeds, closure_forces
 from linkplan.planner.plan import Plan
 
 # Steps of an interval: so many, or as many as a page's plots have room for.

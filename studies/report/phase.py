@@ -3,9 +3,9 @@
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
+from linkplan.planner.phase_plane.grid import Plane as PhaseGrid
+from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.plan import Plan
-from linkplan.planner.search.phase_grid import Plane as PhaseGrid
-from linkplan.planner.search.phase_grid import grid_of, plane_of
 from linkplan.studies.report.document import Axis, Curve, Plane
 from linkplan.studies.report.motion import Motion
 from linkplan.studies.report.numbers import kept, rounded, times

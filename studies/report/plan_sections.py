@@ -7,9 +7,8 @@ import numpy as np
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.files.toml_text import toml_text
+from linkplan.planner.files.problem_file import file_text
 from linkplan.planner.plan import Plan, not_honoured
-from linkplan.planner.problem.objective import TERMS
 from linkplan.studies.report.animation import animation, frames_of
 from linkplan.studies.report.certificate_list import certificate_list
 from linkplan.studies.report.columns import columns
@@ -79,9 +78,7 @@ def _verdict(plan: Plan, *, said: bool) -> list[Block]:
     if trajectory is not None:
         rows.append(("duration", f"{trajectory.duration_s:.8g} s"))
     if plan.objective is not None:
-        terms = list(problem.objective.weights)
-        unit = f" {TERMS[terms[0]][1]}" if len(terms) == 1 else ""
-        rows.append(("value of the objective", f"{plan.objective:.6g}{unit}"))
+        rows.append(("value of the objective", f"{plan.objective:.6g} {problem.objective.unit}".rstrip()))
     if certificate is not None:
         rows += [
             (f"largest effort of {actuator.name}", f"{peak:.4g} {actuator.unit}, limit {low:g} to {high:g} {actuator.unit}")
@@ -238,7 +235,7 @@ def _mesh(plan: Plan, group: str, period: float | None) -> Plot:
 
 def _problem(plan: Plan) -> list[Block]:
     try:
-        text = toml_text(_without_none(plain_record(plan.problem.source)))
+        text = file_text(plan.problem, _without_none(plain_record(plan.problem.source)))
     except ProblemError as error:
         return [Text(text=f"The problem has no form as a file: {error}", tone="note")]
     return [Code(title="The problem as a file", text=text)]

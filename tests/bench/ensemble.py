@@ -11,9 +11,10 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from linkplan.controllers.ensemble import run_ensemble
 from linkplan.controllers.imperfections.imperfections import Imperfections
+from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.simulate import simulate
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
@@ -29,16 +30,17 @@ def bench_ensemble() -> str:
     plan = plan_motion(load_problem("knee-sine", ["tracking.duration_s=0.1"]))  # the bare knee
     mechanism, reference = plan.problem.mechanism, tracking_reference(plan)
     limit = np.array(plan.problem.limits.effort)
-    machines, loop = [Imperfections()] * SIMULATIONS, ControlLoop(effort_limit=limit)
+    machines = [Imperfections()] * SIMULATIONS
+    plant = MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=limit), threads=THREADS)
     each = 1e6 / (SIMULATIONS * reference.n)
     rows = []
     for name in ("pd", "pd+ff", "lqr"):
         tracker = build_tracker(name, plan, reference)
-        driven = run_ensemble(mechanism, reference, tracker, loop, machines[:1]).applied[:, 0]
+        driven = simulate(plant, tracker, reference, machines[:1]).applied[:, 0]
         raw, looped, python = _least_s(
             [
                 lambda driven=driven: _raw(mechanism, reference, driven),
-                lambda tracker=tracker: run_ensemble(mechanism, reference, tracker, loop, machines, THREADS),
+                lambda tracker=tracker: simulate(plant, tracker, reference, machines),
                 lambda tracker=tracker: _python(mechanism, reference, tracker, limit),
             ]
         )

@@ -2,7 +2,9 @@
 
 import mujoco
 
-from linkplan.controllers.rollout import ControlLoop, run
+from linkplan.controllers.mujoco_plant import MujocoPlant
+from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.simulate import simulate_one
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
@@ -17,9 +19,9 @@ def bench_loop() -> str:
     mechanism, reference = plan.problem.mechanism, tracking_reference(plan)
     data = mujoco.MjData(mechanism.model)
     raw = median_s(lambda: [mujoco.mj_step(mechanism.model, data) for _ in range(reference.n)], 3)
-    rows, limit = [], plan.problem.limits.effort
+    rows, machine = [], MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=plan.problem.limits.effort))
     for name in ("pd", "pd+ff", "lqr"):
         tracker = build_tracker(name, plan, reference)
-        loop = median_s(lambda tracker=tracker: run(mechanism, reference, tracker, ControlLoop(effort_limit=limit)), 3)
+        loop = median_s(lambda tracker=tracker: simulate_one(machine, tracker, reference), 3)
         rows.append([name, 1e3 * loop, loop / raw])
     return table([f"{reference.n} periods", "median [ms]", "over raw mj_step"], rows)

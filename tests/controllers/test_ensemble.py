@@ -1,15 +1,20 @@
 """Many machines at once: each is the run of its own loop, whatever runs beside it, and whatever fails beside it."""
 
+import copy
+import dataclasses
 from dataclasses import dataclass, replace
 
+import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.ensemble import DIVERGED, Ensemble, run_ensemble
+from linkplan.controllers.feedback_loop import states_of
 from linkplan.controllers.imperfections.imperfections import Imperfections, Push, Start
-from linkplan.controllers.rollout import ControlLoop, run
+from linkplan.controllers.mujoco_plant import DIVERGED, MujocoPlant
+from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.simulate import Ensemble, simulate
 from linkplan.models.mechanism import load_mechanism
-from tests.support.machines import LOOP, everything, feedback, follower, reach
+from tests.support.machines import LOOP, everything, feedback, follower, reach, run_alone, run_machines
 from tests.support.tolerances_loops import SAME_RUN
 
 
@@ -27,8 +32,8 @@ def same_bits(first: list[np.ndarray], second: list[np.ndarray]) -> bool:
 def test_a_machine_without_imperfections_is_the_single_run(law, delay):
     mechanism, reference = reach()
     loop = replace(LOOP, delay_periods=delay)
-    single = run(mechanism, reference, law(), loop)
-    many = run_ensemble(mechanism, reference, law(), loop, [Imperfections()] * 3, threads=2)
+    single = run_alone(mechanism, reference, law(), loop)
+    many = run_machines(mechanism, reference, law(), loop, [Imperfections()] * 3, threads=2)
     for i in range(3):
         assert np.abs(many.pose[:, i] - single.pose).max() < SAME_RUN
         assert np.abs(many.commanded[:, i] - single.commanded).max() < SAME_RUN * 1e3
@@ -51,8 +56,8 @@ def test_several_degrees_of_freedom_and_several_steps_a_period_are_the_single_ru
     )  # fmt: skip
     reference = sample(mechanism, still, 3e-4, 0.03)
     tracker, loop = pd(mechanism, reference, 20.0, 1.0), ControlLoop(effort_limit=mechanism.effort_limit)
-    single = run(mechanism, reference, tracker, loop)
-    many = run_ensemble(mechanism, reference, tracker, loop, [Imperfections()] * 2)
+    single = run_alone(mechanism, reference, tracker, loop)
+    many = run_machines(mechanism, reference, tracker, loop, [Imperfections()] * 2)
     assert np.abs(many.pose[:, 1] - single.pose).max() < SAME_RUN
     assert np.abs(many.commanded[:, 1] - single.commanded).max() < SAME_RUN * 1e3
 
@@ -60,11 +65,11 @@ def test_several_degrees_of_freedom_and_several_steps_a_period_are_the_single_ru
 def test_a_machine_is_the_same_to_the_last_bit_at_any_batch_size_and_number_of_threads():
     mechanism, reference = reach()
     machines = [everything(seed) for seed in range(7)]
-    whole = run_ensemble(mechanism, reference, follower(), LOOP, machines, threads=1)
+    whole = run_machines(mechanism, reference, follower(), LOOP, machines, threads=1)
     assert whole.failure == (None,) * 7
     for size, threads in ((1, 1), (3, 2), (7, 2)):
         for first in range(0, 7, size):
-            part = run_ensemble(mechanism, reference, follower(), LOOP, machines[first : first + size], threads)
+            part = run_machines(mechanism, reference, follower(), LOOP, machines[first : first + size], threads)
             for i in range(len(part.failure)):
                 assert same_bits(logs(part, i), logs(whole, first + i)), (size, threads, first + i)
     assert not same_bits(logs(whole, 0), logs(whole, 1))
@@ -75,8 +80,8 @@ def test_a_machine_that_diverges_is_frozen_and_harms_no_other(tmp_path, monkeypa
     mechanism, reference = reach()
     blown = Imperfections(pushes=(Push(start_s=0.005, duration_s=0.001, joint="O", effort=1e16),))
     good = [everything(1), everything(2)]
-    alone = run_ensemble(mechanism, reference, follower(), LOOP, good)
-    beside = run_ensemble(mechanism, reference, follower(), LOOP, [good[0], blown, good[1]])
+    alone = run_machines(mechanism, reference, follower(), LOOP, good)
+    beside = run_machines(mechanism, reference, follower(), LOOP, [good[0], blown, good[1]])
     assert beside.failure == (None, DIVERGED, None)
     assert same_bits(logs(beside, 0), logs(alone, 0))
     assert same_bits(logs(beside, 2), logs(alone, 1))
@@ -102,8 +107,8 @@ class _Single:
 def test_a_tracker_of_single_states_is_asked_for_each():
     mechanism, reference = reach()
     machines = [everything(seed) for seed in range(3)]
-    one_by_one = run_ensemble(mechanism, reference, _Single(), LOOP, machines)
-    at_once = run_ensemble(mechanism, reference, follower(), LOOP, machines)
+    one_by_one = run_machines(mechanism, reference, _Single(), LOOP, machines)
+    at_once = run_machines(mechanism, reference, follower(), LOOP, machines)
     for i in range(3):
         assert same_bits(logs(one_by_one, i), logs(at_once, i))
 
@@ -111,11 +116,11 @@ def test_a_tracker_of_single_states_is_asked_for_each():
 def test_a_tracker_that_raises_for_one_machine_is_told_of_in_one_line_and_the_others_go_on():
     mechanism, reference = reach()
     backwards = Imperfections(start=Start(velocity_error=-3.0))
-    found = run_ensemble(mechanism, reference, _Single(), LOOP, [Imperfections(), backwards])
+    found = run_machines(mechanism, reference, _Single(), LOOP, [Imperfections(), backwards])
     assert found.failure[0] is None
     assert "this state is not for me" in found.failure[1]
     assert found.done.tolist() == [reference.n, 21]
-    alone = run_ensemble(mechanism, reference, _Single(), LOOP, [Imperfections()])
+    alone = run_machines(mechanism, reference, _Single(), LOOP, [Imperfections()])
     assert same_bits(logs(found, 0), logs(alone, 0))
 
 
@@ -136,7 +141,36 @@ class _Counting:
 
 def test_a_tracker_s_memory_is_held_by_the_loop_single_or_many():
     mechanism, reference = reach()
-    many = run_ensemble(mechanism, reference, _Counting(), LOOP, [Imperfections(), everything(3)])
-    single = run(mechanism, reference, _Counting(), LOOP)
+    many = run_machines(mechanism, reference, _Counting(), LOOP, [Imperfections(), everything(3)])
+    single = run_alone(mechanism, reference, _Counting(), LOOP)
     assert np.array_equal(many.commanded[:, 0, 0], np.arange(reference.n))
     assert np.array_equal(single.commanded[:, 0], np.arange(reference.n))
+
+
+def test_trackers_that_run_one_after_another_share_the_machines():
+    mechanism, reference = reach()
+    plant = MujocoPlant(mechanism=mechanism, loop=LOOP)
+    machines = [Imperfections(), everything(1), Imperfections(), everything(2)]
+    simulate(plant, feedback(), reference, machines)
+    first = dict(plant.built)
+    simulate(plant, follower(), reference, machines)
+    assert len(first) == 3, "machines as modelled are one"
+    assert all(plant.built[key] is one for key, one in first.items())
+    simulate(plant, follower(), reference, machines[:2])
+    assert len(plant.built) == 2, "the memory of machines that run no more is given back"
+
+
+def test_a_machine_of_many_closes_its_loop_by_a_sparse_jacobian_as_by_a_dense_one():
+    mechanism, reference = reach()
+    found = []
+    for kind in (mujoco.mjtJacobian.mjJAC_DENSE, mujoco.mjtJacobian.mjJAC_SPARSE):
+        model = copy.deepcopy(mechanism.model)
+        model.opt.jacobian = kind
+        stepper, failure = MujocoPlant(mechanism=dataclasses.replace(mechanism, model=model), loop=LOOP).begin(
+            reference, [everything(1)]
+        )
+        assert failure == [None]
+        found.append(states_of(stepper))
+    assert np.abs(found[0][0] - mechanism.home).max() > 1e-3
+    for dense, sparse in zip(*found, strict=True):
+        assert sparse == pytest.approx(dense, abs=1e-12)

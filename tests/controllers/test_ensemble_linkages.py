@@ -1,17 +1,17 @@
 """Many simulations of servos and ball joints together are those of the single loop, one by one."""
 
+import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.ensemble import run_ensemble
 from linkplan.controllers.imperfections.imperfections import Drives, Imperfections, Machine, Start
-from linkplan.controllers.rollout import ControlLoop, run
-from linkplan.models.errors import ModelError
+from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from tests.support.linkages import GRIPPER, RSSR
+from tests.support.machines import run_alone, run_machines
 from tests.support.mechanisms import replaced
-from tests.support.scripted import Scripted, hard, standing, wave
+from tests.support.scripted import PERIOD_S, Scripted, hard, standing, wave
 from tests.support.tolerances_planner import ROUNDING, SERVO_AS_MOTOR
 
 CUT = replaced(GRIPPER, 'ctrlrange="-0.6 0.6"', 'ctrlrange="-0.01 0.01"')
@@ -23,7 +23,7 @@ def both(text, efforts, machines=AS_MODELLED, limit=50.0):
     mechanism = load_mechanism(text)
     loop = ControlLoop(effort_limit=np.tile([-limit, limit], (mechanism.n_u, 1)))
     reference, law = standing(mechanism, len(efforts)), Scripted(efforts=efforts)
-    return run(mechanism, reference, law, loop), run_ensemble(mechanism, reference, law, loop, machines)
+    return run_alone(mechanism, reference, law, loop), run_machines(mechanism, reference, law, loop, machines)
 
 
 @pytest.mark.parametrize("integrator", ["Euler", "RK4"])
@@ -90,9 +90,17 @@ def test_a_start_far_beside_the_path_is_on_the_path_s_branch(off):
     assert ensemble.pose[0, 0] == pytest.approx(there, abs=1e-9)
 
 
-def test_a_servo_whose_gain_changes_within_a_range_is_refused_by_name():
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_a_servo_whose_gain_changes_gives_what_the_end_of_its_range_leaves(integrator):
     servo = '<general name="grip" tendon="split" gaintype="affine" gainprm="5 1 0" biastype="affine" biasprm="0 -5 0"'
     old = '<position name="grip" tendon="split" kp="5" kv="0.05" forcerange="-1 1" ctrlrange="-0.6 0.6"/>'
-    text = replaced(GRIPPER, old, f'{servo} forcerange="-1 1" ctrlrange="-0.6 0.6"/>')
-    with pytest.raises(ModelError, match="actuator grip is another on tendon split"):
-        both(text, np.zeros((2, 2)))
+    text = replaced(GRIPPER, old, f'{servo} forcerange="-1 1" ctrlrange="-0.01 0.01"/>')
+    mechanism = load_mechanism(hard(text, PERIOD_S, integrator))
+    alone, _ = both(hard(text, PERIOD_S, integrator), np.tile([5.0, 0.9], (40, 1)))
+    data = mujoco.MjData(mechanism.model)
+    for pose, applied in zip(alone.pose, alone.applied[:, 1], strict=True):
+        data.qpos[:] = pose
+        mujoco.mj_forward(mechanism.model, data)
+        length = data.actuator_length[mechanism.actuators[1].output]
+        assert applied == pytest.approx((5 + length) * 0.01 - 5 * length, abs=ROUNDING)
+    assert np.ptp(alone.applied[:, 1]) > 1e-3, "the range moves with the servo"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mujoco.batch import Batch
 
-from linkplan.controllers.imperfections.gaping import gaps
+from linkplan.controllers.imperfections.gaping import ClosureWatch
 from linkplan.models.mechanism import load_mechanism
 from tests.support.machines import reach
 
@@ -32,11 +32,11 @@ def test_points_of_bodies(name):
     pose = mechanism.home + np.array([0.01, -0.004, 0.02])
     batch = Batch(mechanism.model, nsim=2)
     batch.bind("qpos")[:] = pose
-    now = gaps(batch, [mechanism.model] * 2)
+    watch = ClosureWatch(batch, [mechanism.model] * 2)
     batch.forward()
+    watch.note()
     assert mechanism.gap_m(pose) > 1e-4
-    assert np.sqrt(now(slice(None))) == pytest.approx(mechanism.gap_m(pose))
-    assert np.sqrt(now(np.array([1]))) == pytest.approx(mechanism.gap_m(pose))
+    assert watch.largest()[0] == pytest.approx(mechanism.gap_m(pose))
 
 
 def test_points_of_sites():
@@ -44,6 +44,19 @@ def test_points_of_sites():
     pose = mechanism.home + np.array([0.01, -0.004, 0.02])
     batch = Batch(mechanism.model, nsim=1)
     batch.bind("qpos")[:] = pose
-    now = gaps(batch, [mechanism.model])
+    watch = ClosureWatch(batch, [mechanism.model])
     batch.forward()
-    assert np.sqrt(now(slice(None))) == pytest.approx(mechanism.gap_m(pose))
+    watch.note()
+    assert watch.largest()[0] == pytest.approx(mechanism.gap_m(pose))
+
+
+def test_the_largest_gap_of_all_steps_is_kept_however_many_there_are():
+    mechanism, _ = reach()
+    off = np.array([0.01, -0.004, 0.02])
+    batch = Batch(mechanism.model, nsim=1)
+    watch = ClosureWatch(batch, [mechanism.model])
+    for k in range(200):
+        batch.bind("qpos")[:] = mechanism.home + (off if k == 70 else 0.1 * off)
+        batch.forward()
+        watch.note()
+    assert watch.largest()[0] == pytest.approx(mechanism.gap_m(mechanism.home + off))

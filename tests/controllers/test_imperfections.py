@@ -8,18 +8,17 @@ import numpy as np
 import pytest
 from mujoco.batch import MODEL_FIELDS
 
-from linkplan.controllers.ensemble import run_ensemble
 from linkplan.controllers.imperfections.driving import act, driving, take
 from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Sensors, Start
 from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.imperfections.sensing import measure, sensing
 from linkplan.controllers.imperfections.spreading import FIELDS
 from linkplan.controllers.reference import sample, state_at
-from linkplan.controllers.rollout import ControlLoop, run
+from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.payload import BODY_NAME
-from tests.support.machines import LOOP, everything, feedback, follower, reach
+from tests.support.machines import LOOP, everything, feedback, follower, reach, run_alone, run_machines
 from tests.support.plans import optimal
 
 LIMIT = np.array([[-10.0, 10.0]])
@@ -31,10 +30,9 @@ def acted(drives: Drives, commands: list[float], delay: float = 0.0, substeps: i
     now = driving([drives], [delay], [H / substeps], substeps, LIMIT)
     efforts = []
     for k, command in enumerate(commands):
-        now = take(now, k, np.array([[command]]))
+        take(now, k, np.array([[command]]))
         for j in range(substeps):
-            effort, now = act(now, k, j)
-            efforts.append(effort[0, 0])
+            efforts.append(act(now, k, j)[0, 0])
     return np.array(efforts)
 
 
@@ -74,7 +72,7 @@ def read(sensors: Sensors, positions: np.ndarray, rate: float) -> tuple[np.ndarr
     now = sensing([sensors], positions[:1, None], np.array([[rate]]), H)
     found = []
     for k, position in enumerate(positions):
-        s, v, now = measure(now, k, np.array([[position]]), np.array([[rate]]))
+        s, v = measure(now, k, np.array([[position]]), np.array([[rate]]))
         found.append((s[0, 0], v[0, 0]))
     return tuple(np.array(found).T)
 
@@ -128,8 +126,8 @@ def test_only_listed_fields_of_a_model_are_changed_and_the_mechanism_s_own_model
 
 def test_a_mass_factor_is_the_single_run_s():
     mechanism, reference = reach()
-    single = run(mechanism, reference, follower(), replace(LOOP, mass_factor=1.2))
-    many = run_ensemble(mechanism, reference, follower(), LOOP, [Imperfections(machine=Machine(mass_factor=1.2))])
+    single = run_alone(mechanism, reference, follower(), replace(LOOP, mass_factor=1.2))
+    many = run_machines(mechanism, reference, follower(), LOOP, [Imperfections(machine=Machine(mass_factor=1.2))])
     assert np.abs(many.pose[:, 0] - single.pose).max() < 1e-12
 
 
@@ -198,7 +196,7 @@ def coasting(**imperfect) -> float:
         def effort(self, *_):
             return np.zeros(mechanism.n_u)
 
-    found = run_ensemble(mechanism, reference, Idle(), ControlLoop(effort_limit=mechanism.effort_limit), [
+    found = run_machines(mechanism, reference, Idle(), ControlLoop(effort_limit=mechanism.effort_limit), [
         Imperfections(**imperfect)
     ])  # fmt: skip
     slide = next(i for i, joint in enumerate(mechanism.independent_joints) if joint.kind == "slide")
@@ -227,7 +225,7 @@ def test_coulomb_friction_holds_what_pushes_less_and_viscous_friction_slows():
 
 def test_a_stiff_loop_settles_beside_its_goal_by_the_encoder_s_offset():
     mechanism, reference = reach(0.6, 1e-3)
-    found = run_ensemble(mechanism, reference, follower(0.6, 1e-3), LOOP, [
+    found = run_machines(mechanism, reference, follower(0.6, 1e-3), LOOP, [
         Imperfections(sensors=Sensors(offset=0.001)), Imperfections()
     ])  # fmt: skip
     late = found.pose[-1, :, 0]
@@ -236,14 +234,14 @@ def test_a_stiff_loop_settles_beside_its_goal_by_the_encoder_s_offset():
 
 def test_a_slow_clock_runs_the_same_commands_over_a_longer_time():
     mechanism, reference = reach()
-    slow = run_ensemble(mechanism, reference, feedback(), LOOP, [Imperfections(clock=Clock(period_factor=1.02))])
+    slow = run_machines(mechanism, reference, feedback(), LOOP, [Imperfections(clock=Clock(period_factor=1.02))])
     assert slow.time_s[:, 0] == pytest.approx(1.02 * reference.time_s)
     assert slow.timestep_s[0] == pytest.approx(1.02e-4)
 
 
 def test_a_late_phase_starts_the_machine_where_the_motion_is_then():
     mechanism, reference = reach()
-    late = run_ensemble(mechanism, reference, follower(), LOOP, [Imperfections(clock=Clock(phase_periods=0.5))])
+    late = run_machines(mechanism, reference, follower(), LOOP, [Imperfections(clock=Clock(phase_periods=0.5))])
     assert late.time_s[0, 0] == pytest.approx(0.5e-4)
     trajectory = optimal("knee-reach").trajectory
     assert late.pose[0, 0, 0] == pytest.approx(trajectory.position_at(np.array([0.5e-4]))[0, 0], abs=1e-9)

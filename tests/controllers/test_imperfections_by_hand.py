@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.ensemble import Ensemble, run_ensemble
 from linkplan.controllers.imperfections.imperfections import (
     Clock,
     Drives,
@@ -18,6 +17,7 @@ from linkplan.controllers.imperfections.imperfections import (
 from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.simulate import Ensemble
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.models.mechanism import Mechanism, load_mechanism
@@ -25,7 +25,7 @@ from linkplan.models.payload import BODY_NAME, SHANK
 from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA
-from tests.support.machines import LOOP, everything, reach
+from tests.support.machines import LOOP, everything, reach, run_machines
 from tests.support.plans import optimal
 
 # A weight at the end of an arm of no mass.
@@ -61,7 +61,7 @@ def at_rest(mjcf: str, duration_s: float) -> tuple[Mechanism, SampledReference]:
 def turned(effort: float = 0.0, mjcf: str = HINGE, **imperfect) -> Ensemble:
     """Return the run of a body at rest on a hinge, over a tenth of a second, under an effort that is asked for."""
     mechanism, reference = at_rest(mjcf, 0.1 + PERIOD)
-    found = run_ensemble(
+    found = run_machines(
         mechanism, reference, Asks(effort), ControlLoop(effort_limit=mechanism.effort_limit), [Imperfections(**imperfect)]
     )
     assert found.failure == (None,)
@@ -218,7 +218,7 @@ def test_no_imperfection_of_the_machine_is_told_to_the_tracker(kind):
         clock=machine.clock, drives=machine.drives, machine=machine.machine, start=machine.start, pushes=machine.pushes
     )
     before = mechanism.fingerprint(), saved(mechanism.model)
-    found = run_ensemble(mechanism, reference, build_tracker(kind, plan, reference), LOOP, [wrong])
+    found = run_machines(mechanism, reference, build_tracker(kind, plan, reference), LOOP, [wrong])
     assert (mechanism.fingerprint(), saved(mechanism.model)) == before
     assert np.abs(found.pose[:, 0] - reference.pose).max() > 1e-4  # it is another machine
     law = steps_of(build_tracker(kind, plan, reference))

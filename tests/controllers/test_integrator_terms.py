@@ -1,14 +1,20 @@
 """One step of MuJoCo's integrators about rest, with what acts by tendons and servos: the map is the simulator's own."""
 
-import mujoco
+import copy
+
 import numpy as np
 import pytest
 
+from linkplan.controllers.feedback_loop import states_of
+from linkplan.controllers.imperfections.driving import driving
+from linkplan.controllers.imperfections.imperfections import Drives
+from linkplan.controllers.imperfections.plant import Plant, prepare
 from linkplan.controllers.integrator import simulator_step
-from linkplan.controllers.rollout import _step
+from linkplan.controllers.mujoco_plant import MujocoStepper
 from linkplan.models.mechanism import load_mechanism
 
 STEP_S, SMALL = 4e-3, 1e-6
+UNLIMITED = np.tile([-np.inf, np.inf], (2, 1))
 # Central differences of a step, relative to its largest entry; terms left out are off by 3e-2 to 0.3.
 AGREES = 1e-4
 CHAIN = """<body><joint name="a" axis="0 1 0" armature="0.01"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/>
@@ -37,11 +43,14 @@ def loaded(what: str, integrator: str, solver: str = "Newton"):
 def differences(mechanism, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Return the slopes (4, 6) of MuJoCo's step about rest under efforts u, by state and effort."""
 
+    model = copy.copy(mechanism.model)
+    prepare(model, mechanism, STEP_S, UNLIMITED)
+
     def stepped(x: np.ndarray) -> np.ndarray:
-        data = mujoco.MjData(mechanism.model)
-        data.qpos[:], data.qvel[:] = x[:2], x[2:4]
-        _step(mechanism.model, data, mechanism.actuators, x[4:], 1)
-        return np.concatenate([data.qpos, data.qvel])
+        start = Plant(model=model, pose=x[:2], rates=x[2:4])
+        stepper = MujocoStepper(mechanism, [start], driving([Drives()], [0.0], [STEP_S], 1, UNLIMITED), 1)
+        stepper.hold(x[4:][None], np.empty((1, 2)), np.empty((1, 2)))
+        return np.concatenate(states_of(stepper), axis=1)[0]
 
     at = np.concatenate([q, np.zeros(2), u])
     return np.array([(stepped(at + e) - stepped(at - e)) / (2 * SMALL) for e in SMALL * np.eye(6)]).T

@@ -1,17 +1,20 @@
 """The closed loop in MuJoCo on linkages with servos, tendons, welds and ball joints."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import mujoco
 import numpy as np
 import pytest
 import scipy.integrate
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.rollout import ControlLoop, Rollout, run
+from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from tests.support.linkages import GRIPPER, RSSR
+from tests.support.machines import run_alone
 from tests.support.mechanisms import replaced
 from tests.support.scripted import PERIOD_S, STEPS, Scripted, hard, standing, wave
 from tests.support.tolerances import UNIT_VECTOR
@@ -24,7 +27,9 @@ SIMULATED = 1e-4
 
 def scripted(mechanism: Mechanism, efforts: np.ndarray, limit: float = np.inf) -> Rollout:
     limits = np.tile([-limit, limit], (mechanism.n_u, 1))
-    return run(mechanism, standing(mechanism, len(efforts)), Scripted(efforts=efforts), ControlLoop(effort_limit=limits))
+    return run_alone(
+        mechanism, standing(mechanism, len(efforts)), Scripted(efforts=efforts), ControlLoop(effort_limit=limits)
+    )
 
 
 def integrated(mechanism: Mechanism, efforts: np.ndarray) -> np.ndarray:
@@ -63,13 +68,24 @@ def test_a_servo_gives_the_effort_that_a_motor_would(integrator):
 
 
 def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
-    mechanism = load_mechanism(hard(GRIPPER, 1e-4))
+    mechanism = load_mechanism(hard(GRIPPER, PERIOD_S))
     efforts = np.tile([5.0, 0.9], (2, 1))
     held = replaced(GRIPPER, 'ctrlrange="-0.6 0.6"', 'ctrlrange="-0.01 0.01"')
-    free, cut = scripted(mechanism, efforts, 50.0), scripted(load_mechanism(hard(held, 1e-4)), efforts, 50.0)
+    free, cut = scripted(mechanism, efforts, 50.0), scripted(load_mechanism(hard(held, PERIOD_S)), efforts, 50.0)
     assert np.abs(free.applied[:, 1] - 0.9).max() < ROUNDING
     assert abs(cut.applied[0, 1] - 5 * 0.01) < ROUNDING, "kp times the end of its range, at rest at home"
     assert cut.commanded[0, 1] == 0.9
+
+
+def test_servos_that_run_in_threads_of_their_own_do_not_meddle_with_each_other():
+    mechanism = load_mechanism(hard(GRIPPER, 1e-4, "implicitfast"))
+    efforts = [wave(mechanism, size) for size in (0.02, 0.05, 0.08, 0.1)]
+    alone = [scripted(mechanism, each) for each in efforts]
+    with ThreadPoolExecutor(len(efforts)) as threads:
+        together = list(threads.map(lambda each: scripted(mechanism, each), efforts))
+    for one, other in zip(alone, together, strict=True):
+        np.testing.assert_array_equal(other.pose, one.pose)
+    assert np.ptp([run.pose[-1, 0] for run in alone]) > 1e-4
 
 
 @pytest.mark.slow
@@ -105,7 +121,7 @@ def test_a_run_with_a_ball_joint_starts_where_its_reference_does():
         period_s=PERIOD_S,
         cycle=None,
     )
-    rollout = run(
+    rollout = run_alone(
         mechanism, reference, Scripted(efforts=np.zeros((15, 1))), ControlLoop(effort_limit=np.array([[-np.inf, np.inf]]))
     )
     assert np.abs(rollout.pose[0] - pose[5]).max() < ROUNDING
@@ -129,7 +145,7 @@ def test_lqr_steers_the_crank_and_leaves_the_rods_spin_alone():
     tracker = lqr(mechanism, steered, position_weight=0.02, velocity_weight=2.0, effort_weight=np.array([2.0]))
     assert np.all(tracker.gains[:, :, [1, 3]] == 0)
     assert np.all(tracker.gains[:, 0, 0] > 0)
-    rollout = run(mechanism, steered, tracker, ControlLoop(effort_limit=mechanism.effort_limit))
+    rollout = run_alone(mechanism, steered, tracker, ControlLoop(effort_limit=mechanism.effort_limit))
     assert np.abs(rollout.position[:, 0] - mechanism.home[0]).max() < np.radians(1.0)
 
 

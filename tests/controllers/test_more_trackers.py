@@ -7,10 +7,9 @@ import control
 import numpy as np
 import pytest
 
-from linkplan.controllers.ensemble import run_ensemble
 from linkplan.controllers.imperfections.imperfections import Imperfections, Sensors
 from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.rollout import ControlLoop, Rollout, run
+from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.integral_lqr import integrable
 from linkplan.controllers.trackers.lqr import discretise, linearise
 from linkplan.controllers.trackers.mpc import BLOCKS
@@ -20,6 +19,7 @@ from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at
 from linkplan.studies.compare.compare import build_tracker
+from tests.support.machines import run_alone, run_machines
 from tests.support.plans import optimal
 from tests.support.tolerances_planner import ROUNDING, SAME_FIGURE
 
@@ -44,7 +44,7 @@ def run_of(kind: str, name: str, *, mass_factor: float = 1.0, delay: int = 0, du
     plan = optimal(name)
     loop = ControlLoop(effort_limit=np.array(plan.problem.limits.effort), mass_factor=mass_factor, delay_periods=delay)
     reference = reference_of(name, 1e-4, duration_s)
-    return run(plan.problem.mechanism, reference, tracker_of(kind, name, 1e-4, duration_s), loop)
+    return run_alone(plan.problem.mechanism, reference, tracker_of(kind, name, 1e-4, duration_s), loop)
 
 
 def asked(kind: str, k: int, position: np.ndarray, velocity: np.ndarray, name: str = "knee-reach") -> np.ndarray:
@@ -201,7 +201,7 @@ def test_integral_action_on_a_cart_pole_keeps_the_cart_in_place_where_the_pole_i
     off = {}
     for kind in ("lqr", "lqi"):
         law = tracker_of(kind, "cart-pole-swing-up", PERIOD, 6.0)
-        followed = run_ensemble(plan.problem.mechanism, reference, law, loop, [wrong])
+        followed = run_machines(plan.problem.mechanism, reference, law, loop, [wrong])
         off[kind] = float(np.abs(followed.pose[-1, 0, 0] - reference.position[-1, 0]))
     assert off["lqr"] > 1e-3
     assert off["lqi"] < 1e-2 * off["lqr"]

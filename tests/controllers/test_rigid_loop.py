@@ -8,16 +8,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.ensemble import run_ensemble
 from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Start
+from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.rigid_loop import LOST, run_rigid
-from linkplan.controllers.rollout import ControlLoop, run
+from linkplan.controllers.rigid_plant import LOST, RigidPlant
+from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.simulate import simulate
 from linkplan.controllers.trackers.computed_torque import computed_torque
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.poses.assembly import close_at
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA
+from tests.support.machines import run_alone
 from tests.support.plans import optimal
 from tests.support.references import cubic_reference, hinge_reference
 from tests.support.tolerances_planner import ROUNDING, SAME_FIGURE
@@ -74,7 +75,7 @@ def test_held_and_delayed_efforts_on_a_hinge_are_the_closed_form(delay, late):
     T = reference.period_s
     whole = np.floor(delay)
     clock = Clock(delay_periods=delay - whole)
-    runs = run_rigid(mechanism, reference, Ramp(), [clock], (np.zeros((1, 1)), np.zeros((1, 1))), float(whole))
+    runs = simulate(RigidPlant(mechanism=mechanism, delay_periods=whole), Ramp(), reference, [Imperfections(clock=clock)])
     # Effort 1 acts until the second command arrives, then each for a period.
     begin = np.concatenate([[0.0], (np.arange(1, 8) + late) * T])
     end = np.append(begin[1:], np.inf)
@@ -87,8 +88,8 @@ def test_held_and_delayed_efforts_on_a_hinge_are_the_closed_form(delay, late):
 def test_a_clock_that_runs_slow_holds_every_effort_longer():
     mechanism = load_mechanism(HINGE)
     reference = hinge_reference(mechanism, 6)
-    start = (np.zeros((2, 1)), np.zeros((2, 1)))
-    runs = run_rigid(mechanism, reference, Ramp(), [Clock(), Clock(period_factor=1.5)], start)
+    machines = [Imperfections(), Imperfections(clock=Clock(period_factor=1.5))]
+    runs = simulate(RigidPlant(mechanism=mechanism), Ramp(), reference, machines)
     np.testing.assert_allclose(runs.velocity[1:, 1], 1.5 * runs.velocity[1:, 0], rtol=SAME_FIGURE)
     np.testing.assert_allclose(runs.pose[1:, 1], 1.5**2 * runs.pose[1:, 0], rtol=SAME_FIGURE)
 
@@ -96,18 +97,17 @@ def test_a_clock_that_runs_slow_holds_every_effort_longer():
 def test_a_loop_stays_closed_over_a_whole_motion():
     mechanism, reference = reach("knee-reach", 1e-4, 0.16)
     law = build_tracker("pd", optimal("knee-reach"), reference)
-    runs = run_rigid(mechanism, reference, law, [Clock()], (reference.pose[:1], reference.velocity[:1]))
+    runs = simulate(RigidPlant(mechanism=mechanism), law, reference)
     assert np.degrees(np.abs(reference.pose - runs.pose[:, 0]).max()) > 1
     assert mechanism.gaps_m(runs.pose[:, 0]).max() < 1e-12
 
 
 def test_a_run_that_is_lost_ends_there_and_harms_no_other():
     mechanism, reference = reach("knee-reach", 1e-3, 0.05)
-    poses = np.array([close_at(mechanism, reference.position[0] + off, reference.pose[0]) for off in (0.05, -0.05)])
-    starts = (poses, np.repeat(reference.velocity[:1], 2, axis=0))
+    machines = [Imperfections(start=Start(position_error=off)) for off in (0.05, -0.05)]
     law = Shove(reference=reference, start=float(reference.position[0, 0]))
-    both = run_rigid(mechanism, reference, law, 2 * [Clock()], starts)
-    alone = run_rigid(mechanism, reference, law, [Clock()], tuple(x[:1] for x in starts))
+    both = simulate(RigidPlant(mechanism=mechanism), law, reference, machines)
+    alone = simulate(RigidPlant(mechanism=mechanism), law, reference, machines[:1])
     assert both.failure == (None, LOST)
     assert np.isnan(both.pose[-1, 1]).all()
     np.testing.assert_array_equal(both.pose[:, 0], alone.pose[:, 0])
@@ -119,12 +119,9 @@ def test_a_run_that_is_lost_ends_there_and_harms_no_other():
 def errors_of_computed_torque(mechanism: Mechanism, reference: SampledReference, *, simulated: bool):
     """Return errors (t, n_s) from a start beside the path, and those that the equation gives."""
     law, off = computed_torque(mechanism, reference, FREQUENCY, 1.0), OFF[: mechanism.dof]
-    if simulated:
-        free = ControlLoop(effort_limit=np.tile([-np.inf, np.inf], (mechanism.n_u, 1)))
-        runs = run_ensemble(mechanism, reference, law, free, [Imperfections(start=Start(position_error=-off))])
-    else:
-        pose = close_at(mechanism, reference.position[0] - off, reference.pose[0])
-        runs = run_rigid(mechanism, reference, law, [Clock()], (pose[None], reference.velocity[:1]))
+    free = ControlLoop(effort_limit=np.tile([-np.inf, np.inf], (mechanism.n_u, 1)))
+    plant = MujocoPlant(mechanism=mechanism, loop=free) if simulated else RigidPlant(mechanism=mechanism)
+    runs = simulate(plant, law, reference, [Imperfections(start=Start(position_error=-off))])
     time = FREQUENCY * reference.time_s[:, None]
     return reference.position - runs.pose[:, 0, mechanism.independent], off * (1 + time) * np.exp(-time)
 
@@ -180,7 +177,7 @@ def rms_in_the_simulator(integrator: mujoco.mjtIntegrator, timestep_s: float) ->
     mechanism = with_steps(plan.problem.mechanism, integrator, timestep_s)
     reference = sample(mechanism, plan.trajectory, timestep_s, plan.trajectory.duration_s)
     loop = ControlLoop(effort_limit=plan.problem.limits.actuators_effort)
-    followed = run(mechanism, reference, build_tracker("pd+ff", plan, reference), loop)
+    followed = run_alone(mechanism, reference, build_tracker("pd+ff", plan, reference), loop)
     assert followed.conditions["timestep_s"] == pytest.approx(timestep_s)
     return float(np.degrees(np.sqrt(np.mean(followed.error**2))))
 

@@ -1,5 +1,6 @@
 """The closed loop in MuJoCo: what acts and when, on which masses; loops closed, limits kept, verdicts right."""
 
+import copy
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
@@ -8,16 +9,20 @@ import mujoco
 import numpy as np
 import pytest
 
+from linkplan.controllers.imperfections.imperfections import Imperfections
+from linkplan.controllers.imperfections.plant import scale_masses
+from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.rollout import ControlLoop, Rollout, run, scaled_model
+from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.tracker import Tracker
-from linkplan.models.mechanism import load_mechanism
+from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import BODY_NAME
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.fourbar import KNEE_PROBLEMS
+from tests.support.machines import run_alone
 from tests.support.plans import GOAL, optimal
 from tests.support.references import hinge_reference
 from tests.support.tolerances_planner import (
@@ -83,7 +88,7 @@ def tracker_of(kind: str, name: str, reference: SampledReference, kd: float | No
 def tracked(kind: str, name: str) -> Rollout:
     """Return a built-in plan tracked with its own settings."""
     reference = reference_of(name)
-    return run(optimal(name).problem.mechanism, reference, tracker_of(kind, name, reference), loop_of(name))
+    return run_alone(optimal(name).problem.mechanism, reference, tracker_of(kind, name, reference), loop_of(name))
 
 
 def rms_deg(rollout: Rollout) -> float:
@@ -140,7 +145,7 @@ def test_a_run_begins_in_the_reference_s_state(name):
 def test_two_runs_of_one_thing_are_the_same():
     name = "knee-reach"
     reference = reference_of(name)
-    again = run(optimal(name).problem.mechanism, reference, tracker_of("lqr", name, reference), loop_of(name))
+    again = run_alone(optimal(name).problem.mechanism, reference, tracker_of("lqr", name, reference), loop_of(name))
     np.testing.assert_array_equal(again.pose, tracked("lqr", name).pose)
 
 
@@ -155,7 +160,7 @@ def test_a_run_records_what_its_result_depends_on():
 
 def test_a_slower_controller_leaves_the_simulation_s_step_alone():
     reference = reference_of("knee-reach", 1e-3)
-    rollout = run(
+    rollout = run_alone(
         optimal("knee-reach").problem.mechanism, reference, tracker_of("lqr", "knee-reach", reference), loop_of("knee-reach")
     )
     assert rollout.conditions["timestep_s"] == pytest.approx(1e-4)
@@ -182,7 +187,7 @@ def test_the_planned_effort_alone_takes_mujoco_to_the_goal():
     """No feedback: MuJoCo's own dynamics, integrated under the plan, arrive where the plan does."""
     plan = optimal("knee-reach")
     reference = sample(plan.problem.mechanism, plan.trajectory, 2.5e-5, plan.trajectory.duration_s)
-    rollout = run(plan.problem.mechanism, reference, Scripted(efforts=reference.effort), loop_of("knee-reach"))
+    rollout = run_alone(plan.problem.mechanism, reference, Scripted(efforts=reference.effort), loop_of("knee-reach"))
     assert np.abs(np.degrees(rollout.error)).max() < OPEN_LOOP_DEG
     assert np.degrees(rollout.position[-1, 0]) == pytest.approx(np.degrees(GOAL), abs=OPEN_LOOP_DEG)
 
@@ -193,7 +198,7 @@ def test_the_planned_effort_alone_takes_mujoco_to_the_goal():
 def sine_with(kd: float, period_s: float) -> Rollout:
     plan = optimal("knee-sine")
     reference = sample(plan.problem.mechanism, plan.trajectory, period_s, 0.05)
-    return run(plan.problem.mechanism, reference, tracker_of("pd", "knee-sine", reference, kd), loop_of("knee-sine"))
+    return run_alone(plan.problem.mechanism, reference, tracker_of("pd", "knee-sine", reference, kd), loop_of("knee-sine"))
 
 
 def test_a_damping_of_ten_is_unstable_at_a_tenth_of_a_millisecond():
@@ -213,7 +218,7 @@ def test_sampled_damping_of_a_pure_inertia_is_stable_up_to_twice_the_inertia_ove
     reference = hinge_reference(hinge, 400)
     started = replace(reference, velocity=np.concatenate([[[0.01]], reference.velocity[1:]]))
     tracker = pd(hinge, reference, 0.0, share * 2 * HINGE_INERTIA / 0.01)
-    rollout = run(hinge, started, tracker, ControlLoop(effort_limit=hinge.effort_limit))
+    rollout = run_alone(hinge, started, tracker, ControlLoop(effort_limit=hinge.effort_limit))
     assert rollout.velocity[0, 0] == 0.01
     assert rollout.stable == stable
     assert (np.abs(rollout.velocity[-50:]).max() < DIED_OUT) == stable
@@ -270,7 +275,7 @@ def test_a_simulation_that_blows_up_ends_its_log_and_says_so():
     hinge = load_mechanism(HINGE)
     n = 100
     efforts = np.full((n, 1), 9e9)  # the speed passes MuJoCo's largest number within forty steps
-    rollout = run(
+    rollout = run_alone(
         hinge, hinge_reference(hinge, n), Scripted(efforts=efforts), ControlLoop(effort_limit=np.array([[-np.inf, np.inf]]))
     )
     assert not rollout.finite
@@ -294,7 +299,7 @@ def test_a_command_that_is_no_number_does_not_pass_for_a_good_run(effort):
 def hinge_run(efforts: np.ndarray, **changes) -> Rollout:
     hinge = load_mechanism(HINGE)
     loop = replace(ControlLoop(effort_limit=hinge.effort_limit), **changes)
-    return run(hinge, hinge_reference(hinge, len(efforts)), Scripted(efforts=efforts), loop)
+    return run_alone(hinge, hinge_reference(hinge, len(efforts)), Scripted(efforts=efforts), loop)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 3, 7])
@@ -319,7 +324,7 @@ def test_the_motion_follows_the_delayed_command(delay):
 def test_a_delay_makes_a_sharp_loop_worse():
     reference = reference_of("knee-sine")
     mechanism, tracker = optimal("knee-sine").problem.mechanism, tracker_of("pd", "knee-sine", reference)
-    late = run(mechanism, reference, tracker, loop_of("knee-sine", delay_periods=3))
+    late = run_alone(mechanism, reference, tracker, loop_of("knee-sine", delay_periods=3))
     assert tracked("pd", "knee-sine").stable
     assert not late.stable
     assert rms_deg(late) > 1.5 * rms_deg(tracked("pd", "knee-sine"))
@@ -331,6 +336,12 @@ def test_a_delay_makes_a_sharp_loop_worse():
 def by_body(values: Callable[[mujoco.MjModel], np.ndarray], before: mujoco.MjModel, after: mujoco.MjModel) -> dict:
     with np.errstate(invalid="ignore"):
         return {after.body(i).name: values(after)[i] / values(before)[i] for i in range(1, after.nbody)}
+
+
+def scaled_model(mechanism: Mechanism, factor: float) -> mujoco.MjModel:
+    model = copy.deepcopy(mechanism.model)
+    scale_masses(model, mujoco.MjData(model), factor)
+    return model
 
 
 @pytest.mark.parametrize("factor", [0.5, 1.3])
@@ -357,7 +368,9 @@ def test_without_a_payload_a_mass_factor_scales_every_moving_body():
 def test_a_mass_factor_leaves_the_mechanism_s_own_model_alone():
     mechanism = optimal("knee-reach").problem.mechanism
     before = np.array(mechanism.model.body_mass)
-    scaled_model(mechanism, 2.0)
+    plant = MujocoPlant(mechanism=mechanism, loop=loop_of("knee-reach", mass_factor=2.0))
+    stepper, _ = plant.begin(reference_of("knee-reach"), [Imperfections()])
+    assert stepper.model.body_mass.max() == pytest.approx(2.0 * before.max())
     np.testing.assert_array_equal(mechanism.model.body_mass, before)
 
 
@@ -365,7 +378,7 @@ def test_a_heavier_payload_is_tracked_less_well():
     name = "knee-reach"
     reference = reference_of(name)
     tracker = tracker_of("pd+ff", name, reference)
-    heavy = run(optimal(name).problem.mechanism, reference, tracker, loop_of(name, mass_factor=1.2))
+    heavy = run_alone(optimal(name).problem.mechanism, reference, tracker, loop_of(name, mass_factor=1.2))
     assert rms_deg(heavy) > 3 * rms_deg(tracked("pd+ff", name))
     assert heavy.conditions["mass_factor"] == 1.2
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from linkplan.controllers.reference import sample
-from linkplan.controllers.rollout import ControlLoop, run
+from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
@@ -21,6 +21,7 @@ from linkplan.planner.problem.corner_efforts import corner_efforts_along
 from linkplan.planner.problem.robust import Corner, Robust
 from linkplan.planner.robustness import price_of
 from linkplan.studies.compare.compare import build_tracker
+from tests.support.machines import run_alone
 from tests.support.mechanisms import FIVE_BAR
 from tests.support.plans import optimal
 
@@ -111,7 +112,7 @@ def test_a_plan_with_a_reserve_is_tracked_with_a_fifth_more_payload_and_a_period
     reference = sample(problem.mechanism, plan.trajectory, 1e-4, 2 * plan.trajectory.duration_s)
     loop = ControlLoop(effort_limit=problem.limits.actuators_effort, mass_factor=1.2, delay_periods=1)
     for kind in TRACKERS:
-        followed = run(problem.mechanism, reference, build_tracker(kind, plan, reference), loop)
+        followed = run_alone(problem.mechanism, reference, build_tracker(kind, plan, reference), loop)
         worst = np.degrees(np.abs(followed.error).max())
         assert worst > 0.01, kind
         assert worst < 0.5 or kind not in ("lqr", "mpc"), kind

@@ -23,6 +23,6 @@ def held(efforts: list[float], switches: list[float]) -> Iterate:
     mesh, durations = mesh_with_switches(np.array([0.0, T]), np.array(switches) * T, 20)
     fixed = FixedArcs(efforts=np.array(efforts)[:, None], paths=np.zeros((len(efforts), 0), dtype=int))
     start = case.start_from(quick.trajectory)
-    found = attempt(case, start, mesh, durations, "held", [], lambda _: None, warm=True, fixed=fixed)
+    found = attempt(case, start, mesh, durations, "held", warm=True, fixed=fixed)
     assert found is not None
     return found

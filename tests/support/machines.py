@@ -1,5 +1,6 @@
 """A knee on its planned reach, and machines with everything wrong with them at once."""
 
+from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -13,14 +14,34 @@ from linkplan.controllers.imperfections.imperfections import (
     Sensors,
     Start,
 )
+from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.rollout import ControlLoop, Rollout
+from linkplan.controllers.simulate import Ensemble, simulate, simulate_one
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.pd import PD, pd
+from linkplan.controllers.trackers.tracker import AnyTracker
 from linkplan.models.mechanism import Mechanism
 from tests.support.plans import optimal
 
 LOOP = ControlLoop(effort_limit=np.array([[-100.0, 100.0]]), delay_periods=1)
+
+
+def run_alone(mechanism: Mechanism, reference: SampledReference, law: AnyTracker, loop: ControlLoop) -> Rollout:
+    """Return the run of a law on the machine as modelled."""
+    return simulate_one(MujocoPlant(mechanism=mechanism, loop=loop), law, reference)
+
+
+def run_machines(
+    mechanism: Mechanism,
+    reference: SampledReference,
+    law: AnyTracker,
+    loop: ControlLoop,
+    machines: Sequence[Imperfections],
+    threads: int = 0,
+) -> Ensemble:
+    """Return the runs of a law on machines."""
+    return simulate(MujocoPlant(mechanism=mechanism, loop=loop, threads=threads), law, reference, machines)
 
 
 @cache

@@ -3,7 +3,7 @@
 import numpy as np
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.margins import actuator_speeds
+from linkplan.planner.limits.samples import actuator_speeds
 from linkplan.planner.plan import Plan
 from tests.support.mechanisms import simulated
 

@@ -54,7 +54,7 @@ def judged(free: Plan, text: str, *overrides: str) -> Plan:
     problem = problem_with(text, *overrides)
     assert free.trajectory is not None
     assert free.certificate is not None
-    return finished(problem, free.trajectory, certify(problem, free.trajectory), free.objective, [], None)
+    return finished(problem, free.trajectory, certify(problem, free.trajectory), free.objective, None)
 
 
 def scanned(made: Plan) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
-from linkplan.planner.refinement.history import silent
+from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import duration_continuation
 from linkplan.planner.search.duration_continuation import SAVED, continued, from_continuation
 from linkplan.planner.search.ladder import PATIENT, Search
@@ -98,13 +98,13 @@ def test_a_least_time_motion_is_lengthened_to_the_fixed_duration_that_is_asked()
     problem = body_problem(
         HINGE, f'kind = "reach"\nstart_deg = {{ J = 10.0 }}\ngoal_deg = {{ J = 100.0 }}\nduration_s = {T}\n'
     )
-    history = []
-    reached = continued(problem, motion_of(quick), 40, history, lambda _: None)
+    with recording() as steps:
+        reached = continued(problem, motion_of(quick), 40)
     assert reached is not None
     assert reached.start.duration_s == pytest.approx(T)
     assert not reached.enough
-    assert len(history) >= np.log(5.0) / np.log(1.15)
-    assert history[-1].objective == pytest.approx(12 * HINGE_INERTIA**2 * (np.pi / 2) ** 2 / T**3, rel=CLOSED_FORM)
+    assert len(steps) >= np.log(5.0) / np.log(1.15)
+    assert steps[-1].objective == pytest.approx(12 * HINGE_INERTIA**2 * (np.pi / 2) ** 2 / T**3, rel=CLOSED_FORM)
 
 
 @pytest.mark.slow
@@ -115,7 +115,7 @@ def test_a_free_duration_is_lengthened_until_more_time_saves_next_to_nothing():
     quick = body_plan(given, motion, "objective.minimize=time")
     assert quick.status == "optimal", quick.message
     problem = body_problem(given, motion)
-    reached = continued(problem, motion_of(quick.trajectory), 40, [], lambda _: None)
+    reached = continued(problem, motion_of(quick.trajectory), 40)
     assert reached is not None
     best = plan_motion(problem)
     assert best.status == "optimal", best.message
@@ -140,7 +140,7 @@ def test_a_least_duration_is_kept_by_a_motion_that_is_lengthened():
     T = quick.duration_s
     motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = "free"\n'
     problem = body_problem(HINGE, motion + f"min_duration_s = {4 * T}\nmax_duration_s = {6 * T}\n")
-    reached = continued(problem, motion_of(quick), 40, [], lambda _: None)
+    reached = continued(problem, motion_of(quick), 40)
     assert reached is not None
     assert reached.longest_s >= 4 * T
     assert reached.start.duration_s >= 4 * T * (1 - 1e-9)
@@ -152,9 +152,9 @@ def test_switch_times_that_their_windows_hold_are_freed_on_the_way():
     case = random_case(1, 46)
     tables = case.tables | {"motion": case.tables["motion"] | {"max_duration_s": 1.15 * case.shortest}}
     problem = problem_from_tables("held", tables)
-    search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent)
+    search = Search(problem=problem, start_pose=start_pose_of(problem))
     quick = least_time_motion(search, PATIENT)
-    reached = continued(problem, quick, 80, [], silent)
+    reached = continued(problem, quick, 80)
     assert reached is not None
     assert not reached.lost
     assert reached.longest_s == pytest.approx(1.15 * case.shortest)
@@ -168,11 +168,11 @@ def test_where_longer_motions_are_lost_the_last_one_on_the_way_is_returned_and_s
     problem = body_problem(HINGE, motion + f"max_duration_s = {10 * quick.duration_s}\n")
     step = duration_continuation._step
 
-    def losing(problem, at, allowed, history, say):
-        return step(problem, at, allowed, history, say) if allowed < 1.5 * quick.duration_s else None
+    def losing(problem, at, allowed):
+        return step(problem, at, allowed) if allowed < 1.5 * quick.duration_s else None
 
     monkeypatch.setattr(duration_continuation, "_step", losing)
-    search = Search(problem=problem, start_pose=start_pose_of(problem), say=silent)
+    search = Search(problem=problem, start_pose=start_pose_of(problem))
     plan = from_continuation(search, PATIENT)
     assert plan.certificate.passed
     assert plan.status == "feasible"

@@ -5,10 +5,11 @@ import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.closed_chain import lifted
-from linkplan.planner.closed_chain.mechanics import NodeTerms, Scales, mechanism_system, node_numbers
+from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.files.problem_file import load_problem, problem_from_tables
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.scales import Scales
 from tests.support.hexapod import hexapod
 from tests.support.tolerances_planner import ROWS, SAME_FIGURE
 
@@ -23,10 +24,9 @@ def lifted_rows_along(mechanism: Mechanism, rng: np.random.Generator, *, wrong: 
     a = np.array(mechanism.dynamics.acceleration(q, v, u)).ravel() * (1 + wrong)
     ones = Scales(time_s=1.0, position=np.ones(n_s), effort=np.ones(mechanism.n_u), residual=np.ones(n_s), length_m=1.0)
     system = mechanism_system(mechanism, NodeTerms())
-    before, after = node_numbers(mechanism, NodeTerms(), ones, [], [], np.zeros(0))
     own = lifted.lifted_start(mechanism, q[None], v[None], a[None], u[None], 1.0, ones.force)[0]
     xi = np.concatenate([q[mechanism.independent], v, a, q[mechanism.dependent], own, u])
-    return np.array(system.node(xi, np.concatenate([before, after]))).ravel()[: system.n_equations]
+    return np.array(system.node(xi, ones.vector())).ravel()[: system.n_equations]
 
 
 @pytest.mark.parametrize("model", ["five-bar", "andrews-squeezer", hexapod()], ids=["five-bar", "squeezer", "hexapod"])

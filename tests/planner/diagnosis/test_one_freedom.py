@@ -8,9 +8,9 @@ from scipy.optimize import brentq
 
 from linkplan.planner.diagnosis import reasons
 from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.phase_plane import least_share
 from linkplan.planner.search.presolve import start_pose_of
 from tests.support.bodies import LIFT, body_problem
 from tests.support.fourbar import G
@@ -27,7 +27,7 @@ ACROSS = ("motion.start_deg.O=-60", "motion.goal_deg.O=70")
 
 
 def searching(problem) -> Search:
-    return Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None)
+    return Search(problem=problem, start_pose=start_pose_of(problem))
 
 
 @pytest.mark.parametrize(("short", "status"), [(1e-3, "infeasible"), (-1e-6, "optimal")])

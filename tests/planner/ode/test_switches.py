@@ -13,7 +13,6 @@ from linkplan.planner.ode.formulation import start_of, straight_guess, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
 from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.history import silent
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.ode import FREE_EFFORT, double_integrator, duration, oscillator, solved, squared_effort
 from tests.support.tolerances_planner import (
@@ -105,7 +104,7 @@ def test_switching_functions_are_the_costates_of_the_closed_form():
     assert is_affine(problem)
     guess = straight_guess(problem)
     case = OdeCase(problem, problem, units_of(problem, guess))
-    found = attempt(case, start_of(guess, case.units), uniform(40), np.array([guess.duration_s]), "", [], silent)
+    found = attempt(case, start_of(guess, case.units), uniform(40), np.array([guess.duration_s]), "")
     switching = switching_of(problem, found.motion, found.solution)
     np.testing.assert_allclose(switching.value[:, :, 0], switching.time_s - 1.0, atol=ODE_STATE)
 

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.margins import actuator_speeds, singularity_ratios
+from linkplan.planner.limits.samples import actuator_speeds, singularity_ratios
 from linkplan.planner.plan import Plan
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan, hinge
 from tests.support.mechanisms import CRANK_ROCKER
@@ -294,5 +294,5 @@ def test_a_limit_that_cannot_be_is_refused_in_one_line(given, said):
 
 
 def test_an_effort_rate_s_limit_does_not_go_with_constant_efforts():
-    with pytest.raises(ProblemError, match=r"need mesh\.effort linear or polynomial"):
+    with pytest.raises(ProblemError, match=r"needs mesh\.effort linear or polynomial"):
         planned("knee-reach", "limits.effort_rate.act_O=2000", "mesh.effort=constant")

@@ -14,13 +14,14 @@ import pytest
 import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain.site_rows import site_row
 from linkplan.planner.diagnosis.reasons import other_limits
 from linkplan.planner.files.plan_folder import read_plan, write_plan
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.files.sites_file import site_limits_of
+from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.replan import Planner, structure
 from tests.support.arms import LOWER, UPPER, arm, foot_of
@@ -221,8 +222,8 @@ def test_quantities_are_coordinates_and_distances():
 
 def test_a_tubes_row_is_never_short_of_the_distance_and_next_to_it():
     mechanism, limit = arm_of(UPPER, LOWER), limit_of(TUBE)
-    q = ca.SX.sym("q", mechanism.n_q)
-    row = ca.Function("row", [q], [site_row(mechanism, limit.key, q)])
+    at, (q, *_) = free_instant(mechanism)
+    row = ca.Function("row", [q], [SitePathLimit(0, limit.key).row(at, ca.SX(0, 1))])
     poses = np.random.default_rng(3).uniform([-1.5, -2.5], [1.5, 2.5], (400, 2))
     poses = np.vstack([poses, plan_poses()])
     rows = np.array([float(row(pose)) for pose in poses])

@@ -16,7 +16,6 @@ from linkplan.planner.refinement.constrained_arcs import (
     path_arcs,
     standing_off,
 )
-from linkplan.planner.refinement.history import silent
 from linkplan.planner.refinement.switch_search import settle_switch_times
 from linkplan.planner.refinement.switches import find_switch_times
 from linkplan.planner.search.first_mesh import first_mesh
@@ -58,9 +57,9 @@ def test_a_curve_that_its_coefficients_keep_off_its_limit_is_found():
     problem = problem_from_tables("limited", random_case(1, 365).tables)
     guess = first_guess(problem, start_pose_of(problem))
     mesh, durations = first_mesh(problem, guess)
-    case, history = case_of(problem), []
-    first = attempt(case, guess, mesh, durations, "first solve", history, silent)
-    settled = settle_switch_times(case, first, history, silent)
+    case = case_of(problem)
+    first = attempt(case, guess, mesh, durations, "first solve")
+    settled = settle_switch_times(case, first)
     motion, solution = settled.motion, settled.solution
     off = standing_off(solution.transcribed, solution.x)
     fastest = np.abs(motion.velocity[:, :, 0])

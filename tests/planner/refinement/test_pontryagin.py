@@ -7,7 +7,6 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.history import silent
 from linkplan.planner.refinement.pontryagin import arcs_against_their_limits, limits_bind
 from linkplan.planner.refinement.refined import Refined
 from linkplan.planner.transcription.mesh import uniform
@@ -57,7 +56,7 @@ def test_a_speed_limit_binds_where_it_is_below_the_fastest_speed(deg_s, binds):
     problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n", f"limits.speed_deg_s.J={deg_s}")
     case = case_of(problem)
     start = case.start_from(turned().trajectory)
-    found = attempt(case, start, uniform(20), np.ones(1), "once", [], silent)
+    found = attempt(case, start, uniform(20), np.ones(1), "once")
     assert limits_bind(found.solution) == binds
 
 

@@ -5,8 +5,8 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.margins import closure_forces
 from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.planning import RUNGS, plan_motion
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.refinement.constrained_arcs import FixedArcs

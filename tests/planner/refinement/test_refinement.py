@@ -9,6 +9,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import recording
 from linkplan.planner.search.presolve import start_pose_of
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import uniform
@@ -46,7 +47,7 @@ def test_a_tolerance_that_is_out_of_reach_is_said():
 def test_what_failed_is_not_solved_again_as_it_was(monkeypatch):
     problem = load_problem("knee-reach", ["mesh.intervals=8", "solver.compile=never"])
     problem = replace(problem, solver=replace(problem.solver, max_iterations=2))
-    guess, solved, history = first_guess(problem, start_pose_of(problem)), [], []
+    guess, solved = first_guess(problem, start_pose_of(problem)), []
 
     def counted(*given, **how):
         solved.append(solve(*given, **how))
@@ -55,18 +56,19 @@ def test_what_failed_is_not_solved_again_as_it_was(monkeypatch):
     monkeypatch.setattr("linkplan.planner.refinement.case.solve", counted)
 
     def tried(duration: float, **how: bool):
-        return attempt(case_of(problem), guess, uniform(8), np.array([duration]), "a try", history, lambda _: None, **how)
+        return attempt(case_of(problem), guess, uniform(8), np.array([duration]), "a try", **how)
 
-    assert tried(0.16) is None
-    assert tried(0.16) is None
-    assert len(solved) == len(history) == 1
-    assert tried(0.16, warm=True) is None  # another way to solve it
-    assert len(solved) == len(history) == 2
+    with recording() as steps:
+        assert tried(0.16) is None
+        assert tried(0.16) is None
+        assert len(solved) == len(steps) == 1
+        assert tried(0.16, warm=True) is None  # another way to solve it
+        assert len(solved) == len(steps) == 2
 
 
 def test_what_was_solved_is_not_solved_again_as_it_was(monkeypatch):
     problem = load_problem("knee-reach", ["mesh.intervals=8", "solver.compile=never"])
-    guess, solved, history = first_guess(problem, start_pose_of(problem)), [], []
+    guess, solved = first_guess(problem, start_pose_of(problem)), []
 
     def counted(*given, **how):
         solved.append(solve(*given, **how))
@@ -75,13 +77,14 @@ def test_what_was_solved_is_not_solved_again_as_it_was(monkeypatch):
     monkeypatch.setattr("linkplan.planner.refinement.case.solve", counted)
 
     def tried(duration: float):
-        return attempt(case_of(problem), guess, uniform(8), np.array([duration]), "a try", history, lambda _: None)
+        return attempt(case_of(problem), guess, uniform(8), np.array([duration]), "a try")
 
-    first, again = tried(0.16), tried(0.16)
-    assert (len(solved), len(history)) == (1, 2)
-    assert history[1].solve_s == 0 < history[0].solve_s
+    with recording() as steps:
+        first, again = tried(0.16), tried(0.16)
+    assert (len(solved), len(steps)) == (1, 2)
+    assert steps[1].solve_s == 0 < steps[0].solve_s
     assert np.array_equal(first.solution.x, again.solution.x)
     weaker = replace(problem, limits=replace(problem.limits, effort=0.9 * problem.limits.effort))
-    other = attempt(case_of(weaker), guess, uniform(8), np.array([0.16]), "weaker", history, lambda _: None)
+    other = attempt(case_of(weaker), guess, uniform(8), np.array([0.16]), "weaker")
     assert len(solved) == 2
     assert other is None or not np.array_equal(other.solution.x, first.solution.x)

@@ -1,23 +1,17 @@
-"""Next to singular poses: motions kept clear where none is found without, known switches where a free solve is lost."""
+"""Next to singular poses: which motions near one, and known switches where a free solve is lost."""
 
 from dataclasses import replace
-from functools import cache
 
-import numpy as np
 import pytest
 
-from linkplan.models.poses.along import sampled
-from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain.guess import first_guess, motion_of, poses_along
+from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.files.problem_file import problem_from_tables
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.search.attempts import plan_from
-from linkplan.planner.search.ladder import HURRIED, PATIENT, Search
-from linkplan.planner.search.margin_continuation import from_margins, may_be_kept_clear, nears_singular
-from linkplan.planner.search.phase_plane import least_time_guess
+from linkplan.planner.search.ladder import PATIENT, Search
 from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.search.singular_poses import nears_singular
 from tests.support.fourbar_problems import random_case
 from tests.support.tolerances_planner import PHASE_PLANE_TIME
 
@@ -34,49 +28,7 @@ def problem_of(number: int) -> PlanningProblem:
 
 def search_for(problem: PlanningProblem) -> Search:
     begun = replace(problem, solver=problem.solver.begun())
-    return Search(problem=begun, start_pose=start_pose_of(problem), say=lambda _: None)
-
-
-@cache
-def clear_plan() -> Plan:
-    plan = from_margins(search_for(problem_of(TO_A_DEAD_CENTRE)), HURRIED)
-    assert plan is not None
-    return plan
-
-
-@pytest.mark.slow
-def test_a_motion_kept_clear_keeps_the_problem_that_was_asked_and_says_so():
-    plan = clear_plan()
-    assert plan.status == "feasible"  # the best of those that keep clear, which nobody asked for
-    assert plan.problem.limits.singular_margin == 0.0
-    assert certify(plan.problem, plan.trajectory).passed
-    assert "kept clear of singular poses by" in plan.message
-
-
-@pytest.mark.slow
-def test_a_motion_kept_clear_stays_on_its_branch_nearer_than_its_ends_are():
-    plan = clear_plan()
-    singularity = plan.problem.mechanism.dynamics.singularity
-    poses = poses_along(plan.problem.mechanism, motion_of(plan.trajectory), np.linspace(0, plan.trajectory.duration_s, 2001))
-    share = sampled(singularity, poses)[:, 0, 0] / float(singularity(plan.problem.mechanism.home))
-    assert 0 < share.min() < 0.2 * min(share[0], share[-1])
-    assert nears_singular(plan.problem, motion_of(plan.trajectory))
-
-
-@pytest.mark.slow
-def test_a_margin_drawn_in_saves_effort():
-    problem = problem_of(TO_A_DEAD_CENTRE)
-    wide = plan_motion(replace(problem, limits=replace(problem.limits, singular_margin=0.5)))
-    assert wide.status == "optimal"
-    assert clear_plan().objective < 0.9 * wide.objective
-
-
-@pytest.mark.slow
-def test_a_problem_with_a_margin_of_its_own_keeps_it():
-    problem = problem_of(TO_A_DEAD_CENTRE)
-    own = replace(problem, limits=replace(problem.limits, singular_margin=0.1))
-    assert not may_be_kept_clear(own)
-    assert may_be_kept_clear(problem)
+    return Search(problem=begun, start_pose=start_pose_of(problem))
 
 
 def test_a_straight_motion_in_the_open_nears_no_singular_pose():

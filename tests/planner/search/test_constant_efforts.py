@@ -20,4 +20,4 @@ OVERRUN = SimpleNamespace(certificate=SimpleNamespace(margins=[SimpleNamespace(k
     ],
 )
 def test_only_polynomial_efforts_that_may_jump_are_made_constant(settings, would_do):
-    assert constant_efforts_would_do(None, problem_of("knee-reach", *settings), OVERRUN) is would_do
+    assert constant_efforts_would_do(problem_of("knee-reach", *settings), OVERRUN) is would_do

@@ -11,12 +11,13 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
 from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import recording
 from linkplan.planner.search.attempts import with_constant_efforts
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import Budget, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
-from linkplan.planner.search.starts import from_a_smooth_path
+from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.outcome import OUT_OF_TIME
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
@@ -27,7 +28,7 @@ TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
 def search_for(problem, seconds: float = 600.0, clock=processor_time_s) -> Search:
     deadline = Deadline(clock=clock).within(seconds)
     timed = replace(problem, solver=replace(problem.solver, deadline=deadline))
-    return Search(problem=timed, start_pose=start_pose_of(problem), say=lambda _: None)
+    return Search(problem=timed, start_pose=start_pose_of(problem))
 
 
 def noting(name: str, called: list[str], plan=None, **conditions) -> Rung:
@@ -40,7 +41,7 @@ def noting(name: str, called: list[str], plan=None, **conditions) -> Rung:
 
 def test_a_rung_is_one_function_and_one_row():
     called = []
-    plan = plan_motion(load_problem("knee-reach"), rungs=(noting("mine", called, from_a_smooth_path), *RUNGS))
+    plan = plan_motion(load_problem("knee-reach"), rungs=(noting("mine", called, from_first_starts), *RUNGS))
     assert called == ["mine"]
     assert plan.status == "optimal"
     assert [step.what for step in plan.history] == ["first solve"]  # no other rung was climbed after it
@@ -48,7 +49,7 @@ def test_a_rung_is_one_function_and_one_row():
 
 def test_progress_after_a_plan_that_passes_ends_in_its_objective():
     told = []
-    again = Rung(name="again", climb=from_a_smooth_path, budget=Budget())
+    again = Rung(name="again", climb=from_first_starts, budget=Budget())
     plan = plan_motion(load_problem("knee-reach"), told.append, rungs=(again, again))
     assert "best certified" not in told[0]
     assert float(told[1].rpartition("; best certified ")[2]) == pytest.approx(plan.objective, rel=1e-5)
@@ -113,8 +114,9 @@ def test_no_program_is_built_after_the_deadline():
     search = search_for(load_problem("knee-reach"), seconds=-1.0)
     mesh, durations = first_mesh(search.problem, search.smooth)
     late = search.within(Budget())
-    assert attempt(case_of(late), search.smooth, mesh, durations, "late", search.history, search.say) is None
-    assert search.history == []
+    with recording() as steps:
+        assert attempt(case_of(late), search.smooth, mesh, durations, "late") is None
+    assert steps == []
 
 
 def test_a_certificate_ends_with_the_plans_time_and_says_so():
@@ -200,8 +202,8 @@ def test_efforts_constant_over_intervals_are_the_best_only_where_they_cost_next_
     problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n", f"mesh.intervals={intervals}")
     search = search_for(problem)
     mesh, durations = first_mesh(problem, search.smooth)
-    found = attempt(case_of(problem), search.smooth, mesh, durations, "first", [], lambda _: None)
-    plan = with_constant_efforts(search, problem, found)
+    found = attempt(case_of(problem), search.smooth, mesh, durations, "first")
+    plan = with_constant_efforts(problem, found)
     assert (plan.status, plan.certificate.passed) == (status, True)
     assert ("may cost 4.2%" in plan.message) == (status == "feasible")
     assert ("optimal" in plan.message) == (status == "optimal")

@@ -55,7 +55,7 @@ def test_a_weak_least_time_whose_switches_lay_inside_intervals_is_exact():
 def test_a_known_motion_within_the_time_asked_forbids_the_word_infeasible(monkeypatch, known, status):
     problem = load_problem("knee-reach")
     asked = problem.motion.duration_s
-    search = Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None)
+    search = Search(problem=problem, start_pose=start_pose_of(problem))
 
     def named(search, details):
         del search

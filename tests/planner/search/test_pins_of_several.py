@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.margins import closure_forces
-from linkplan.planner.closed_chain.force_rows import force_rows_of
 from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.limits.closure_force import ClosureForceLimit
+from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.refinement.tightening import Tightening, evened
 from tests.support.five_bar_reach import five_bar_reach
@@ -37,9 +37,10 @@ def test_a_pin_of_a_five_bar_is_kept_within_its_rating_at_every_instant_in_the_l
 
 def test_a_pin_s_force_takes_an_unknown_for_each_of_its_rows():
     problem = problem_from_tables("five-bar", five_bar(13.0))
-    rows = force_rows_of(problem, everywhere=True)
-    assert rows.unknowns(4) == (tuple(range(4, 4 + rows.n_unknowns)),)
-    assert force_rows_of(problem, everywhere=False).at_nodes == rows.closures
+    (limit,), (at_nodes,) = (ClosureForceLimit.of(problem, enclosed=enclosed) for enclosed in (True, False))
+    size = problem.mechanism.closure_slice(limit.item)
+    assert (limit.n_unknowns, limit.at_nodes) == (size.stop - size.start, False)
+    assert (at_nodes.n_unknowns, at_nodes.at_nodes, at_nodes.item) == (0, True, limit.item)
 
 
 def test_little_tightenings_are_the_same_all_along_and_large_ones_where_they_were():

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.closed_chain.power_rows import power_rows_of
 from linkplan.planner.files.problem_file import problem_from_tables
+from linkplan.planner.limits.power import PowerLimit
 from linkplan.planner.planning import plan_motion
 from tests.support.digger import DIGGER, POWERS
 from tests.support.five_bar_reach import five_bar_reach
@@ -74,7 +74,7 @@ def test_least_effort_along_a_power_is_no_dearer_than_what_finer_meshes_find():
 @pytest.mark.slow
 def test_cylinders_keep_their_power_through_levers_that_change():
     problem = problem_from_tables("digger", digger())
-    assert power_rows_of(problem, everywhere=True).geared == (0, 1)
+    assert [limit.item for limit in PowerLimit.of(problem, enclosed=True) if limit.levers] == [0, 1]
     plan = plan_motion(problem)
     assert plan.status == "optimal"
     assert plan.objective == pytest.approx(DIGGER_S, rel=SAID)

@@ -25,7 +25,7 @@ QUADRATURE = 1e-7
 @pytest.fixture(scope="module")
 def search() -> Search:
     problem = load_problem("five-bar-reach", [f"motion.duration_s={DURATION_S}", "objective.minimize=effort"])
-    return Search(problem=problem, start_pose=start_pose_of(problem), say=lambda _: None, repairs=REPAIRS)
+    return Search(problem=problem, start_pose=start_pose_of(problem), repairs=REPAIRS)
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.limits.power import PowerLimit
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.transcription import compiled as module
 from linkplan.planner.transcription.cache import cache_folder
@@ -106,7 +107,7 @@ def keys(payload="shank", asked=None, name="radau-2", effort="polynomial", costs
 
 def test_keys_of_nodes_follow_the_mechanism_and_not_the_transcription():
     lighter = {"body": "crank", "mass_kg": 1.0, "com_m": [0.1, 0.0, 0.0], "inertia_kgm2": [0.01, 0.01, 0.01]}
-    assert len({keys()[0], keys(payload=None)[0], keys(asked=NodeTerms(powers=(0,)))[0]}) == 3
+    assert len({keys()[0], keys(payload=None)[0], keys(asked=NodeTerms(limits=(PowerLimit(0),)))[0]}) == 3
     assert keys(name="radau-3")[0] == keys(effort="constant")[0] == keys(costs=())[0] == keys()[0]
     assert keys(payload=lighter) == keys()  # a payload's numbers are parameters of the same code
 

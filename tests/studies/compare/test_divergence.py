@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from linkplan.controllers.ensemble import run_ensemble
-from linkplan.controllers.imperfections.imperfections import Clock, Imperfections
-from linkplan.controllers.rigid_loop import run_rigid
+from linkplan.controllers.imperfections.imperfections import Imperfections
+from linkplan.controllers.rigid_plant import RigidPlant
+from linkplan.controllers.simulate import simulate
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.cli.main import main
-from linkplan.studies.compare.compare import Comparison, _loop, rollout_record, track, tracking_reference
+from linkplan.studies.compare.compare import Comparison, _plant, rollout_record, track, tracking_reference
 from linkplan.studies.compare.draw_tracking import comparison_figure
 from linkplan.studies.experiment.statistics import mean_of
 
@@ -74,11 +74,11 @@ def test_a_run_that_diverges_is_measured_and_drawn_without_a_warning(plan, gain,
 
 @pytest.mark.parametrize("gain", GAINS)
 def test_machines_and_rigid_loops_that_diverge_are_logged_without_a_warning(plan, gain):
-    mechanism, reference, loop = plan.problem.mechanism, tracking_reference(plan), _loop(plan, None)
+    mechanism, reference = plan.problem.mechanism, tracking_reference(plan)
     law = runaway(gain)(reference)
-    ensemble = run_ensemble(mechanism, reference, law, loop, [Imperfections(), Imperfections()])
+    ensemble = simulate(_plant(plan, None), law, reference, [Imperfections(), Imperfections()])
     assert np.nanmax(np.abs(ensemble.commanded)) > 1e6
-    rigid = run_rigid(mechanism, reference, law, [Clock()], (reference.pose[:1], reference.velocity[:1]))
+    rigid = simulate(RigidPlant(mechanism=mechanism), law, reference)
     assert all(rigid.failure)
 
 

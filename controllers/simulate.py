@@ -1,0 +1,152 @@
+"""The simulation of a feedback loop: a plant, a law, a reference and the machines; a single run is an ensemble of one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from linkplan.controllers.divergence import divergence_expected
+from linkplan.controllers.feedback_loop import Stepper, run_loop, states_of
+from linkplan.controllers.imperfections.imperfections import Imperfections
+from linkplan.controllers.imperfections.sensing import sensing
+from linkplan.controllers.mujoco_plant import MujocoPlant, PlantAsItStands, simulation_conditions
+from linkplan.controllers.reference import SampledReference, state_at
+from linkplan.controllers.rollout import Rollout, closure_gaps
+from linkplan.controllers.trackers.linear import added
+from linkplan.controllers.trackers.stepping import steps_of
+from linkplan.controllers.trackers.tracker import AnyTracker
+from linkplan.models.mechanism import Mechanism
+
+
+class Plant(Protocol):
+    """What is simulated: a mechanism, and how its machines are moved."""
+
+    @property
+    def mechanism(self) -> Mechanism:
+        """The mechanism as the tracker believes it to be."""
+        ...
+
+    def begin(self, reference: SampledReference, machines: Sequence[Imperfections]) -> tuple[Stepper, list[str | None]]:
+        """Return machines at the start of a reference, and why each that cannot be built cannot."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Ensemble:
+    """The logs of n machines at their control instants, time first: (t, n, ...); NaN after a machine was frozen.
+
+    `time_s` (t, n) is each one's true time; `pose` (t, n, n_q) and `velocity` (t, n, n_s) [rad or m, and per second] are its
+    true states; `commanded` is the tracker's output, `applied` the mean of what acted in the period, both (t, n, n_u)
+    [N.m or N]; `power` (t, n) [W] the actuators' mechanical power, each one's size taken, NaN on rigid loops; `gap_m` (n,)
+    the largest distance that ever was between two points that a closure ties; `contacts` (n,) the most at an instant.
+    `done` (n,) counts the logged instants; `failure` says why one was frozen, `error` holds what the tracker raised.
+    `asked_s` (t,) [s] is how long the tracker took to answer for all machines, here and now.
+    """
+
+    tracker: str
+    time_s: np.ndarray
+    pose: np.ndarray
+    velocity: np.ndarray
+    commanded: np.ndarray
+    applied: np.ndarray
+    power: np.ndarray
+    gap_m: np.ndarray
+    contacts: np.ndarray
+    done: np.ndarray
+    failure: tuple[str | None, ...]
+    error: tuple[BaseException | None, ...]
+    asked_s: np.ndarray
+    timestep_s: np.ndarray
+
+
+def bytes_each(mechanism: Mechanism, instants: int) -> int:
+    """Return the memory that the log of one machine takes."""
+    return 8 * instants * (2 + mechanism.n_q + mechanism.dof + 3 * mechanism.n_u)
+
+
+@divergence_expected()
+def simulate(
+    plant: Plant, law: AnyTracker, reference: SampledReference, machines: Sequence[Imperfections] = (Imperfections(),)
+) -> Ensemble:
+    """Return the logs of a tracker on machines over the whole reference.
+
+    Args:
+        plant: what is simulated.
+        law: the tracker; one that knows single states only is asked for each.
+        reference: the motion, sampled.
+        machines: what is wrong with each; by default one as modelled.
+
+    A machine that cannot be built is one that failed before its first instant.
+    """
+    stepper, failure = plant.begin(reference, machines)
+    q, v = states_of(stepper)
+    sensors = sensing([one.sensors for one in machines], q[:, stepper.independent], v, reference.period_s)
+    built = np.array([said is None for said in failure])
+    if not built.all():
+        stepper.keep(built)
+        sensors = sensors.kept(built)
+    log = run_loop(stepper, steps_of(law), reference.n, None if sensors.perfect else sensors)
+    gap_m, contacts = stepper.gap_and_contacts()
+    clocks = [one.clock for one in machines]
+    begun = np.array([clock.phase_periods for clock in clocks])
+    period = np.array([clock.period_factor for clock in clocks]) * reference.period_s
+    return Ensemble(
+        tracker=law.name,
+        time_s=(np.arange(reference.n)[:, None] + begun) * period,
+        pose=log.pose,
+        velocity=log.velocity,
+        commanded=log.commanded,
+        applied=log.applied,
+        power=added(np.abs(log.applied * log.speed)),
+        gap_m=gap_m,
+        contacts=contacts,
+        done=np.where(built, log.done, 0),
+        failure=tuple(one or other for one, other in zip(failure, log.failure, strict=True)),
+        error=tuple(log.error),
+        asked_s=log.asked_s,
+        timestep_s=stepper.timestep_s,
+    )
+
+
+def simulate_one(
+    plant: MujocoPlant | PlantAsItStands, law: AnyTracker, reference: SampledReference, machine: Imperfections | None = None
+) -> Rollout:
+    """Return the log of a tracker on one machine in MuJoCo, as modelled by default; what the tracker raises is raised."""
+    ensemble = simulate(plant, law, reference, [machine or Imperfections()])
+    if ensemble.error[0] is not None:
+        raise ensemble.error[0]
+    return rollout_of(plant, ensemble, reference)
+
+
+def rollout_of(plant: MujocoPlant | PlantAsItStands, ensemble: Ensemble, reference: SampledReference) -> Rollout:
+    """Return the log of an ensemble's only machine; one whose first command is no number has that instant's."""
+    mechanism, loop = plant.mechanism, plant.loop
+    kept = slice(0, max(1, int(ensemble.done[0])))
+    time, pose = ensemble.time_s[kept, 0], ensemble.pose[kept, 0]
+    gap_m, gap_rad = closure_gaps(mechanism, pose)
+    return Rollout(
+        tracker=ensemble.tracker,
+        time_s=time,
+        position=pose[:, plant.measured],
+        velocity=ensemble.velocity[kept, 0],
+        reference=state_at(reference, time)[0],
+        pose=pose,
+        commanded=ensemble.commanded[kept, 0],
+        applied=ensemble.applied[kept, 0],
+        gap_m=gap_m,
+        gap_rad=gap_rad,
+        contacts=int(ensemble.contacts[0]),
+        finite=ensemble.failure[0] is None,
+        asked_s=ensemble.asked_s[kept],
+        effort_limit=np.array(loop.effort_limit),
+        conditions={
+            "mechanism": mechanism.name,
+            **simulation_conditions(mechanism.model),
+            "timestep_s": float(ensemble.timestep_s[0]),
+            "control_period_s": reference.period_s,
+            "delay_periods": loop.delay_periods,
+            "mass_factor": loop.mass_factor,
+            "duration_s": reference.period_s * reference.n,
+        },
+    )

@@ -1,0 +1,85 @@
+"""Limits on pin forces: rows at nodes, or at every instant by Bernstein coefficients of the force's square.
+
+As with powers, rows at nodes alone leave an effort that jumps free to swing beyond the limit between them. At every instant
+the force is an algebraic unknown, a polynomial through the nodes, whose error between them falls with the interval's width.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.poses.along import sampled
+from linkplan.planner.limits.path_limit import (
+    Bounds,
+    Instant,
+    Margin,
+    MotionArrays,
+    PathLimit,
+    PlanningProblem,
+    Samples,
+    Scales,
+    Tightened,
+    margin_of,
+    with_limits,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ClosureForceLimit(PathLimit):
+    """The force of one closure, as a share of its rating; `rows` are its places among all forces where it is an unknown."""
+
+    key: ClassVar[str] = "closure_force"
+    words: ClassVar[str] = "the closure force of {}"
+    enclosable: ClassVar[bool] = True
+    jumps_with_effort: ClassVar[bool] = True
+    tightened: ClassVar[Tightened] = Tightened.SQUARED
+    n_numbers: ClassVar[int] = 1
+    item: int
+    rows: tuple[int, ...] = ()
+
+    @classmethod
+    def of(cls, problem: PlanningProblem, *, enclosed: bool = False, **_: bool) -> list[Self]:
+        limited = problem.limits.limited_closures
+        places = {c: problem.mechanism.closure_slice(c) for c in limited}
+        return [cls(c, tuple(range(places[c].start, places[c].stop)) if enclosed else ()) for c in limited]
+
+    @property
+    def at_nodes(self) -> bool:
+        return not self.rows
+
+    def numbers(self, problem: PlanningProblem) -> Sequence[float]:
+        rating = problem.limits.closure_force[self.item]
+        return (rating if self.rows else 1.0 / np.square(rating),)
+
+    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
+        return ca.sumsqr(at.closure_force[at.mechanism.closure_slice(self.item)]) * numbers
+
+    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+        return -np.inf, 1.0
+
+    def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
+        return ("squared_sums", unknowns) if self.rows else None
+
+    @property
+    def n_unknowns(self) -> int:
+        return len(self.rows)
+
+    def unknowns(self, at: Instant, numbers: ca.SX) -> tuple[str, list[ca.SX]]:
+        share = at.closure_force[list(self.rows)] / numbers
+        return "bearing", ca.vertsplit(share)
+
+    def start_of_unknowns(self, problem: PlanningProblem, scales: Scales, motion: MotionArrays) -> np.ndarray:
+        force = sampled(problem.mechanism.dynamics.closure_force, *motion)[:, list(self.rows), 0]
+        return force / problem.limits.closure_force[self.item]
+
+    def margin(self, samples: Samples) -> Margin:
+        problem, c = samples.problem, self.item
+        bounds = (-np.inf, problem.limits.closure_force[c])
+        return margin_of(self, problem.mechanism.closure_names[c], samples.closure_forces[:, c], bounds, "N", samples)
+
+    @classmethod
+    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+        return with_limits(problem, closure_force=np.full(len(problem.limits.closure_force), np.inf))

@@ -1,0 +1,86 @@
+"""Users' own limits: rows at nodes, each in units of its larger bound."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import sampled
+from linkplan.planner.limits.path_limit import (
+    BETWEEN_NODES_FACTOR,
+    Bounds,
+    Instant,
+    Margin,
+    PathLimit,
+    PlanningProblem,
+    Samples,
+    Scales,
+    Tightened,
+    margin_of,
+)
+from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, uses
+from linkplan.planner.problem.instant import free_instant
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraPathLimit(PathLimit):
+    """One of a problem's extra limits."""
+
+    key: ClassVar[str] = "extra"
+    words: ClassVar[str] = "the extra limit '{}'"
+    row_kind: ClassVar[str] = "path"  # a quantity of which only users know how the effort acts on it
+    tightened: ClassVar[Tightened] = Tightened.IN_UNITS
+    n_numbers: ClassVar[int] = 1
+    item: int
+    expression: Expression
+    jumps_with_effort: bool = field()
+    of_position: bool = field()
+    extra: ExtraLimit = field(compare=False)
+
+    @classmethod
+    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+        depends = [uses(one, problem.mechanism) for one in problem.extra_limits]
+        return [
+            cls(item, one.expression, of["u"], not of["v"] and not of["u"], one)
+            for item, (one, of) in enumerate(zip(problem.extra_limits, depends, strict=True))
+        ]
+
+    def numbers(self, problem: PlanningProblem) -> Sequence[float]:
+        return (problem.extra_limits[self.item].size,)
+
+    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
+        return expressed(self.extra, at) / numbers
+
+    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+        limit = problem.extra_limits[self.item]
+        return limit.lower / limit.size, limit.upper / limit.size
+
+    def margin(self, samples: Samples) -> Margin:
+        limit = samples.problem.extra_limits[self.item]
+        values = self.values(samples.problem.mechanism, samples.q, samples.v, samples.a, samples.u)
+        return margin_of(self, limit.name, values, (limit.lower, limit.upper), limit.unit, samples, limit.size)
+
+    def values(self, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
+        """Evaluate the expression (n,) along q (n, n_q), v and a (n, n_s), u (n, n_u); q alone suffices if `of_position`."""
+        at, symbols = free_instant(mechanism)
+        function = ca.Function("extra", symbols[: len(motion)], [ca.densify(expressed(self.extra, at))])
+        return sampled(function, *motion).reshape(-1)
+
+    @classmethod
+    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+        wider = tuple(
+            replace(one, lower=one.lower - (factor - 1) * one.size, upper=one.upper + (factor - 1) * one.size)
+            for one in problem.extra_limits
+        )
+        return replace(problem, extra_limits=wider)
+
+    @classmethod
+    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+        return replace(problem, extra_limits=())
+
+    @classmethod
+    def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
+        return 1 + BETWEEN_NODES_FACTOR * max(-m.left / problem.extra_limits[m.item].size for m in over)

@@ -1,0 +1,133 @@
+"""Limits on joints' positions and speeds, whose margins a certificate has by joint.
+
+Independent ones are unknowns of the program, whose coefficients are bounded at every instant. Dependent positions are
+unknowns at nodes, dependent speeds rows there.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import joint_rates
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.limits.path_limit import (
+    BETWEEN_NODES_FACTOR,
+    Bounds,
+    Instant,
+    PathLimit,
+    PlanningProblem,
+    Scales,
+    Trajectory,
+    limited_rows,
+)
+
+# Samples per interval at which a motion without a limit is compared with that limit.
+_SAMPLES_PER_INTERVAL = 8
+
+
+@dataclass(frozen=True, slots=True)
+class RangeLimit(PathLimit):
+    """The range of one joint; `column` is its place among the independent ones where it is kept by rows of intervals."""
+
+    key: ClassVar[str] = "position"
+    item: int
+    column: int | None
+    at_nodes: ClassVar[bool] = False
+
+    @classmethod
+    def of(cls, problem: PlanningProblem, *, position_rows: bool = False, **_: bool) -> list[Self]:
+        if position_rows:
+            return [cls(int(joint), column) for column, joint in enumerate(problem.mechanism.independent)]
+        return [cls(joint, None) for joint in limited_rows(problem.limits.position)]
+
+    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+        return tuple(problem.limits.position[self.item] / scales.position[self.column])
+
+    def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
+        return None if self.column is None else ("position_columns", self.column)
+
+    @classmethod
+    def violation(cls, problem: PlanningProblem, motion: Trajectory) -> str | None:
+        return _violation(problem, motion, problem.limits.position, speeds=False)
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedLimit(PathLimit):
+    """The speed of one joint; `column` is its place among the independent ones, None of a dependent one."""
+
+    key: ClassVar[str] = "speed"
+    item: int
+    column: int | None = None
+
+    @classmethod
+    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+        limited, independent = limited_rows(problem.limits.speed), problem.mechanism.independent.tolist()
+        own = [cls(joint, column) for column, joint in enumerate(independent) if joint in limited]
+        return own + [cls(joint) for joint in limited if joint not in independent]
+
+    @property
+    def at_nodes(self) -> bool:
+        return self.column is None
+
+    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
+        return at.units["time"] * at.joint_rates[self.item]
+
+    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+        limit = problem.limits.speed[self.item]
+        if self.column is None:
+            return tuple(limit * scales.time_s)
+        return tuple(limit / (scales.position[self.column] / scales.time_s))
+
+    def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
+        return None if self.column is None else ("speed_columns", self.column)
+
+    @classmethod
+    def factor(cls, problem: PlanningProblem, motion: Trajectory) -> float | None:
+        _, rates = _along(problem, motion, speeds=True)
+        bounds = problem.limits.speed
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ratios = np.maximum(rates / bounds[:, 1], rates / bounds[:, 0])
+        largest = float(np.nan_to_num(ratios, posinf=0.0, neginf=0.0).max())
+        return BETWEEN_NODES_FACTOR * largest if largest > 1 else None
+
+    @classmethod
+    def violation(cls, problem: PlanningProblem, motion: Trajectory) -> str | None:
+        return _violation(problem, motion, problem.limits.speed, speeds=True)
+
+
+def own_column(mechanism: Mechanism, j: int) -> int | None:
+    """Return the independent column that an actuator drives directly, or None."""
+    joint = mechanism.actuators[j].joint
+    places = np.flatnonzero(mechanism.independent == joint) if joint is not None else []
+    return int(places[0]) if len(places) else None
+
+
+def _along(problem: PlanningProblem, motion: Trajectory, *, speeds: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (n,) [s] of a motion and the positions or rates (n, n_q) of all joints."""
+    time = motion.dense_times(_SAMPLES_PER_INTERVAL)
+    poses = follow(problem.mechanism, motion.position_at(time), motion.start_pose, problem.solver.deadline)
+    return time, joint_rates(problem.mechanism, poses, motion.velocity_at(time)) if speeds else poses
+
+
+def _violation(problem: PlanningProblem, motion: Trajectory, bounds: np.ndarray, *, speeds: bool) -> str | None:
+    try:
+        time, values = _along(problem, motion, speeds=speeds)
+    except AssemblyError:
+        return None
+    over = np.maximum(values - bounds[:, 1], bounds[:, 0] - values)
+    worst = int(np.argmax(over.max(axis=0)))
+    at = int(np.argmax(over[:, worst]))
+    if over[at, worst] <= 0:
+        return None
+    joint, value = problem.mechanism.joints[worst], values[at, worst]
+    unit = joint.unit + ("/s" if speeds else "")
+    bound = bounds[worst, 1] if value > bounds[worst, 1] else bounds[worst, 0]
+    return (
+        f"joint {joint.name} would have to {'move at' if speeds else 'reach'} {joint.shown(value):.4g} {unit}"
+        f" at t = {time[at]:.3g} s, {abs(joint.shown(value - bound)):.4g} {unit} beyond its limit of"
+        f" {joint.shown(bound):.4g}"
+    )

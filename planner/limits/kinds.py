@@ -1,0 +1,61 @@
+"""The kinds of limits, and those that a problem has. A new kind is a row of these two tables."""
+
+from linkplan.planner.limits.closure_force import ClosureForceLimit
+from linkplan.planner.limits.control import ControlLimit
+from linkplan.planner.limits.effort_rate import EffortRateLimit
+from linkplan.planner.limits.extra import ExtraPathLimit
+from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
+from linkplan.planner.limits.motor import MotorLimit
+from linkplan.planner.limits.path_limit import Margin, PathLimit, PlanningProblem, Samples
+from linkplan.planner.limits.power import PowerLimit
+from linkplan.planner.limits.robust import RobustLimit
+from linkplan.planner.limits.singular_margin import SingularMarginLimit
+from linkplan.planner.limits.site import SitePathLimit
+from linkplan.planner.limits.tendon import TendonLimit
+
+# In the order of their rows in a program.
+KINDS: tuple[type[PathLimit], ...] = (
+    RangeLimit,
+    EffortRateLimit,
+    SpeedLimit,
+    MotorLimit,
+    PowerLimit,
+    ClosureForceLimit,
+    SingularMarginLimit,
+    ControlLimit,
+    TendonLimit,
+    RobustLimit,
+    SitePathLimit,
+    ExtraPathLimit,
+)
+# In the order in which a diagnosis removes them, to find out which of them forbids a motion. The efforts' limits and the
+# joints' ranges follow after these.
+RELAXED: tuple[type[PathLimit], ...] = (
+    RobustLimit,
+    SpeedLimit,
+    PowerLimit,
+    ClosureForceLimit,
+    MotorLimit,
+    ControlLimit,
+    EffortRateLimit,
+    SingularMarginLimit,
+    TendonLimit,
+    SitePathLimit,
+    ExtraPathLimit,
+)
+
+
+def limits_of(problem: PlanningProblem, *, enclosed: bool = False, position_rows: bool = False) -> tuple[PathLimit, ...]:
+    """Return a problem's limits; the arguments are those of `PathLimit.of`."""
+    return tuple(limit for kind in KINDS for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
+
+
+def relaxed_kinds(problem: PlanningProblem) -> list[type[PathLimit]]:
+    """Return the kinds of limits that a problem has and a diagnosis may take away, in its order."""
+    return [kind for kind in RELAXED if kind.of(problem)]
+
+
+def margins(samples: Samples) -> tuple[Margin, ...]:
+    """Return the margins of all limits along a motion, except those on efforts and joints."""
+    found = [limit.margin(samples) for limit in limits_of(samples.problem)]
+    return tuple(margin for margin in found if margin is not None)

@@ -1,0 +1,83 @@
+"""Motors' torque-speed lines, |u / stall + w / no_load| <= 1: rows of intervals where the speed is a coordinate's own."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import casadi as ca
+
+from linkplan.planner.limits.joints import own_column
+from linkplan.planner.limits.path_limit import (
+    Bounds,
+    Instant,
+    Margin,
+    PathLimit,
+    PlanningProblem,
+    Samples,
+    Scales,
+    margin_of,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MotorLimit(PathLimit):
+    """The line of one actuator's motor; `column` is the coordinate that it drives itself, if any."""
+
+    key: ClassVar[str] = "motor"
+    words: ClassVar[str] = "the torque-speed line of {}"
+    jumps_with_effort: ClassVar[bool] = True
+    item: int
+    column: int | None = None
+
+    @classmethod
+    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+        lined = [j for j, motor in enumerate(problem.motors) if motor is not None and motor.has_line]
+        return [cls(j, own_column(problem.mechanism, j)) for j in lined]
+
+    @property
+    def at_nodes(self) -> bool:
+        return self.column is None
+
+    @property
+    def n_numbers(self) -> int:
+        return 2 if self.at_nodes else 0
+
+    def numbers(self, problem: PlanningProblem) -> Sequence[float]:
+        motor = problem.motors[self.item]
+        return (1.0 / motor.stall_effort, 1.0 / motor.no_load_speed) if self.at_nodes else ()
+
+    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
+        return numbers[0] * at.u[self.item] + numbers[1] * at.actuator_speeds[self.item]
+
+    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+        return -1.0, 1.0
+
+    def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
+        return None if self.column is None else ("motor_columns", (self.item, self.column))
+
+    def interval_numbers(self, problem: PlanningProblem, scales: Scales) -> Sequence[float]:
+        if self.column is None:
+            return ()
+        motor, gear = problem.motors[self.item], problem.mechanism.actuators[self.item].gear
+        alpha, beta = 1.0 / motor.stall_effort, 1.0 / motor.no_load_speed
+        return alpha * scales.effort[self.item], beta * gear * scales.position[self.column] / scales.time_s
+
+    def margin(self, samples: Samples) -> Margin:
+        j, motor = self.item, samples.problem.motors[self.item]
+        values = samples.u[:, j] / motor.stall_effort + samples.actuator_speeds[:, j] / motor.no_load_speed
+        return margin_of(self, samples.problem.mechanism.actuators[j].name, values, (-1.0, 1.0), "", samples)
+
+    @classmethod
+    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+        wider = tuple(
+            m
+            if m is None or not m.has_line
+            else replace(m, stall_effort=m.stall_effort * factor, no_load_speed=m.no_load_speed * factor)
+            for m in problem.motors
+        )
+        return replace(problem, motors=wider)
+
+    @classmethod
+    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+        bare = tuple(m and replace(m, stall_effort=None, no_load_speed=None) for m in problem.motors)
+        return replace(problem, motors=bare)

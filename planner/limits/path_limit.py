@@ -1,0 +1,276 @@
+"""A limit on every instant of a motion: one object, which the program, the certificate and the diagnosis ask.
+
+A limit at nodes is a row of each node. A limit at every instant is a row of each interval, on Bernstein coefficients.
+Objects hold the structure of a program and are equal if that is equal; numbers come from the problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from typing import Any, ClassVar, Protocol, Self
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.errors import AssemblyError
+from linkplan.planner.limits.samples import Samples, least_between, samples_of
+from linkplan.planner.problem.instant import Instant
+from linkplan.planner.problem.limits import free
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.problem.scales import Scales
+from linkplan.planner.trajectory import Trajectory
+
+__all__ = ["Bounds", "Instant", "Margin", "PathLimit", "PlanningProblem", "Samples", "Scales", "Tightened", "Trajectory"]
+
+Bounds = tuple[float, float]
+MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # q (n, n_q), v and a (n, n_s), u (n, n_u)
+# A limit counts as kept if it is overrun by at most this share of itself, which is rounding.
+ROUNDING_SHARE = 1e-9
+# A motion exceeds its values at the nodes a little between them. A limit that shall admit it is wider by this factor.
+BETWEEN_NODES_FACTOR = 1.001
+# Limits that cannot be removed from a problem are made so many times as wide.
+RELAXED_FACTOR = 1e3
+
+
+class Tightened(Enum):
+    """How a row is tightened where a motion overran its limit between the nodes: what the overrun is a share of."""
+
+    BY_SHARE = "of the bound"
+    SQUARED = "of the bound, whose square the row is"
+    IN_UNITS = "of the row's unit: a place or a length has no size of its own"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Margin:
+    """The worst instant of a limit: `value` against `limit` in `unit`; `left` is negative where it is overrun.
+
+    `of` is the limit, `name` that of its actuator, closure, tendon or site.
+    """
+
+    of: PathLimit
+    name: str
+    value: float
+    limit: float
+    left: float
+    unit: str
+    time_s: float
+    overrun: np.ndarray  # (n_intervals,) by how much of itself the limit is overrun in each, 0 where it is kept
+    upper: bool  # whether the limit is an upper one
+
+    @property
+    def what(self) -> str:
+        """The kind of limit."""
+        return self.of.kind
+
+    @property
+    def item(self) -> int:
+        """The number of the limit within its kind."""
+        return self.of.item
+
+    @property
+    def kept(self) -> bool:
+        """Whether the limit is kept, but for rounding."""
+        return self.left >= -ROUNDING_SHARE * max(1.0, abs(self.limit))
+
+    @property
+    def title(self) -> str:
+        """The limited quantity in words."""
+        return self.of.words.format(self.name)
+
+    def sentence(self, verb: str = "comes to") -> str:
+        """Return the sentence on the value, when it is worst, and its limit."""
+        signed = self.of.tightened is Tightened.IN_UNITS
+        value, limit = (self.value, self.limit) if signed else (abs(self.value), abs(self.limit))
+        amount = f"{value:.4g} {self.unit}".rstrip()
+        off = f"{abs(self.left):.3g} {self.unit}".rstrip()
+        return f"{self.title} {verb} {amount} at t = {self.time_s:.4g} s, {off} {self.of.beyond} its limit of {limit:.4g}"
+
+
+class PathLimit(Protocol):
+    """One limit of one problem; a kind of limit is a final class that says what differs from this.
+
+    Args:
+        key: of the limit in a problem file.
+        words: a title, {} standing for a name.
+        beyond: the word for an overrun.
+        enclosable: rows of the intervals can keep it at every instant.
+        jumps_with_effort: its row jumps where the effort does.
+        of_position: its row is a function of the pose alone.
+        item: its number within its kind.
+    """
+
+    key: ClassVar[str]
+    words: ClassVar[str] = "{}"
+    beyond: ClassVar[str] = "beyond"
+    enclosable: ClassVar[bool] = False
+    jumps_with_effort: ClassVar[bool] = False
+    of_position: ClassVar[bool] = False
+    item: int
+
+    @property
+    def kind(self) -> str:
+        """The kind of its margin and of its tightening."""
+        return self.key
+
+    @property
+    def row_kind(self) -> str:
+        """The kind of its row at a node."""
+        return self.kind
+
+    @property
+    def tightened(self) -> Tightened | None:
+        """How its row is tightened if it is overrun between the nodes; None if the problem is `narrowed` instead."""
+        return Tightened.BY_SHARE
+
+    @classmethod
+    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+        """Return the limits of this kind that a problem has.
+
+        Options: `enclosed`, those that are `enclosable` are kept at every instant; `position_rows`, independent ranges are.
+        """
+        ...
+
+    # Rows of the program, scaled.
+
+    @property
+    def at_nodes(self) -> bool:
+        """Whether it is a row at every node."""
+        return True
+
+    @property
+    def n_numbers(self) -> int:
+        """The number of parameters in its row and unknowns."""
+        return 0
+
+    def numbers(self, problem: PlanningProblem) -> Sequence[float]:
+        """Return these parameters."""
+        return ()
+
+    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
+        """Return the scaled row at a node."""
+        ...
+
+    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+        """Return the bounds of its row, or of its coefficients on an interval."""
+        ...
+
+    def interval_row(self, unknowns: tuple[int, ...]) -> tuple[str, Any] | None:
+        """Return its field of `IntervalRows` and its entry there; None if it is a row at nodes."""
+        return None
+
+    def interval_numbers(self, problem: PlanningProblem, scales: Scales) -> Sequence[float]:
+        """Return the parameters of its row on an interval."""
+        return ()
+
+    @property
+    def n_unknowns(self) -> int:
+        """The number of algebraic unknowns that its row on an interval takes."""
+        return 0
+
+    def unknowns(self, at: Instant, numbers: ca.SX) -> tuple[str, list[ca.SX]]:
+        """Return the kind of equation, and the expression that each of those unknowns equals."""
+        return "", []
+
+    def start_of_unknowns(self, problem: PlanningProblem, scales: Scales, motion: MotionArrays) -> np.ndarray:
+        """Return them along a motion (n, n_unknowns)."""
+        return np.zeros((len(motion[0]), 0))
+
+    # The certificate.
+
+    def margin(self, samples: Samples) -> Margin | None:
+        """Return the margin along a motion; None for joints' limits, which a certificate has by joint."""
+        return None
+
+    # The diagnosis: what all limits of the kind come to when they are relaxed together.
+
+    @classmethod
+    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+        """Return a problem with its limits of this kind relaxed by a common factor."""
+        return with_limits(problem, **{cls.key: getattr(problem.limits, cls.key) * factor})
+
+    @classmethod
+    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+        """Return a problem without its limits of this kind."""
+        return with_limits(problem, **{cls.key: free(len(getattr(problem.limits, cls.key)))})
+
+    @classmethod
+    def factor(cls, problem: PlanningProblem, motion: Trajectory) -> float | None:
+        """Return the factor on the limits of this kind with which a motion keeps them; None if it keeps them as they are."""
+        over = [m for m in overrun_margins(cls, problem, motion) if np.isfinite(m.value)]
+        return cls.factor_of(problem, over) if over else None
+
+    @classmethod
+    def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
+        """Return that factor from the margins that are overrun."""
+        ratios = [m.value / m.limit for m in over if m.limit]
+        return BETWEEN_NODES_FACTOR * max(ratios) if ratios else None
+
+    @classmethod
+    def violation(cls, problem: PlanningProblem, motion: Trajectory) -> str | None:
+        """Return the sentence on how far a motion overruns the limits of this kind; None if it keeps them."""
+        try:
+            over = overrun_margins(cls, problem, motion)
+        except AssemblyError:
+            return None
+        return over[0].sentence("would have to come to") if over else None
+
+    def narrowed(self, problem: PlanningProblem, amount: float) -> PlanningProblem:
+        """Return a problem with both ends of this limit moved inwards, if `tightened` is None."""
+        return problem
+
+
+def with_limits(problem: PlanningProblem, **changes: Any) -> PlanningProblem:
+    """Return a problem with other values in its limits."""
+    return replace(problem, limits=replace(problem.limits, **changes))
+
+
+def limited_rows(bounds: np.ndarray) -> list[int]:
+    """Return the rows of [low, high] that limit anything."""
+    return [int(j) for j in np.flatnonzero(np.isfinite(bounds).any(axis=1))]
+
+
+def overrun_margins(kind: type[PathLimit], problem: PlanningProblem, motion: Trajectory) -> list[Margin]:
+    """Return the margins of one kind that a motion overruns."""
+    samples = samples_of(problem, motion)
+    found = [limit.margin(samples) for limit in kind.of(problem)]
+    return [margin for margin in found if margin is not None and not margin.kept]
+
+
+def margin_of(
+    of: PathLimit,
+    name: str,
+    values: np.ndarray,
+    bounds: Sequence[float],
+    unit: str,
+    samples: Samples,
+    size: float | None = None,
+    bent: np.ndarray | None = None,
+) -> Margin:
+    """Return the margin of values (n,) along a motion to a limit [low, high].
+
+    Overruns are shares of `size`, by default of the limit itself. Intervals with a `bent` sample (n,) have a kink: their
+    least margin is that of the samples, without interpolation by parabolas.
+    """
+    (low, high), points = bounds, samples.points
+    inside = np.minimum(values - low, high - values)
+    at = int(np.argmin(inside))
+    limit = high if high - values[at] <= values[at] - low else low
+    least = least_between(inside, points)
+    if bent is not None:
+        rows, kinked = inside.reshape(-1, len(points)), bent.reshape(-1, len(points)).any(axis=1)
+        least = np.where(kinked, rows.min(axis=1), least)
+    left = float(least.min())
+    value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
+    return Margin(
+        of=of,
+        name=name,
+        value=float(value),
+        limit=float(limit),
+        left=left,
+        unit=unit,
+        time_s=float(samples.time[at]),
+        overrun=np.maximum(0.0, -least) / (size or abs(limit) or 1.0),
+        upper=bool(limit == high),
+    )

@@ -1,0 +1,135 @@
+"""A motion sampled densely, on which margins are measured."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from linkplan.models.poses.along import sampled
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.problem.corner_efforts import corner_efforts_along
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.trajectory import Trajectory
+
+# At how many instants of an interval limits are checked: at least, and for each node.
+_SAMPLES_PER_INTERVAL, _SAMPLES_PER_NODE = 12, 3
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Samples:
+    """A motion of a problem at `time` (n,) [s], at the shares `points` of every interval.
+
+    Poses `q` (n, n_q), independent speeds and accelerations `v`, `a` (n, n_s), efforts `u` (n, n_u). Everything else is
+    computed once, at its first use.
+    """
+
+    problem: PlanningProblem
+    trajectory: Trajectory
+    points: np.ndarray
+    time: np.ndarray
+    q: np.ndarray
+    v: np.ndarray = field(init=False)
+    a: np.ndarray = field(init=False)
+    u: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        motion = self.trajectory
+        for name, of in (("v", motion.velocity_at), ("a", motion.acceleration_at), ("u", motion.effort_at)):
+            object.__setattr__(self, name, of(self.time))
+
+    @cached_property
+    def actuator_speeds(self) -> np.ndarray:
+        """The actuators' speeds (n, n_u) [rad/s or m/s]."""
+        return actuator_speeds(self.problem, self.q, self.v)
+
+    def of_pose(self, name: str) -> np.ndarray:
+        """Return a column (n, rows) of the reduced dynamics that follows from the pose alone."""
+        return sampled(getattr(self.problem.mechanism.dynamics, name), self.q)[:, :, 0]
+
+    @cached_property
+    def closure_forces(self) -> np.ndarray:
+        """The size (n, n_closures) [N] of every closure's force."""
+        return closure_forces(self.problem, self.q, self.v, self.a, self.u)
+
+    @cached_property
+    def block_ratios(self) -> np.ndarray:
+        """The determinants (n, n_blocks) of J_z's blocks, as shares of those at home."""
+        return block_ratios(self.problem, self.q)
+
+    @cached_property
+    def corner_efforts(self) -> np.ndarray:
+        """The efforts (n, n_corners, n_u) of machines at the corners of the ranges in [robust]."""
+        problem = self.problem
+        return corner_efforts_along(problem.mechanism, problem.robust.corners, self.q, self.v, self.a, self.u)
+
+
+def samples_of(problem: PlanningProblem, trajectory: Trajectory) -> Samples:
+    """Return a motion's samples.
+
+    Raises:
+        AssemblyError: when the motion leaves what the loops allow.
+        OutOfTimeError: when the deadline of judging passes before its poses are known.
+    """
+    points = sample_points(trajectory.velocity.shape[0] - 1)
+    time = trajectory.times_at(points)
+    until = problem.solver.judging_deadline
+    q = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose, until)
+    return Samples(problem=problem, trajectory=trajectory, points=points, time=time, q=q)
+
+
+def sample_points(n_nodes: int) -> np.ndarray:
+    """Return the shares (n,) of an interval at which motions of so many nodes are sampled: close together at its ends.
+
+    There the nodes of high degrees stand close, and what a polynomial does between them.
+    """
+    n = max(_SAMPLES_PER_INTERVAL, _SAMPLES_PER_NODE * n_nodes)
+    points = 0.5 - 0.5 * np.cos(np.pi * np.arange(n + 1) / n)
+    points[-1] = 1.0 - 1e-12  # the interval's own side of its end
+    return points
+
+
+def least_between(values: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return the least value (n,) on each interval of a curve that is smooth there: sampled, or at a parabola's vertex.
+
+    Args:
+        values: samples (n, n_points), or all in a row.
+        points: where they stand (n_points,), shares of an interval.
+    """
+    rows = values.reshape(-1, len(points))
+    with np.errstate(all="ignore"):  # a curve with infinite values is as low as its samples
+        slope = np.diff(rows, axis=1) / np.diff(points)
+        bend = np.diff(slope, axis=1) / (points[2:] - points[:-2])
+        at = slope[:, :-1] + bend * (points[1:-1] - points[:-2])
+        vertex = points[1:-1] - at / (2 * bend)
+        inside = (bend > 0) & (vertex >= points[:-2]) & (vertex <= points[2:])
+        least = np.where(inside, rows[:, 1:-1] - at**2 / (4 * bend), np.inf)
+    return np.minimum(rows.min(axis=1), np.where(np.isfinite(rows).all(axis=1), least.min(axis=1, initial=np.inf), np.inf))
+
+
+def actuator_speeds(problem: PlanningProblem, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Return the actuators' speeds (n, n_u) [rad/s or m/s], (Gamma^T B)^T v, at poses q (n, n_q)."""
+    return np.einsum("ksu,ks->ku", sampled(problem.mechanism.dynamics.effort_map, q), v)
+
+
+def closure_forces(problem: PlanningProblem, q, v, a, u) -> np.ndarray:
+    """Return the size (n, n_closures) [N] of every closure's force."""
+    mechanism = problem.mechanism
+    force = sampled(mechanism.dynamics.closure_force, q, v, a, u)[:, :, 0]
+    sizes = [np.linalg.norm(force[:, mechanism.closure_slice(c)], axis=1) for c in range(len(mechanism.closure_names))]
+    return np.array(sizes).T.reshape(len(q), -1)
+
+
+def block_ratios(problem: PlanningProblem, q: np.ndarray) -> np.ndarray:
+    """Return the determinants of J_z's blocks (n, n_blocks), of loops that close together, as shares of those at home."""
+    block = problem.mechanism.dynamics.block_singularity
+    return sampled(block, q)[:, :, 0] / np.array(block(problem.mechanism.home)).ravel()
+
+
+def singularity_ratios(problem: PlanningProblem, q: np.ndarray) -> np.ndarray:
+    """Return the least of J_z's blocks' determinants at poses q (n, n_q), as shares of home's: 0 at a singular pose.
+
+    1 without loops.
+    """
+    if len(problem.mechanism.dependent) == 0:
+        return np.ones(len(q))
+    return block_ratios(problem, q).min(axis=1)

@@ -1,0 +1,163 @@
+"""Limits on where sites stay: slabs (boxes and walls) and tubes.
+
+A slab's row is n . (p - p_home) / L, L the mechanism's extent. A tube's is d^2 / r^2, d the distance from the polyline: the
+least over its segments, which has kinks. The row has the mean with the weights exp(-k d_i^2 / r^2) in its place, which is
+smooth and never below the least: what keeps to it keeps to the tube.
+"""
+
+import itertools
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.planner.limits.path_limit import (
+    BETWEEN_NODES_FACTOR,
+    Bounds,
+    Instant,
+    Margin,
+    PathLimit,
+    PlanningProblem,
+    Samples,
+    Scales,
+    Tightened,
+    margin_of,
+    with_limits,
+)
+from linkplan.planner.limits.samples import least_between
+from linkplan.planner.problem.sites import SiteLimit
+
+# Between two segments at nearly equal distances, the weighted mean exceeds the least squared distance by at most 0.28 / k of
+# r^2. This k takes 0.14 % off a tube's radius there, and the curvature of its wall stays of the order of 1 / r.
+_TUBE_SHARPNESS = 100.0
+# Intervals within this share of a limit's size are sampled again, with so many samples between the worst one's neighbours:
+# between two segments a tube's distance has a kink, which no parabola fits.
+_NEAR_SHARE, _FINE_SAMPLES = 1e-3, 33
+
+
+@dataclass(frozen=True, slots=True)
+class SitePathLimit(PathLimit):
+    """One limit on a site, number `item` of limits.site; `shape` is its `SiteLimit.key`, of which its row is made."""
+
+    key: ClassVar[str] = "site"
+    of_position: ClassVar[bool] = True
+    item: int
+    shape: tuple
+
+    @classmethod
+    def of(cls, problem: PlanningProblem, **_: bool) -> list[Self]:
+        return [cls(item, limit.key) for item, limit in enumerate(problem.limits.site)]
+
+    @classmethod
+    def coordinate(cls, site: int, axis: int) -> Self:
+        return cls(-1, (site, tuple(np.eye(3)[axis].tolist())))
+
+    @property
+    def is_tube(self) -> bool:
+        return len(self.shape) == 3
+
+    @property
+    def kind(self) -> str:
+        return "tube" if self.is_tube else "site"
+
+    @property
+    def tightened(self) -> Tightened:
+        return Tightened.SQUARED if self.is_tube else Tightened.IN_UNITS
+
+    def row(self, at: Instant, numbers: ca.SX) -> ca.SX:
+        p = at.of_pose("site_places")[:, self.shape[0]]
+        if self.is_tube:
+            return _tube(p, np.array(self.shape[1]), self.shape[2])
+        normal = np.array(self.shape[1])
+        return (ca.dot(ca.DM(normal), p) - float(normal @ site_at_home(at.mechanism, self.shape[0]))) / at.mechanism.extent_m
+
+    def bounds(self, problem: PlanningProblem, scales: Scales) -> Bounds:
+        limit, mechanism = problem.limits.site[self.item], problem.mechanism
+        if self.is_tube:
+            return -np.inf, (limit.high / limit.scale) ** 2
+        off = limit.origin - float(limit.normal @ site_at_home(mechanism, limit.index))
+        return (limit.low + off) / mechanism.extent_m, (limit.high + off) / mechanism.extent_m
+
+    def margin(self, samples: Samples) -> Margin:
+        mechanism, limit = samples.problem.mechanism, samples.problem.limits.site[self.item]
+        values = limit.value(places_of(mechanism, limit.index, samples.q))
+        # A tube's distance has no lower limit. A slab's overruns are shares of the mechanism's size.
+        bounds, size = ((-np.inf, limit.high), limit.high) if self.is_tube else ((limit.low, limit.high), mechanism.extent_m)
+        margin = margin_of(self, site_title(limit), values, bounds, "m", samples, size)
+        return _margin_sampled_finely(samples, limit, margin, values, bounds, size)
+
+    @classmethod
+    def scaled(cls, problem: PlanningProblem, factor: float) -> PlanningProblem:
+        room_m = (factor - 1) * problem.mechanism.extent_m
+        site = problem.limits.site
+        wider = tuple(replace(one, low=one.low if one.is_tube else one.low - room_m, high=one.high + room_m) for one in site)
+        return with_limits(problem, site=wider)
+
+    @classmethod
+    def without(cls, problem: PlanningProblem) -> PlanningProblem:
+        return with_limits(problem, site=())
+
+    @classmethod
+    def factor_of(cls, problem: PlanningProblem, over: list[Margin]) -> float | None:
+        return 1 + BETWEEN_NODES_FACTOR * max(-m.left for m in over) / problem.mechanism.extent_m
+
+
+def site_title(limit: SiteLimit) -> str:
+    """Return what of a site is limited, in words."""
+    from_what = {"wall": "its wall", "tube": "its path"}.get(limit.what)
+    return (
+        f"{limit.what} of site {limit.site}" if from_what is None else f"the distance of site {limit.site} from {from_what}"
+    )
+
+
+def site_at_home(mechanism: Mechanism, site: int) -> np.ndarray:
+    """Return where a site is at home (3,) [m]."""
+    return places_of(mechanism, site, mechanism.home)[0]
+
+
+def _tube(p: ca.SX, along: np.ndarray, radius: float) -> ca.SX:
+    """Return the squared distance of p (3,) from a polyline (n, 3), in squared radii, smooth and never too small."""
+    distances = []
+    for a, b in itertools.pairwise(along):
+        way = b - a
+        share = ca.fmax(0.0, ca.fmin(1.0, ca.dot(p - ca.DM(a), ca.DM(way)) / float(way @ way)))
+        off = p - ca.DM(a) - share * ca.DM(way)
+        distances.append(ca.sumsqr(off) / radius**2)
+    squares = ca.vertcat(*distances)
+    weights = ca.exp(-_TUBE_SHARPNESS * (squares - ca.mmin(squares)))
+    return ca.dot(weights, squares) / ca.sum1(weights)
+
+
+def _margin_sampled_finely(
+    samples: Samples, limit: SiteLimit, margin: Margin, values: np.ndarray, bounds: Bounds, size: float
+) -> Margin:
+    """Return a margin measured again on finer samples in every interval near the limit.
+
+    `values` (n,) are the samples of the first measurement.
+    """
+    problem, trajectory, n_points = samples.problem, samples.trajectory, len(samples.points)
+    low, high = bounds
+    inside = np.minimum(values - low, high - values).reshape(-1, n_points)
+    worst = inside.argmin(axis=1)
+    chosen = np.flatnonzero(inside.min(axis=1) < max(_NEAR_SHARE * size, float(inside.min()) + _NEAR_SHARE * size))
+    rows, times = np.arange(len(inside))[chosen], samples.time.reshape(-1, n_points)
+    first, last = times[rows, np.maximum(worst[rows] - 1, 0)], times[rows, np.minimum(worst[rows] + 1, n_points - 1)]
+    shares = np.linspace(0.0, 1.0, _FINE_SAMPLES)
+    near = first[:, None] + (last - first)[:, None] * shares
+    s, until = trajectory.position_at(near.ravel()), problem.solver.judging_deadline
+    q = follow(problem.mechanism, s, trajectory.start_pose, until)
+    fine = limit.value(places_of(problem.mechanism, limit.index, q)).reshape(near.shape)
+    left = np.minimum(fine - low, high - fine)
+    # Of the samples the finest count, and parabolas through those: coarse ones may bulge beyond the curve.
+    least = np.minimum(least_between(left, shares), inside[rows].min(axis=1))
+    overrun = np.zeros(len(inside))
+    overrun[rows] = np.maximum(0.0, -least) / size
+    row, k = np.unravel_index(int(np.argmin(left)), left.shape)
+    upper = bool(high - fine[row, k] <= fine[row, k] - low)
+    bound, gap = (high if upper else low), float(least.min())
+    value, instant = bound - gap if upper else bound + gap, float(near[row, k])
+    return replace(margin, value=value, limit=float(bound), left=gap, time_s=instant, overrun=overrun, upper=upper)

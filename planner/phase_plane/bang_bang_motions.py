@@ -1,0 +1,267 @@
+"""Motions of one degree of freedom by the phase plane: full effort, swings that build up energy, and a braking last leg.
+
+Along s the energy w = v^2 / 2 obeys dw/ds = a(s, v, u) (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985): a leg
+that pushes with full effort from rest, another that brakes to rest at the goal, and where they cross the switch. With the
+reduced inertia M(s), M w grows by the work of weight and effort alone, so that legs keep their energy however quickly M
+changes next to a singular pose. Where the way straight there is not open, the quickest one by way of a grid of turns is
+looked for. These are starting points where a straight motion is not found; the optimum is left to the solver, and so is
+all that this leaves out.
+"""
+
+import heapq
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.models.deadline import Deadline
+from linkplan.planner.closed_chain.guess import Guess
+from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
+from linkplan.planner.problem.motion import Motion
+from linkplan.planner.problem.planning_problem import PlanningProblem
+
+# Legs of a motion at the most.
+_SWINGS = 24
+# Cells of the grid, and places on it where a motion may turn.
+_CELLS, _PLACES = 1600, 60
+# A speed below this counts as this where times are added up [rad/s or m/s].
+_STILL = 1e-9
+# Shares of the effort limits tried for a motion that may take longer than the least.
+_SHARES = (0.7, 0.4)
+# Factors on the effort limits with which a motion is looked for go up to this, and are halved so often in their logarithm.
+_MOST_SHARE, _HALVINGS = 1024.0, 8
+# Energies that differ by less than this share are the same.
+_SAME = 1e-6
+
+
+def least_time_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+    """Return a reach in the least time that the phase plane knows, whatever duration is asked; None where there is none."""
+    return _planes(problem, start_pose)(1.0) if phase_plane_applies(problem) else None
+
+
+def phase_plane_applies(problem: PlanningProblem) -> bool:
+    """Return whether a problem is one of the phase plane's: a reach of one degree of freedom, its efforts all limited."""
+    if problem.mechanism.dof != 1 or problem.motion.kind != "reach" or problem.motion.stays:
+        return False
+    if any(w.time_s is not None or not np.all(np.isfinite(w.position)) for w in problem.motion.waypoints):
+        return False
+    return bool(np.all(np.isfinite(problem.limits.effort)))
+
+
+def least_share(problem: PlanningProblem, start_pose: np.ndarray, duration: float) -> tuple[float, Guess] | None:
+    """Return the least factor on the effort limits with which the phase plane knows of a reach, and that motion.
+
+    None where it knows of none, however large the efforts, or where it does not look.
+
+    Args:
+        problem: of a reach, all its efforts limited.
+        start_pose: closed, at its start.
+        duration: the longest that the motion may take [s].
+    """
+    if not phase_plane_applies(problem):
+        return None
+    guess_with = _planes(problem, start_pose)
+
+    def known(share: float) -> Guess | None:
+        guess = guess_with(share)
+        return guess if guess is not None and guess.duration_s <= duration else None
+
+    low, high, best = 1.0, 2.0, None
+    while (best := known(high)) is None:
+        low, high = high, 2.0 * high
+        if high > _MOST_SHARE:
+            return None
+    for _ in range(_HALVINGS):
+        middle = float(np.sqrt(low * high))
+        guess = known(middle)
+        low, high, best = (low, middle, guess) if guess is not None else (middle, high, best)
+    return high, best
+
+
+def phase_plane_guess(problem: PlanningProblem, start_pose: np.ndarray, quickest: Guess) -> Guess:
+    """Return a reach by the phase plane whose duration is nearest to a fixed one, stretched to it.
+
+    Args:
+        problem: of a reach.
+        start_pose: closed, at its start.
+        quickest: from `least_time_guess`.
+    """
+    duration = problem.motion.duration_s
+    if duration is None:
+        return quickest
+    weaker = _planes(problem, start_pose)
+    known = [quickest, *(guess for share in _SHARES if (guess := weaker(share)) is not None)]
+    return stretched(min(known, key=lambda guess: abs(np.log(guess.duration_s / duration))), duration)
+
+
+def _planes(problem: PlanningProblem, start_pose: np.ndarray) -> Callable[[float], Guess | None]:
+    """Return the function from a share of the effort limits to the quickest motion; its poses are followed once."""
+    parts = parts_of(problem.motion)
+    grid = grid_of(problem, np.concatenate([part.places for part in parts]), start_pose, _CELLS)
+
+    def guess_with(share: float) -> Guess | None:
+        if grid is None:
+            return None
+        plane = plane_of(problem, *grid, share * problem.limits.effort)
+        ways = [_legs(plane, part, problem.solver.deadline) for part in parts]
+        return None if any(legs is None for legs in ways) else _guess(plane, parts, ways, start_pose)
+
+    return guess_with
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Part:
+    """A part of a motion between known speeds: places (n,) from first to last, which are passed in turn."""
+
+    places: np.ndarray
+    speeds: tuple[float, float]
+
+
+def parts_of(motion: Motion) -> list[Part]:
+    """Return a reach's parts. Waypoints on the way are passed as quickly as may be, those at which it turns back at rest."""
+    places = np.array([motion.start[0], *(w.position[0] for w in motion.waypoints), motion.goal[0]])
+    ends = [0.0 if v is None else float(v[0]) for v in (motion.start_speed, motion.goal_speed)]
+    speeds = np.array([ends[0], *(w.speed[0] for w in motion.waypoints), ends[1]])
+    turns = np.concatenate([[False], np.diff(places)[1:] * np.diff(places)[:-1] <= 0, [False]])
+    speeds[turns & np.isnan(speeds)] = 0.0
+    known = np.flatnonzero(~np.isnan(speeds))
+    return [
+        Part(places=places[a : b + 1], speeds=(float(speeds[a]), float(speeds[b]))) for a, b in itertools.pairwise(known)
+    ]
+
+
+def _legs(plane: Plane, part: Part, deadline: Deadline):
+    """Return a part's legs (indices, w, directions of the push at each), the quickest by way of a grid of turns.
+
+    None where there is no way. Dijkstra over the places where a motion may rest.
+    """
+    n, speeds = len(plane.s), part.speeds
+    start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
+    rests = sorted({*np.linspace(0, n - 1, _PLACES).round().astype(int).tolist()} - {goal})
+    ends = [(goal, speeds[1]), *((place, 0.0) for place in rests)]
+    arriving = {}  # braking legs by where and in which direction they arrive
+    for place, v in ends:
+        deadline.require_time()
+        for way in (+1, -1):
+            if v * way >= 0:
+                arriving[place, way] = plane.leg(place, 0.5 * v**2, -way, -way, backwards=True)
+    ticket = itertools.count(1)  # equal times are never compared further
+    queue, known = [(0.0, 0, 0, start, [])], {}
+    while queue:
+        deadline.require_time()
+        time, _, legs_so_far, at, legs = heapq.heappop(queue)
+        if legs and at == goal:
+            return legs
+        if known.get(at, np.inf) <= time or legs_so_far == _SWINGS:
+            continue
+        known[at] = time
+        v = speeds[0] if not legs else 0.0
+        for way in [int(np.sign(v))] if v else [+1, -1]:
+            push = plane.leg(at, 0.5 * v**2, way, way)
+            index = at + way * np.arange(len(push))
+            if len(push) > 1 and index[-1] not in (0, n - 1):
+                # Where full effort comes to rest by itself: the furthest turn, and on no grid.
+                whole = index, np.append(push[:-1], 0.0), np.full(len(index), way)
+                taken = time + _duration(plane, whole)
+                heapq.heappush(queue, (taken, next(ticket), legs_so_far + 1, int(index[-1]), [*legs, whole]))
+            for place, _ in ends:
+                joined = _joined(plane, index, push, place, way, arriving.get((place, way)))
+                if joined is not None:
+                    taken = time + _duration(plane, joined)
+                    heapq.heappush(queue, (taken, next(ticket), legs_so_far + 1, place, [*legs, joined]))
+    return None
+
+
+def _duration(plane: Plane, leg) -> float:
+    index, w, _ = leg
+    v = np.sqrt(2 * w)
+    return float(np.sum(2 * np.abs(np.diff(plane.s[index])) / np.maximum(v[1:] + v[:-1], _STILL)))
+
+
+def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: int, brake: np.ndarray | None):
+    """Return a pushing leg up to where it crosses the braking leg into the goal, then that one; None without a crossing."""
+    if brake is None or not (goal - index[0]) * way > 0:
+        return None
+    braking = np.full(len(plane.s), np.nan)
+    braking[goal - way * np.arange(len(brake))] = brake
+    ahead = np.arange(index[0], goal + way, way)
+    pushing, braking = (np.full(len(ahead), np.nan) for _ in range(2))
+    pushing[: len(push)] = push[: len(ahead)]
+    braking[len(ahead) - len(brake[: len(ahead)]) :] = brake[: len(ahead)][::-1]
+    over = np.flatnonzero(pushing >= braking)
+    if not len(over):
+        return None
+    k = int(over[0])
+    if not k and pushing[0] > (1 + _SAME) * braking[0]:
+        return None  # too fast already to stop there
+    # Below the braking leg just before, or the way there is not open: it would be met too fast.
+    if np.any(np.isnan(pushing[:k])) or (k and np.isnan(braking[k - 1])):
+        return None
+    w = np.concatenate([pushing[:k], braking[k:]])
+    if np.any(np.isfinite(plane.top[way])):
+        # Below a speed limit a braking leg may rise faster than full effort does.
+        below = np.full(len(plane.s), np.inf)
+        below[ahead] = np.where(np.isnan(braking), np.inf, braking)
+        rest = plane.leg(index[0], push[0], way, way, below=below)
+        w[: len(rest)] = rest[: len(w)]
+    effort = np.where(np.arange(len(ahead)) < k, way, -way)
+    return ahead, w, effort
+
+
+def _guess(plane: Plane, parts: list[Part], ways: list, start_pose: np.ndarray) -> Guess:
+    """Return parts' legs as a guess: position and velocity by Hermite cubics over time, efforts as they push."""
+    import scipy
+
+    visited, times, v, pushes, boundaries = [plane.at(parts[0].places[0])], [0.0], [parts[0].speeds[0]], [], [0]
+    for part, legs in zip(parts, ways, strict=True):
+        for index, w, effort in legs:
+            speed = int(np.sign(index[-1] - index[0])) * np.sqrt(2 * w)
+            step = np.abs(np.diff(plane.s[index]))
+            times += list(times[-1] + np.cumsum(2 * step / np.maximum(np.abs(speed[1:] + speed[:-1]), _STILL)))
+            visited += list(index[1:])
+            v += list(speed[1:])
+            pushes += list(effort[:-1] * 1.0)
+        for place in part.places[1:-1]:
+            boundaries.append(boundaries[-1] + 1 + visited[boundaries[-1] + 1 :].index(plane.at(place)))
+        boundaries.append(len(visited) - 1)
+    t, pushed, place = np.array(times), np.array(pushes), plane.s[visited]
+    path = scipy.interpolate.CubicHermiteSpline(t, place[:, None], np.array(v)[:, None])
+
+    def effort_at(at: np.ndarray) -> np.ndarray:
+        k = np.clip(np.searchsorted(t, at, side="right") - 1, 0, len(pushed) - 1)
+        half = 2 * np.array(visited)[k]
+        return np.where(pushed[k, None] > 0, plane.effort[+1][half], plane.effort[-1][half])
+
+    guess = Guess(
+        position=path,
+        velocity=path.derivative(1),
+        acceleration=path.derivative(2),
+        effort=None,
+        duration_s=float(t[-1]),
+        start_pose=start_pose,
+        boundaries_s=t[boundaries] if len(boundaries) > 2 else None,
+        swings=sum(len(legs) for legs in ways),
+    )
+    top = np.where(np.array(v) > 0, plane.top[+1][visited], plane.top[-1][visited])
+    if np.any((0.5 * np.square(v) >= (1 - _SAME) * top) & (top > 0)):
+        return guess  # along speed limits efforts are what these ask for
+    switched = np.setdiff1d(np.flatnonzero(np.diff(pushed)) + 1, boundaries)
+    ends = np.sort(np.concatenate([t[switched], t[boundaries]]))
+    bang_efforts = effort_at(0.5 * (ends[1:] + ends[:-1]))
+    return replace(guess, effort=effort_at, switch_times_s=t[switched], bang_efforts=bang_efforts)
+
+
+def stretched(guess: Guess, duration: float) -> Guess:
+    """Return a guess slowed or hastened to a duration, its efforts left to inverse dynamics."""
+    factor = guess.duration_s / duration
+    return Guess(
+        position=lambda t: guess.position(factor * t),
+        velocity=lambda t: factor * guess.velocity(factor * t),
+        acceleration=lambda t: factor**2 * guess.acceleration(factor * t),
+        effort=None,
+        duration_s=duration,
+        start_pose=guess.start_pose,
+        boundaries_s=None if guess.boundaries_s is None else guess.boundaries_s / factor,
+        swings=guess.swings,
+    )

@@ -1,0 +1,159 @@
+"""The motion that legs along limits on power are, as polynomials: exact between its nodes, and not solved for.
+
+A weak motor climbs at the speed at which its power carries the weight, and forgets within a thousandth of the motion how it
+came there; the leg back from the goal does so backwards. No solver that looks at all of it at once is needed for that, and
+one may well be lost on it: collocated interval by interval from either end, every leg runs the way in which its errors die.
+"""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+
+from linkplan.models.deadline import Deadline
+from linkplan.planner.phase_plane.leg_field import FORCE
+from linkplan.planner.phase_plane.power_legs import Leg, power_legs
+from linkplan.planner.problem.planning_problem import PlanningProblem
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.bernstein import bernstein_matrix
+from linkplan.planner.transcription.schemes import scheme
+
+# Of limits on effort and power, the share that is left to what polynomials do between their nodes; how far those may be from
+# the effort and from the acceleration that it gives, as a share.
+_ROOM, _CLOSE = 1e-8, 3e-9
+_SCHEME = "radau-7"
+# Instants of an interval at which it is judged, and Newton's steps on it.
+_JUDGED, _STEPS = np.linspace(0.0, 1.0, 12), 12
+# Differences by which slopes are taken, and steps that are rounding, as shares.
+_DIFFERENCE, _ROUNDING = 1e-7, 1e-13
+# An interval is no shorter than this share of its arc, and no longer than that of its leg: what is unstable can be
+# integrated over it.
+_SHORTEST, _LONGEST = 1e-12, 0.01
+
+
+def legs_motion(problem: PlanningProblem, start_pose: np.ndarray) -> Trajectory | None:
+    """Return the quickest reach that never turns back but where it must, along limits on power; None where there is none.
+
+    It is quickest by comparison: no motion that goes on to where it must turn is anywhere faster than both legs allow.
+
+    Args:
+        problem: whose efforts are limited; of its other limits, all but those on power and pin force are left out.
+        start_pose: closed (n_q,), at the start.
+    """
+    limits = problem.limits
+    rated = (1.0 - _ROOM) * limits.closure_force
+    inside = replace(limits, effort=_inside(limits.effort), power=_inside(limits.power), closure_force=rated)
+    found = power_legs(replace(problem, limits=inside), start_pose, exactly=True)
+    if found is None:
+        return None
+    legs, boundaries = found
+    pieces = [_pieces(leg, boundaries, problem.solver.deadline) for leg in legs]
+    if any(piece is None for piece in pieces):
+        return None
+    breaks, *parts = ([one for piece in pieces for one in piece[k]] for k in range(4))
+    ends = np.append(breaks, legs[-1].later + legs[-1].end)
+    position, velocity, effort = (np.stack(part, axis=1) for part in parts)
+    return Trajectory(
+        breaks_s=ends,
+        position=position[:, :, None],
+        velocity=velocity[:, :, None],
+        effort=effort,
+        start_pose=start_pose,
+        periodic=False,
+    )
+
+
+def _inside(limit: np.ndarray) -> np.ndarray:
+    """Return limits [low, high] (n, 2) a little further in."""
+    share = np.where(np.isfinite(limit), np.abs(limit), 0.0)
+    return limit + _ROOM * share * np.array([1.0, -1.0])
+
+
+def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list, list, list, list] | None:
+    """Return where a leg's intervals begin in the motion's time [s], and their coefficients; None where they get too short.
+
+    Position (m + 2,), velocity (m + 1,) and effort (m, n_u) each.
+    """
+    arcs = leg.arcs()
+    until = np.array([end - leg.later for end, _ in arcs])
+    passed = boundaries - leg.later
+    ends = np.concatenate([[leg.begin], until[:-1], passed[(passed > leg.begin) & (passed < leg.end)], [leg.end]])
+    ends = np.unique(ends) if leg.towards else np.unique(ends)[::-1]
+    at, found = leg.state(ends[0]), []
+    for begin, end in itertools.pairwise(ends):
+        held = np.array(arcs[int(np.searchsorted(until[:-1], 0.5 * (begin + end)))][1])
+        longest = _LONGEST * (leg.end - leg.begin)
+        t, h = begin, 0.25 * (end - begin)
+        while t != end:
+            deadline.require_time()
+            h = np.copysign(min(abs(h), longest), h)
+            h = end - t if abs(h) > 0.9 * abs(end - t) else h
+            piece = _collocated(leg, held, t, h, at)
+            if piece is None:
+                h *= 0.5
+                if abs(h) < _SHORTEST * abs(end - begin):
+                    return None
+                continue
+            *coefficients, at = piece
+            first = leg.later + (t if leg.towards else t + h)
+            found.append((first, *(c if leg.towards else c[::-1] for c in coefficients)))
+            t, h = (end if h == end - t else t + h), 2.0 * h
+    breaks, *parts = zip(*(found if leg.towards else found[::-1]), strict=True)
+    position, velocity, effort = (list(part) for part in parts)
+    return list(breaks), position, velocity, effort
+
+
+def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
+    """Return an interval's coefficients and the state (2,) at its end; None where they are not close to the leg's law.
+
+    Args:
+        leg: whose law is followed.
+        held: what actuators are held at there (n_u,).
+        t: where the interval begins, in the leg's time [s].
+        h: its width, negative backwards.
+        at: place and speed there (2,).
+    """
+    known = scheme(_SCHEME)
+    nodes = known.nodes
+
+    def law(s: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return leg.field.along(s, v, held)
+
+    def states(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return at[0] + h * nodes * at[1] + h**2 * known.position @ a, at[1] + h * known.velocity @ a
+
+    inside = np.clip(t + h * nodes, leg.begin, leg.end)
+    guessed = leg.state(inside)
+    a = law(*guessed)[1]
+    size = np.abs(guessed).max(axis=1)
+    with np.errstate(all="ignore"):  # over an interval that is too long Newton's steps may lead anywhere
+        for _ in range(_STEPS):
+            s, v = states(a)
+            asked = law(s, v)[1]
+            by_place = (law(s + _DIFFERENCE, v)[1] - asked) / _DIFFERENCE
+            nudge = _DIFFERENCE * np.maximum(np.abs(v), size[1])
+            by_speed = (law(s, v + nudge)[1] - asked) / nudge
+            slope = np.eye(len(nodes)) - h**2 * by_place[:, None] * known.position - h * by_speed[:, None] * known.velocity
+            step = np.linalg.solve(slope, asked - a)
+            a = a + step
+            if np.abs(h * step).max() <= _ROUNDING * size[1]:
+                break
+        else:
+            return None
+    s, v = states(a)
+    effort = law(s, v)[0]
+    m = len(nodes)
+    position = at[0] + h * np.arange(m + 2) / (m + 1) * at[1] + h**2 * known.position_coefficients @ a
+    velocity = at[1] + h * known.velocity_coefficients @ a
+    efforts = np.linalg.solve(known.effort_at, effort)
+    s, v, u, slope = (
+        bernstein_matrix(len(c) - 1, _JUDGED) @ c for c in (position, velocity, efforts, np.linalg.solve(known.effort_at, a))
+    )
+    asked, pushed = law(s, v)
+    # Along a pin force the effort may pass through nothing: there the whole limit is its measure.
+    size = np.abs(asked) if np.all(np.abs(held) < FORCE) else np.abs(leg.field.effort).max(axis=1)
+    values = leg.field.curves(s)
+    strength = np.abs(values[:, 4:] * size).sum(axis=1) / values[:, 0]
+    if np.any(np.abs(u - asked) > _CLOSE * size) or np.any(np.abs(slope - pushed) > _CLOSE * strength):
+        return None
+    return position, velocity, efforts, np.array([position[-1], velocity[-1]])

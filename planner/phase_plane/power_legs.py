@@ -1,0 +1,283 @@
+"""Least-time motions of one degree of freedom along limits on power and pin force: the phase plane's legs, over time.
+
+A leg with all that effort, power and pin forces allow from where a motion begins, another back from where it ends, and where
+they cross the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Along a power limit P the effort is
+P / w: it falls off from a bang at rest that may last a hundred-thousandth of the motion, which neither a grid over the way
+nor a mesh over time shows. Integrated, the legs say when each arc begins and ends, and what is held along it; the instants
+themselves are left to the solver.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from linkplan.models.deadline import Deadline
+from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.along import sampled, sliding_friction
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.phase_plane.bang_bang_motions import Guess, Part, parts_of
+from linkplan.planner.phase_plane.leg_field import FORCE, POWER, LegField, PinForces
+from linkplan.planner.problem.planning_problem import PlanningProblem
+
+# Poses along a part of the way.
+_POSES = 2001
+# Integrations: the method, its relative tolerance, and the share of the way and of the largest speed that is as small as
+# that. Exactly, where a bang at rest ends counts, at a 30 000th of the largest speed.
+_ROUGHLY, _EXACTLY = ("Radau", 1e-7, 1e-7), ("LSODA", 1e-10, 1e-14)
+# The longest that they go on, in the time that full effort would take. Boundaries so near to a switch, a share of the
+# duration, are at it.
+_LONGEST, _AT = 1e6, 1e-7
+# Next to the ends, this share of the way, the legs are not yet apart.
+_BESIDE = 1e-7
+# Instants within each of the integration's steps at which arcs are looked at, and halvings that find where they end.
+_LOOKS, _HALVINGS = 4, 60
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Leg:
+    """A leg over its own time (begin, end) [s]; `later` [s] is when its time is 0 in the motion."""
+
+    field: LegField
+    state: Callable[[Any], np.ndarray]  # (2,) or (2, n): place and speed
+    steps: np.ndarray
+    towards: bool
+    begin: float
+    end: float
+    later: float = 0.0
+
+    def time_at(self, place: float) -> float:
+        """Return when it passes a place [s]."""
+        import scipy
+
+        return float(scipy.optimize.brentq(lambda t: self.state(t)[0] - place, self.begin, self.end, xtol=1e-15))
+
+    def speed_at(self, place: float) -> float:
+        """Return how fast it passes a place."""
+        return float(self.state(self.time_at(place))[1])
+
+    def held_at(self, t: float) -> tuple[int, ...]:
+        """Return what is held at an instant of its own."""
+        return tuple(int(one) for one in self.field.at(*self.state(t), towards=self.towards)[0])
+
+    def is_possible(self) -> bool:
+        """Return whether one effort keeps all limits at every instant of it that is looked at."""
+        return self.field.keeps(*self.state(self._looks()), towards=self.towards)
+
+    def _looks(self) -> np.ndarray:
+        """Return the instants (n,) of its own at which it is looked at: some within each of the integration's steps."""
+        knots = np.unique(np.clip(self.steps, self.begin, self.end))
+        looks = np.interp(np.arange(_LOOKS * (len(knots) - 1) + 1) / _LOOKS, np.arange(len(knots)), knots)
+        return 0.5 * (looks[1:] + looks[:-1])
+
+    def arcs(self) -> list[tuple[float, tuple[int, ...]]]:
+        """Return its arcs in turn: when each ends [s], in the motion's time, and what is held along it."""
+        looks = self._looks()
+        held, found = [self.held_at(t) for t in looks], []
+        for k in range(1, len(looks)):
+            if held[k] != held[k - 1]:
+                before, after = looks[k - 1], looks[k]
+                for _ in range(_HALVINGS):
+                    middle = 0.5 * (before + after)
+                    before, after = (middle, after) if self.held_at(middle) == held[k - 1] else (before, middle)
+                found.append((self.later + after, held[k - 1]))
+        return [*found, (self.later + self.end, held[-1])]
+
+
+def knows_pins(problem: PlanningProblem) -> bool:
+    """Return whether legs know a problem's limits on pin forces: of one freedom and actuator, and no joint that rubs."""
+    mechanism = problem.mechanism
+    if not problem.limits.limited_closures or (mechanism.dof, mechanism.n_u) != (1, 1):
+        return False
+    return not sliding_friction(mechanism, mechanism.home[None]).any()
+
+
+def power_guess(problem: PlanningProblem, start_pose: np.ndarray) -> Guess | None:
+    """Return the quickest reach that never turns back but where it must, along limits on power and pin force, and its arcs.
+
+    None where there is none, where no power or force is at its limit, or where more is asked than the phase plane knows.
+    Arguments as of `power_legs`.
+    """
+    found = power_legs(problem, start_pose)
+    if found is None:
+        return None
+    legs, boundaries = found
+    arcs = [arc for leg in legs for arc in leg.arcs()]
+    held = np.array([one for _, one in arcs])
+    if not np.any(np.abs(held) >= POWER):
+        return None
+    return _guess(problem, start_pose, legs, arcs, boundaries)
+
+
+def power_legs(
+    problem: PlanningProblem, start_pose: np.ndarray, *, exactly: bool = False
+) -> tuple[list[Leg], np.ndarray] | None:
+    """Return the legs of such a motion, and when it passes start, waypoints and goal [s]; None where there is none.
+
+    Args:
+        problem: whose efforts are limited; of its other limits, all but those on power and pin force are left out.
+        start_pose: closed (n_q,), at the start.
+        exactly: whether they are to be a motion and not a start.
+    """
+    legs, boundaries = [], [0.0]
+    try:
+        for part in parts_of(problem.motion):
+            field, how = _field(problem, part, start_pose), _EXACTLY if exactly else _ROUGHLY
+            pair = _legs(field, part, boundaries[-1], problem.solver.deadline, *how)
+            if pair is None:
+                return None
+            legs += pair
+            ahead, back = pair
+            for place in part.places[1:-1]:
+                leg = ahead if ahead.field.way * (ahead.state(ahead.end)[0] - place) > 0 else back
+                boundaries.append(leg.later + leg.time_at(place))
+            boundaries.append(back.later + back.end)
+    except AssemblyError:  # the way is not open
+        return None
+    return legs, np.array(boundaries)
+
+
+def _field(problem: PlanningProblem, part: Part, start_pose: np.ndarray) -> LegField:
+    """Return what effort, power and pin forces allow between the first place of a part and its last.
+
+    Raises:
+        AssemblyError: where the way is not open.
+    """
+    import scipy
+
+    dynamics, start, goal = problem.mechanism.dynamics, part.places[0], part.places[-1]
+    place = np.linspace(start, goal, _POSES)
+    deadline, way_there = problem.solver.deadline, np.linspace(problem.motion.start[0], start, _POSES)
+    there = follow(problem.mechanism, way_there[:, None], start_pose, deadline)[-1]
+    q = follow(problem.mechanism, place[:, None], there, deadline)
+    inertia, maps = sampled(dynamics.reduced_inertia, q)[:, 0, 0], sampled(dynamics.effort_map, q)[:, 0]
+    none = np.zeros((_POSES, len(problem.limits.effort)))
+    speeds = {v: np.full((_POSES, 1), v) for v in (0.0, 1.0, -1.0)}
+    accelerations = [sampled(dynamics.acceleration, q, v, none)[:, :, 0] for v in speeds.values()]
+    still, fast, back = (inertia * a[:, 0] for a in accelerations)
+    way, rub = float(np.sign(goal - start)), sliding_friction(problem.mechanism, q)
+    square, linear = 0.5 * (fast + back) - still, 0.5 * (fast - back) + rub
+    values = np.column_stack([inertia, still - way * rub, square, linear, maps])
+    along = slice(None, None, int(way))
+    pins = None
+    if knows_pins(problem):
+        still, fast, back = (
+            sampled(dynamics.closure_force, q, v, a, none)[:, :, 0]
+            for v, a in zip(speeds.values(), accelerations, strict=True)
+        )
+        pushed = sampled(dynamics.acceleration, q, speeds[0.0], none + 1.0)[:, :, 0]
+        by_effort = sampled(dynamics.closure_force, q, speeds[0.0], pushed, none + 1.0)[:, :, 0] - still
+        forces = np.stack([still, 0.5 * (fast + back) - still, 0.5 * (fast - back), by_effort], axis=1)
+        pins = _pins(problem, place[along], forces[along])
+    curves = scipy.interpolate.CubicSpline(place[along], values[along])
+    return LegField(curves=curves, effort=problem.limits.effort, power=problem.limits.power, way=way, pins=pins)
+
+
+def _pins(problem: PlanningProblem, place: np.ndarray, forces: np.ndarray) -> PinForces:
+    """Return forces (n, 4, n_rows) [N, ...] of all closures at places (n,) as those of limited ones, by their ratings."""
+    import scipy
+
+    limited, columns, rows = problem.limits.limited_closures, [], []
+    for c in limited:
+        own = forces[:, :, problem.mechanism.closure_slice(c)] / problem.limits.closure_force[c]
+        begin = sum(one.shape[2] for one in columns)
+        rows.append(slice(begin, begin + own.shape[2]))
+        columns.append(own)
+    return PinForces(curves=scipy.interpolate.CubicSpline(place, np.concatenate(columns, axis=2)), rows=tuple(rows))
+
+
+def _legs(
+    field: LegField, part: Part, later: float, deadline: Deadline, method: Any, share: float, small: float
+) -> list[Leg] | None:
+    """Return the leg up to the switch and the one from there, the first begun `later` [s]; None where they do not meet."""
+    import scipy
+
+    start, goal, way = part.places[0], part.places[-1], field.way
+    values = field.curves(np.linspace(start, goal, _POSES))
+    span, force = abs(goal - start), np.abs(values[:, 1]) + np.abs(values[:, 4:]) @ np.abs(field.effort).max(axis=1)
+    fastest = float(np.sqrt(2 * span * (force / values[:, 0]).max()))
+
+    def leg(begin: float, v: float, end: float, *, towards: bool) -> Leg:
+        def rates(_t: float, y: np.ndarray) -> list[float]:
+            deadline.require_time()
+            return [y[1], float(field.at(*y, towards=towards)[2])]
+
+        def there(_t: float, y: np.ndarray) -> float:
+            return y[0] - end
+
+        def stalled(_t: float, y: np.ndarray) -> float:
+            return way * y[1]
+
+        there.terminal = stalled.terminal = True
+        stalled.direction = -1.0
+        until = _LONGEST * span / fastest
+        found = scipy.integrate.solve_ivp(
+            rates, (0.0, until if towards else -until), [begin, v], method=method, events=(there, stalled),
+            dense_output=True, rtol=share, atol=small * np.array([span, fastest]),
+        )  # fmt: skip
+        ends = np.sort([0.0, found.t[-1]])
+        return Leg(field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1])
+
+    ahead, back = leg(start, part.speeds[0], goal, towards=True), leg(goal, part.speeds[1], start, towards=False)
+    low = max(way * start, way * back.state(back.begin)[0]) + _BESIDE * span
+    high = min(way * goal, way * ahead.state(ahead.end)[0]) - _BESIDE * span
+
+    def apart(at: float) -> float:
+        return way * (ahead.speed_at(way * at) - back.speed_at(way * at))
+
+    if not low < high or not apart(low) < 0 < apart(high):
+        return None
+    switch = way * scipy.optimize.brentq(apart, low, high)
+    one = _cut(ahead, 0.0, ahead.time_at(switch), later)
+    two = _cut(back, back.time_at(switch), 0.0, later + one.end - back.time_at(switch))
+    return [one, two] if one.is_possible() and two.is_possible() else None
+
+
+def _cut(leg: Leg, begin: float, end: float, later: float) -> Leg:
+    return Leg(field=leg.field, state=leg.state, steps=leg.steps, towards=leg.towards, begin=begin, end=end, later=later)
+
+
+def _guess(problem: PlanningProblem, start_pose: np.ndarray, legs: list[Leg], arcs: list, boundaries: np.ndarray) -> Guess:
+    """Return legs as a guess, with their arcs between switch times and phase boundaries."""
+    ends = np.array([leg.later + leg.end for leg in legs])
+    n_u, duration = len(problem.limits.effort), float(ends[-1])
+
+    def of(times: np.ndarray, what: Callable[[Leg, np.ndarray], np.ndarray], size: int) -> np.ndarray:
+        values, which = np.zeros((len(times), size)), np.minimum(np.searchsorted(ends, times), len(legs) - 1)
+        for k, leg in enumerate(legs):
+            mine = which == k
+            if mine.any():
+                values[mine] = what(leg, np.clip(times[mine] - leg.later, leg.begin, leg.end))
+        return values
+
+    def motion(leg: Leg, t: np.ndarray) -> np.ndarray:
+        s, v = leg.state(t)
+        _, effort, a = leg.field.at(s, v, towards=leg.towards)
+        return np.column_stack([s, v, a, effort])
+
+    def column(k: int, size: int = 1) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda times: of(np.asarray(times), motion, 3 + n_u)[:, k : k + size]
+
+    known = boundaries[1:-1]
+    instants = np.array([end for end, _ in arcs[:-1]])
+    apart = np.abs(instants[:, None] - known).min(axis=1, initial=np.inf) > _AT * duration
+    switch_times = instants[apart]
+    inner = np.sort(np.concatenate([[0.0], switch_times, known, [duration]]))
+    at = np.searchsorted([end for end, _ in arcs[:-1]], 0.5 * (inner[1:] + inner[:-1]))
+    held = np.array([one for _, one in arcs])[at]
+    limit = problem.limits.effort
+    bang = np.where(held == 1, limit[:, 1], np.where(held == -1, limit[:, 0], np.nan))
+    return Guess(
+        position=column(0),
+        velocity=column(1),
+        acceleration=column(2),
+        effort=column(3, n_u),
+        duration_s=duration,
+        start_pose=start_pose,
+        boundaries_s=boundaries if len(boundaries) > 2 else None,
+        switch_times_s=switch_times,
+        bang_efforts=bang,
+        power_arcs=np.where(np.abs(held) == POWER, np.sign(held), 0),
+        force_arcs=(np.abs(held[:, :1]) == FORCE + np.arange(len(problem.limits.limited_closures))).astype(int),
+    )

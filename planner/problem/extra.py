@@ -1,0 +1,208 @@
+"""Users' own path limits and running costs: CasADi expressions of named joints, efforts and sites."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.errors import ProblemError, one_line
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.names import choose
+from linkplan.models.reading import shown
+from linkplan.planner.problem.instant import Instant, free_instant
+
+# Names stand in sentences.
+MAX_NAME_CHARACTERS = 100
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Named:
+    """Entries of a column by name."""
+
+    what: str
+    names: tuple[str, ...]
+    column: ca.SX
+
+    def __getitem__(self, name: str) -> ca.SX:
+        return self.column[self.names.index(choose(self.what, name, self.names, ProblemError))]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class NamedInstant:
+    """One instant of a motion as users' expressions see it, in SI: `at.position["O"]`, `at.site("foot")[2]`.
+
+    Every joint has a position [rad or m] and a velocity, dependent ones too; every actuator an effort [N.m or N].
+    """
+
+    instant: Instant
+
+    @property
+    def position(self) -> _Named:
+        """The joints' positions [rad or m] by name."""
+        return _Named("joint in at.position", _joints(self.instant.mechanism), self.instant.q)
+
+    @property
+    def velocity(self) -> _Named:
+        """The joints' velocities [rad/s or m/s] by name."""
+        return _Named("joint in at.velocity", _joints(self.instant.mechanism), self.instant.joint_rates)
+
+    @property
+    def effort(self) -> _Named:
+        """The actuators' efforts [N.m or N] by name."""
+        names = tuple(actuator.name for actuator in self.instant.mechanism.actuators)
+        return _Named("actuator in at.effort", names, self.instant.u)
+
+    def site(self, name: str) -> ca.SX:
+        """Return the place (3,) [m] of a site in the world."""
+        model = self.instant.mechanism.model
+        names = [model.site(k).name for k in range(model.nsite)]
+        return self.instant.of_pose("site_places")[:, names.index(choose("site in at.site", name, names, ProblemError))]
+
+
+Expression = Callable[[NamedInstant], ca.SX]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class ExtraLimit:
+    """A limit on every instant, lower <= expression <= upper.
+
+        ExtraLimit(name="knee behind toe", expression=lambda at: at.site("knee")[0] - at.site("toe")[0], upper=0.0, unit="m")
+
+    Args:
+        name: in messages.
+        expression: from a `NamedInstant` to a CasADi scalar, twice differentiable along the motion.
+        lower, upper: bounds, one of them finite.
+        unit: of the expression, for messages.
+    """
+
+    kind: ClassVar[str] = "limit"
+    name: str
+    expression: Expression
+    lower: float = -np.inf
+    upper: float = np.inf
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        _check_words(self)
+        for field in ("lower", "upper"):
+            object.__setattr__(self, field, _number(getattr(self, field), f"extra limit '{self.name}': {field}"))
+        if not (self.lower < self.upper and np.isfinite([self.lower, self.upper]).any()):
+            bounds = f"lower = {self.lower:g} and upper = {self.upper:g}"
+            raise ProblemError(f"extra limit '{self.name}' needs lower < upper, one of them finite, got {bounds}")
+
+    @property
+    def size(self) -> float:
+        """The unit of its row in a program: its larger finite bound."""
+        ends = np.abs([self.lower, self.upper])
+        return float(ends[np.isfinite(ends)].max()) or 1.0
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class ExtraCost:
+    """A running cost: `weight` times the integral of an expression over the motion stands beside the objective.
+
+    Args:
+        name: in messages, beside the terms of the objective.
+        expression: from a `NamedInstant` to a CasADi scalar, twice differentiable along the motion.
+        weight: positive, per SI unit of the integral.
+        unit: of the integral, for messages.
+    """
+
+    kind: ClassVar[str] = "cost"
+    name: str
+    expression: Expression
+    weight: float = 1.0
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        _check_words(self)
+        object.__setattr__(self, "weight", _number(self.weight, f"extra cost '{self.name}': weight"))
+        if not (np.isfinite(self.weight) and self.weight > 0):
+            raise ProblemError(f"extra cost '{self.name}': weight is a positive number, got {self.weight:g}")
+
+
+Extra = ExtraLimit | ExtraCost
+
+
+def expressed(extra: Extra, at: Instant) -> ca.SX:
+    """Return the expression of an extra limit or cost at an instant.
+
+    Raises:
+        ProblemError: for a name that the mechanism has not, or an expression that is no scalar of the motion.
+    """
+    what = f"extra {extra.kind} '{extra.name}'"
+    try:
+        found = extra.expression(NamedInstant(at))
+    except ProblemError as error:
+        raise ProblemError(f"{what}: {error}") from error
+    except Exception as error:
+        raise ProblemError(f"{what}: its expression fails with {type(error).__name__}: {one_line(error)}") from error
+    if not isinstance(found, ca.SX) or found.shape != (1, 1):
+        got = f"shape {found.shape}" if isinstance(found, ca.SX) else f"a value of type {type(found).__name__}"
+        raise ProblemError(f"{what}: its expression is a CasADi scalar of the instant that it is given, got {got}")
+    return found
+
+
+def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
+    """Return which of q, v, a and u an expression depends on.
+
+    Raises:
+        ProblemError: as `expressed`, and where it depends on none of them.
+    """
+    instant, symbols = free_instant(mechanism)
+    found = expressed(extra, instant)
+    if ca.Function("extra", symbols, [found], {"allow_free": True}).has_free():
+        raise ProblemError(f"extra {extra.kind} '{extra.name}': its expression has no symbols but the instant's, got others")
+    depends = {name: ca.depends_on(found, one) for name, one in zip("qvau", symbols, strict=False)}
+    if not any(depends.values()):
+        raise ProblemError(
+            f"extra {extra.kind} '{extra.name}': its expression depends on position, velocity or effort, got a constant"
+        )
+    return depends
+
+
+def checked_extras(extras: Sequence[Extra], kind: type, where: str) -> tuple:
+    """Return extra limits or costs as a tuple.
+
+    Raises:
+        ProblemError: for anything that is none, or two of one name.
+    """
+    if isinstance(extras, str) or not isinstance(extras, Sequence) or not all(isinstance(one, kind) for one in extras):
+        raise ProblemError(f"{where} is a list of linkplan.{kind.__name__}, got {shown(repr(extras))}")
+    names = [one.name for one in extras]
+    for name in names:
+        if names.count(name) > 1:
+            raise ProblemError(f"{where} has names that differ, got '{name}' more than once")
+    return tuple(extras)
+
+
+def extras_said(extras: Sequence) -> str:
+    """Return extra limits and costs, or their records, in words: "the extra limit 'a' and the extra cost 'b'"."""
+    *words, last = [f"the extra {one.kind} '{shown(one.name)}'" for one in extras]
+    return f"{', '.join(words)} and {last}" if words else last
+
+
+def _joints(mechanism: Mechanism) -> tuple[str, ...]:
+    return tuple(joint.name for joint in mechanism.joints)
+
+
+def _check_words(extra: Extra) -> None:
+    kind, name = extra.kind, extra.name
+    if not isinstance(name, str) or not name.strip() or not name.isprintable():
+        raise ProblemError(f"an extra {kind}'s name is a word that can be shown, got {shown(repr(name))}")
+    if len(name) > MAX_NAME_CHARACTERS:
+        raise ProblemError(f"an extra {kind}'s name has at most {MAX_NAME_CHARACTERS} characters, got {len(name)}")
+    if not callable(extra.expression):
+        raise ProblemError(
+            f"extra {kind} '{name}': expression is a function of an instant, got {shown(repr(extra.expression))}"
+        )
+    if not isinstance(extra.unit, str) or not extra.unit.isprintable():
+        raise ProblemError(f"extra {kind} '{name}': unit is a word, got {shown(repr(extra.unit))}")
+
+
+def _number(value: object, what: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer) or np.isnan(value):
+        raise ProblemError(f"{what} is a number, got {shown(repr(value))}")
+    return float(value)

@@ -1,0 +1,96 @@
+"""One instant of a motion as CasADi expressions in SI: limits and running costs are written in it."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.problem.corner_efforts import corner_efforts
+from linkplan.planner.problem.robust import Corner
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Instant:
+    """A pose, its motion and its efforts; what follows from them is expressed once, when it is first asked for.
+
+    Args:
+        mechanism: the mechanism.
+        q, v, a, u: pose (n_q,), independent speeds and accelerations (n_s,), efforts (n_u,).
+        payload: numbers (7,) of the payload, none without one.
+        call: the reduced dynamics' functions by name.
+        units: the program's units by name: time, position, effort, residual, length, power, force.
+        rates: of all joints (n_q,), where they are unknowns of their own; by default those of the loops.
+        reference: independent positions (n_s,) that are tracked.
+        effort_rate: u' (n_u,).
+        losses: copper loss per squared effort (n_u,) of the motors.
+        positive_power: of each actuator (n_u,), where it is an unknown of its own; by default max(0, u w).
+    """
+
+    mechanism: Mechanism
+    q: ca.SX
+    v: ca.SX
+    a: ca.SX
+    u: ca.SX
+    payload: ca.SX
+    call: Callable[..., ca.SX]
+    units: Mapping[str, ca.SX] = field(default_factory=dict)
+    rates: ca.SX | None = None
+    reference: ca.SX | None = None
+    effort_rate: ca.SX | None = None
+    losses: np.ndarray | None = None
+    positive_power: ca.SX | None = None
+    _kept: dict = field(default_factory=dict)
+
+    @cached_property
+    def joint_rates(self) -> ca.SX:
+        """The rates (n_q,) of all joints."""
+        return self.call("velocity_map", self.q) @ self.v if self.rates is None else self.rates
+
+    def of_pose(self, name: str) -> ca.SX:
+        """Return a function of the reduced dynamics that takes the pose alone."""
+        if name not in self._kept:
+            self._kept[name] = self.call(name, self.q)
+        return self._kept[name]
+
+    @cached_property
+    def actuator_speeds(self) -> ca.SX:
+        """The actuators' speeds (n_u,)."""
+        if self.rates is None:
+            return self.of_pose("effort_map").T @ self.v
+        return self.call("effort_matrix", self.q).T @ self.rates
+
+    @cached_property
+    def closure_force(self) -> ca.SX:
+        """The forces of all closures, one after another [N]."""
+        return self.call("closure_force", self.q, self.v, self.a, self.u)
+
+    @cached_property
+    def positive_powers(self) -> ca.SX:
+        """The actuators' positive powers (n_u,) [W]."""
+        return ca.fmax(0, self.u * self.actuator_speeds) if self.positive_power is None else self.positive_power
+
+    def corner_efforts(self, corners: Sequence[Corner]) -> list[ca.SX]:
+        """Return the efforts (n_u,) that the motion needs at each corner of the ranges in [robust]."""
+        key = tuple(corners)
+        if key not in self._kept:
+            motion = (self.q, self.v, self.a, self.u)
+            self._kept[key] = corner_efforts(self.mechanism, key, self.call, self.payload, motion)
+        return self._kept[key]
+
+
+def free_instant(mechanism: Mechanism, losses: np.ndarray | None = None) -> tuple[Instant, list[ca.SX]]:
+    """Return an instant of fresh symbols, and these: q, v, a, u, the effort's rate, the reference."""
+    sizes = {"q": mechanism.n_q, "v": mechanism.dof, "a": mechanism.dof, "u": mechanism.n_u}
+    symbols = [ca.SX.sym(name, size) for name, size in (sizes | {"rate": mechanism.n_u, "reference": mechanism.dof}).items()]
+    q, v, a, u, rate, reference = symbols
+    payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
+
+    def call(name: str, *arguments: Any) -> ca.SX:
+        return getattr(mechanism.dynamics, name)(*arguments)
+
+    given = {"effort_rate": rate, "reference": reference, "losses": losses}
+    return Instant(mechanism=mechanism, q=q, v=v, a=a, u=u, payload=payload, call=call, **given), symbols

@@ -1,0 +1,137 @@
+"""The terms of an objective: integrands in SI, their units in a program, what they need, and what they make of efforts."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import get_args
+
+import casadi as ca
+import numpy as np
+
+from linkplan.planner.keys.kinds import Term as TermName
+from linkplan.planner.problem.extra import ExtraCost, expressed
+from linkplan.planner.problem.instant import Instant
+from linkplan.planner.problem.limits import Motor
+from linkplan.planner.problem.scales import Scales
+
+Motors = Sequence[Motor | None]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Term:
+    """One term: an integral over the motion.
+
+    Args:
+        words: what it is.
+        unit: of the integral, SI.
+        integrand: at an instant, in SI.
+        size: from a program's units and the motors: what the integral is, in SI, where the scaled integrand is one; of an
+            `exact` term one figure for each actuator.
+        order: 2 of squares, 1 of what is linear in the motion's quantities; 0 where it has no size below which it counts as
+            none.
+        exact: the cost of an interval (`COSTS`) that integrates it exactly; None of an integral by quadrature at nodes.
+        needs: out of `NEEDS` of a planning problem.
+        efforts: whether efforts "jump" between limits where it counts, "bend" where they reach one, or are "smooth".
+        chatters: whether the best motion of it may chatter.
+        positive_power: whether it needs the actuators' positive powers, which have kinks and are unknowns of a program.
+    """
+
+    words: str
+    unit: str
+    integrand: Callable[[Instant], ca.SX]
+    size: Callable[[Scales, Motors], np.ndarray | float]
+    order: int = 0
+    exact: str | None = None
+    needs: tuple[str, ...] = ()
+    efforts: str = ""
+    chatters: bool = False
+    positive_power: bool = False
+
+    def scale(self, scales: Scales, motors: Motors) -> float:
+        """Return its unit in SI."""
+        return float(np.max(self.size(scales, motors), initial=0.0))
+
+
+def motor_losses(motors: Motors) -> np.ndarray:
+    """Return the copper loss per squared effort (n_u,) of each motor, 0 where unknown."""
+    return np.array([0.0 if motor is None else motor.loss for motor in motors])
+
+
+TERMS: Mapping[str, Term] = {
+    "effort": Term(
+        words="integral of the squared efforts",
+        unit="N2 m2 s",
+        integrand=lambda at: ca.sumsqr(at.u),
+        size=lambda scales, _: scales.time_s * scales.effort**2,
+        order=2,
+        exact="effort",
+        efforts="bend",
+    ),
+    "time": Term(
+        words="duration",
+        unit="s",
+        integrand=lambda _: ca.SX(1),
+        size=lambda scales, _: np.array([scales.time_s]),
+        exact="time",
+        needs=("free duration",),
+        efforts="jump",
+    ),
+    "tracking": Term(
+        words="integral of the squared distance from the reference",
+        unit="rad2 s",
+        integrand=lambda at: ca.sumsqr(at.q[at.mechanism.independent.tolist()] - at.reference),
+        size=lambda scales, _: scales.time_s * float(scales.position.max()) ** 2,
+        order=2,
+        needs=("reference", "fixed duration"),
+        chatters=True,
+    ),
+    "work": Term(
+        words="positive mechanical work of the actuators",
+        unit="J",
+        integrand=lambda at: ca.sum1(at.positive_powers),
+        size=lambda scales, _: scales.time_s * scales.power,
+        order=1,
+        efforts="jump",
+        chatters=True,
+        positive_power=True,
+    ),
+    "copper_loss": Term(
+        words="integral of the motors' resistance times squared current",
+        unit="J",
+        integrand=lambda at: ca.dot(ca.DM(at.losses), at.u**2),
+        size=lambda scales, motors: scales.time_s * scales.effort**2 * motor_losses(motors),
+        order=2,
+        exact="effort",
+        needs=("motors",),
+        efforts="bend",
+    ),
+    "effort_rate": Term(
+        words="integral of the squared effort rates",
+        unit="N2 m2 / s",
+        integrand=lambda at: ca.sumsqr(at.effort_rate),
+        size=lambda scales, _: scales.effort**2 / scales.time_s,
+        order=2,
+        exact="effort_rate",
+        needs=("changing efforts",),
+        efforts="smooth",
+    ),
+    "closure_force": Term(
+        words="integral of the squared closure forces",
+        unit="N2 s",
+        integrand=lambda at: ca.sumsqr(at.closure_force),
+        size=lambda scales, _: scales.time_s * scales.force**2,
+        order=2,
+        needs=("closures",),
+    ),
+}
+assert set(TERMS) == set(get_args(TermName)), "keys.kinds.Term names the terms in problem files"
+
+
+def term_of_cost(cost: ExtraCost) -> Term:
+    """Return an extra cost as a term."""
+    return Term(
+        words=f"integral of the extra cost '{cost.name}'",
+        unit=cost.unit,
+        integrand=lambda at: expressed(cost, at),
+        size=lambda scales, _: scales.time_s,
+        chatters=True,
+    )

@@ -1,0 +1,124 @@
+"""Feedback loops in MuJoCo about poses of their own, each with its own gain and signals, moved on piece by piece."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.feedback_loop import run_loop, states_of
+from linkplan.controllers.imperfections.driving import driving
+from linkplan.controllers.imperfections.imperfections import Drives
+from linkplan.controllers.imperfections.plant import Plant, prepare
+from linkplan.controllers.mujoco_plant import MujocoStepper, simulation_conditions
+from linkplan.controllers.sampling import Sampling
+from linkplan.models.errors import ModelError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import joint_rates
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class StateFeedback:
+    """u_k = u_ff + K (x_ref - x_k), x = (s, v), of simulations by their index, which is their memory (n, 1).
+
+    `drive` u_ff + K x_ref (t, n, n_u) [N.m or N] and `gain` K (t, n, n_u, 2 n_s).
+    """
+
+    drive: np.ndarray
+    gain: np.ndarray
+    name: str = "state feedback"
+
+    def start(self, n: int) -> np.ndarray:
+        """Return the indices (n, 1) of simulations."""
+        return np.arange(n)[:, None]
+
+    def step(self, k: int, position: np.ndarray, velocity: np.ndarray, memory: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return efforts (r, n_u) of simulations at states (r, n_s)."""
+        drive, gain = self.drive[k], self.gain[k]
+        if len(memory) < len(drive):
+            drive, gain = drive[memory[:, 0]], gain[memory[:, 0]]
+        x = np.concatenate([position, velocity], axis=1)
+        return drive - np.matmul(gain, x[:, :, None])[:, :, 0], memory
+
+
+class SimulatedLoops:
+    """Closed loops in MuJoCo. Mutable: every `run` moves the simulations named on by some control periods.
+
+    Args:
+        mechanism: the mechanism of all simulations.
+        pose: closed poses (n, n_q) to start from.
+        velocity: independent rates (n, n_s) to start with.
+        gain: K (n, n_u, 2 n_s).
+        under_way: commands (p, n, n_u) of the last p = `timing.memory` periods before the start, or one (n, n_u) for all.
+        timing: period, simulator steps, delay.
+        effort_limit: (n_u, 2) [N.m or N].
+
+    Raises:
+        ModelError: for a mechanism with ball or free joints.
+    """
+
+    def __init__(
+        self,
+        mechanism: Mechanism,
+        *,
+        pose: np.ndarray,
+        velocity: np.ndarray,
+        gain: np.ndarray,
+        under_way: np.ndarray,
+        timing: Sampling,
+        effort_limit: np.ndarray,
+    ) -> None:
+        if not mechanism.coordinates.trivial:
+            raise ModelError(
+                f"mechanism '{mechanism.name}': frequency responses are simulated on hinges and slides only; it has ball or"
+                " free joints"
+            )
+        model = copy.copy(mechanism.model)
+        prepare(model, mechanism, timing.timestep_s, np.array(effort_limit))
+        rates = joint_rates(mechanism, np.asarray(pose), np.asarray(velocity))
+        starts = [Plant(model=model, pose=q, rates=v) for q, v in zip(pose, rates, strict=True)]
+        n, self.gain, self.timing, self.periods = len(pose), np.array(gain), timing, 0
+        delays = [timing.delay_steps / timing.substeps] * n
+        drives = driving([Drives()] * n, delays, [timing.timestep_s] * n, timing.substeps, effort_limit)
+        self._stepper = MujocoStepper(mechanism, starts, drives, timing.substeps)
+        self._stepper.under_way(np.broadcast_to(under_way, (timing.memory, n, mechanism.n_u)))
+
+    def state(self) -> np.ndarray:
+        """Return x = (s, v) (n, 2 n_s) now, NaN of simulations that run no more."""
+        stepper = self._stepper
+        q, v = states_of(stepper)
+        x = np.full((stepper.n, 2 * v.shape[1]), np.nan)
+        x[stepper.rows] = np.concatenate([q[:, stepper.independent], v], axis=1)
+        return x
+
+    def conditions(self) -> dict:
+        """Return what a result depends on."""
+        timing = self.timing
+        return {**simulation_conditions(self._stepper.model), "control_period_s": timing.period_s, "delay_s": timing.delay_s}
+
+    def run(
+        self, ids: Sequence[int] | np.ndarray, reference: np.ndarray, feedforward: np.ndarray, gain: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Move simulations on by t control periods; one once left out stays out.
+
+        Args:
+            ids: which simulations (r,).
+            reference: x_ref (t, r, 2 n_s) at these instants.
+            feedforward: u_ff (t, r, n_u) for their holds.
+            gain: K (t, n_u, 2 n_s) of all simulations at these instants, in place of their own.
+
+        Returns:
+            The measured states (t, r, 2 n_s) and the commands (t, r, n_u), before delay and limits; NaN once one diverged.
+        """
+        stepper, ids = self._stepper, np.asarray(ids)
+        here = np.arange(stepper.n)[stepper.rows]
+        if len(here) > len(ids) or not np.all(np.isin(here, ids)):
+            stepper.keep(np.isin(here, ids))
+        t = len(reference)
+        gains = np.broadcast_to(self.gain if gain is None else gain[:, None], (t, *self.gain.shape))
+        drive = np.zeros((t, *self.gain.shape[:2]))
+        drive[:, ids] = feedforward + np.matmul(gains[:, ids], reference[:, :, :, None])[:, :, :, 0]
+        log = run_loop(stepper, StateFeedback(drive=drive, gain=gains), t)
+        self.periods += t
+        position = log.pose[:, ids][:, :, stepper.independent]
+        return np.concatenate([position, log.velocity[:, ids]], axis=2), log.commanded[:, ids]

@@ -1,0 +1,172 @@
+"""Users' own limits and costs: the plans of built-in ones that say the same, certified, diagnosed and solved again."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import linkplan
+from linkplan import ExtraCost, ExtraLimit, Problem
+from linkplan.planner.certificate.certificate import certify
+from tests.support.tolerances_planner import EXTRA_LIMIT, PEAK_ON_A_GRID, TIGHTENED_ANEW, TIGHTENED_TWICE
+
+REACH = {"start_deg": {"O": -20.0}, "goal_deg": {"O": 20.0}, "duration_s": 0.2}
+SINE = {"amplitude_deg": {"O": 20.0}, "bias_deg": {"O": 3.6}, "frequency_hz": 2.0}
+# Below the largest speed of the motion of least effort, 4.9 rad/s; 2 rad/s is too slow for 40 deg in 0.2 s.
+SPEED = 4.4
+
+
+@pytest.fixture(scope="module")
+def knee():
+    return linkplan.load_mechanism("optimus-knee")
+
+
+@pytest.fixture(scope="module")
+def free(knee):
+    return linkplan.plan(Problem.reach(knee, **REACH)).require()
+
+
+def hip_speed(at):
+    return at.velocity["O"]
+
+
+def own_effort(at):
+    return at.effort["act_O"] ** 2
+
+
+def knee_speed(at):
+    return at.velocity["C"] ** 2
+
+
+def speed_limit(upper, lower=-np.inf):
+    return ExtraLimit(name="hip speed", expression=hip_speed, lower=lower, upper=upper, unit="rad/s")
+
+
+def test_an_extra_limit_on_a_speed_gives_the_plan_of_the_speed_limit(knee, free):
+    extra = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[speed_limit(SPEED)])).require()
+    limits = {"speed_deg_s": {"O": float(np.degrees(SPEED))}}
+    built_in = linkplan.plan(Problem.reach(knee, **REACH, limits=limits)).require()
+    assert free.objective < (1 - 1e-3) * built_in.objective  # the limit binds
+    assert extra.objective == pytest.approx(built_in.objective, rel=EXTRA_LIMIT)
+
+
+def test_an_extra_limit_on_power_gives_the_least_time_of_the_limit_on_power():
+    leg = linkplan.load_mechanism("optimus-knee", payload="shank")
+    given = {"start_deg": {"O": -49.0}, "goal_deg": {"O": 56.0}, "minimize": "time"}
+    power = ExtraLimit(name="power", expression=lambda at: at.effort["act_O"] * at.velocity["O"], lower=-400, upper=400)
+    effort = {"effort": {"act_O": [-80.0, 80.0]}}
+    extra = linkplan.plan(Problem.reach(leg, **given, limits=effort, extra_limits=[power])).require()
+    built_in = linkplan.plan(Problem.reach(leg, **given, limits=effort | {"power_w": {"act_O": 400.0}})).require()
+    assert built_in.duration_s > 0.15  # 0.135 s without the limit
+    assert extra.duration_s == pytest.approx(built_in.duration_s, rel=EXTRA_LIMIT)
+
+
+@pytest.mark.slow
+def test_an_extra_limit_on_a_dependent_joint_gives_the_plan_of_its_speed_limit():
+    problem = Problem.from_file("five-bar-reach")
+    assert "E1" not in [joint.name for joint in problem.mechanism.independent_joints]
+    free = linkplan.plan(problem).require()
+    most_deg_s = 0.9 * float(np.abs(free.sample().speed["E1"]).max())
+    most = np.radians(most_deg_s)
+    limit = ExtraLimit(name="slow", expression=lambda at: at.velocity["E1"], lower=-most, upper=most)
+    extra = linkplan.plan(problem.replace(extra_limits=[limit])).require()
+    built_in = linkplan.plan(problem.replace(limits={"speed_deg_s": {"E1": most_deg_s}})).require()
+    assert free.objective < (1 - 1e-2) * built_in.objective  # the limit binds
+    assert extra.objective == pytest.approx(built_in.objective, rel=TIGHTENED_TWICE)
+
+
+def test_an_extra_cost_that_is_the_squared_effort_is_least_where_the_effort_is(knee, free):
+    cost = ExtraCost(name="own effort", expression=own_effort)
+    alone = linkplan.plan(Problem.reach(knee, **REACH, minimize={}, extra_costs=[cost])).require()
+    assert alone.objective == pytest.approx(free.objective, rel=EXTRA_LIMIT)
+
+
+def test_an_extra_cost_adds_its_weighted_integral_to_the_objective(knee, free):
+    cost = ExtraCost(name="own effort", expression=own_effort, weight=3.0)
+    both = linkplan.plan(Problem.reach(knee, **REACH, extra_costs=[cost])).require()
+    assert both.objective == pytest.approx(4.0 * free.objective, rel=EXTRA_LIMIT)
+
+
+def test_a_cost_below_zero_is_planned_saved_and_read(knee, tmp_path):
+    cost = ExtraCost(name="far", expression=lambda at: -(at.position["O"] ** 2))
+    plan = linkplan.plan(Problem.reach(knee, **REACH, extra_costs=[cost])).require()
+    assert plan.objective < 0
+    plan.save(tmp_path / "plan")
+    assert linkplan.read_plan(tmp_path / "plan", extra_costs=[cost]).objective == plan.objective
+
+
+def test_an_extra_limit_on_a_sites_place_is_certified_as_what_it_comes_to():
+    problem = Problem.from_file("five-bar-reach")
+    wide = problem.replace(limits={"site": {"P": {"x": [-10.0, 10.0]}}})
+    peak = float(linkplan.plan(wide).require().sample().site["P"][:, 0].max())
+    limit = ExtraLimit(name="reach", expression=lambda at: at.site("P")[0], upper=peak + 1e-3, unit="m")
+    (margin,) = linkplan.plan(problem.replace(extra_limits=[limit])).require().certificate.margins
+    assert margin.kept
+    assert margin.value == pytest.approx(peak, rel=PEAK_ON_A_GRID)
+
+
+def test_the_certificate_of_a_motion_says_how_far_it_is_beyond_an_extra_limit_between_the_nodes(knee, free):
+    problem = Problem.reach(knee, **REACH, extra_limits=[speed_limit(SPEED)]).planning
+    certificate = certify(problem, free.answer.trajectory)
+    (margin,) = certificate.margins
+    time = np.linspace(0.0, 0.2, 20001)
+    peak = float(np.radians(free.sample(time).speed["O"]).max())
+    assert not certificate.passed
+    assert (margin.title, margin.unit) == ("the extra limit 'hip speed'", "rad/s")
+    assert margin.value == pytest.approx(peak, rel=PEAK_ON_A_GRID)
+    assert margin.left == pytest.approx(SPEED - peak, rel=PEAK_ON_A_GRID)
+    assert any("the extra limit 'hip speed' comes to" in failure for failure in certificate.failures)
+
+
+def test_a_motion_that_an_extra_limit_forbids_is_infeasible_and_the_sentence_names_it(knee):
+    plan = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[speed_limit(2.0)]))
+    assert plan.status == "infeasible"
+    assert plan.message.startswith("infeasible: the extra limit 'hip speed' would have to come to")
+    assert plan.message.endswith("beyond its limit of 2")
+
+
+def test_a_goal_beyond_an_extra_limit_is_infeasible_before_any_solve(knee):
+    limit = ExtraLimit(name="angle", expression=lambda at: at.position["O"], upper=0.1, unit="rad")
+    plan = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[limit]))
+    assert plan.status == "infeasible"
+    assert "the extra limit 'angle' is 0.349066 rad at the goal, 0.2491 rad beyond its limit of 0.1" in plan.message
+    assert not plan.history
+
+
+def test_a_way_that_leaves_an_extra_limit_between_start_and_goal_is_infeasible(knee):
+    limit = ExtraLimit(name="away from 0", expression=lambda at: at.position["O"] ** 2, lower=0.01)
+    plan = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[limit]))
+    assert plan.status == "infeasible"
+    assert "the extra limit 'away from 0' is" in plan.message
+
+
+def test_a_periodic_motion_keeps_an_extra_limit(knee):
+    free = linkplan.plan(Problem.periodic(knee, reference=SINE)).require()
+    assert np.radians(free.sample().speed["O"]).max() > 4.2
+    limit = speed_limit(4.0, -4.0)
+    plan = linkplan.plan(Problem.periodic(knee, reference=SINE, extra_limits=[limit])).require()
+    assert np.abs(np.radians(plan.sample().speed["O"])).max() <= 4.0 + EXTRA_LIMIT
+
+
+def test_a_prescribed_motion_is_judged_by_an_extra_limit(knee):
+    assert linkplan.plan(Problem.track(knee, reference=SINE, extra_limits=[speed_limit(40.0)])).status == "optimal"
+    plan = linkplan.plan(Problem.track(knee, reference=SINE, extra_limits=[speed_limit(4.0)]))
+    assert plan.status != "optimal"
+    assert "the extra limit 'hip speed' comes to 4.386 rad/s" in plan.message
+
+
+@pytest.mark.parametrize("name", ["weight", "bound"])
+def test_a_planner_gives_each_weight_and_bound_the_plan_of_its_own(knee, name):
+    planner = linkplan.Planner()
+    costs = [[ExtraCost(name="knee", expression=knee_speed, weight=weight)] for weight in (1e-9, 1e-7)]
+    limits = [[speed_limit(upper)] for upper in (4.6, 4.5)]
+    for extras in (
+        [{"extra_costs": cost} for cost in costs] if name == "weight" else [{"extra_limits": one} for one in limits]
+    ):
+        problem = Problem.reach(knee, **REACH, **extras)
+        assert planner.plan(problem).objective == pytest.approx(linkplan.plan(problem).objective, rel=TIGHTENED_ANEW)
+
+
+def test_expressions_of_other_symbols_are_refused(knee):
+    other = ExtraLimit(name="other", expression=lambda at: at.position["O"] + ca.SX.sym("other"), upper=1.0)
+    with pytest.raises(linkplan.LinkplanError, match="no symbols but the instant's"):
+        Problem.reach(knee, **REACH, extra_limits=[other])

@@ -1,0 +1,66 @@
+"""The bound on detours: it says no only where the whole phase plane knows of nothing quicker."""
+
+import numpy as np
+import pytest
+
+from linkplan.planner.files.problem_file import load_problem, problem_from_tables
+from linkplan.planner.phase_plane import detours
+from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess, parts_of
+from linkplan.planner.phase_plane.detours import detour_may_pay
+from linkplan.planner.phase_plane.grid import grid_of, plane_of
+from linkplan.planner.search.presolve import start_pose_of
+from tests.support.fourbar_problems import kind_of, random_case
+
+NUMBERS = [k for k in range(60) if kind_of(1, k) in ("least time", "weak", "range")]
+
+
+def look(problem, duration):
+    pose = start_pose_of(problem)
+    return detour_may_pay(problem, pose, duration), least_time_guess(problem, pose)
+
+
+def test_the_sprint_needs_no_closer_look():
+    may, _ = look(load_problem("knee-sprint"), 0.12185127)
+    assert not may
+
+
+def test_a_motion_that_takes_its_time_asks_for_one():
+    may, _ = look(load_problem("knee-sprint"), 0.3)
+    assert may
+
+
+@pytest.mark.parametrize("effort", [1.0, 0.1])
+def test_bounds_of_legs_are_below_their_times_and_near_them(effort):
+    problem = load_problem("knee-sprint")
+    (part,) = parts_of(problem.motion)
+    grid = grid_of(problem, part.places, start_pose_of(problem), 400, graded=False)
+    plane = plane_of(problem, *grid, effort * problem.limits.effort)
+    places = np.linspace(0, len(plane.s) - 1, 30).round().astype(int)
+    legs = np.full((30, 30), np.inf)
+    for row, place in enumerate(places.tolist()):
+        legs[row, row + 1 :] = detours._legs(plane, place, places[row + 1 :], +1)
+        legs[row, :row] = detours._legs(plane, place, places[:row], -1)
+    there = np.isfinite(legs)
+    assert there.sum() > 100
+    share = detours._bounds(plane, places)[there] / legs[there]
+    assert share.max() < 1 + 1e-12
+    assert np.median(share) > 0.99
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_what_is_ruled_out_is_not_there(number):
+    case = random_case(1, number)
+    if not case.feasible or case.tables["objective"].get("minimize") != "time":
+        pytest.skip("no least time")
+    problem = problem_from_tables("detour", case.tables)
+    may, quickest = look(problem, case.duration)
+    if not may:
+        assert quickest.duration_s > 0.998 * case.duration
+    if quickest is not None and quickest.swings > 1 and quickest.duration_s < 0.98 * 1.1 * case.duration:
+        assert look(problem, 1.1 * case.duration)[0]  # a straight motion that much slower would not be the last word
+
+
+def test_a_start_at_speed_is_left_to_the_closer_look():
+    problem = load_problem("knee-sprint", ["motion.start_speed_deg_s={O=50}"])
+    assert look(problem, 0.12)[0]
+    assert np.isfinite(problem.motion.start_speed).all()

@@ -1,0 +1,162 @@
+"""Starts from the phase plane: near the exact least time, over swings where no straight motion is open; no false refusal."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from linkplan.planner.files.problem_file import load_problem, problem_from_tables
+from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
+from linkplan.planner.phase_plane.grid import grid_of, plane_of
+from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.motion import Waypoint
+from linkplan.planner.search.presolve import start_pose_of
+from tests.support.fourbar_problems import random_case
+from tests.support.tolerances_planner import MINIMUM_TIME, ROUNDING, SAME_FIGURE
+
+SPRING = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" stiffness="1"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+<actuator><motor name="u" joint="x" ctrlrange="-1 1"/></actuator></mujoco>"""
+# The grid's own error, of the least time.
+GRID = 2e-3
+# The same of a motion whose legs cross in a cell and whose turn is no place of the grid.
+FINE_GRID = 1e-3
+# The same of one whose turn is at the nearest of sixty places.
+TURNS = 3e-2
+
+
+@pytest.fixture
+def spring(tmp_path):
+    (tmp_path / "spring.xml").write_text(SPRING, encoding="utf-8")
+
+    def problem(start_m: float, *settings: str):
+        path = tmp_path / "problem.toml"
+        path.write_text(
+            f'[mechanism]\nmodel = "spring.xml"\n[motion]\nkind = "reach"\nstart_m = {{ x = {start_m} }}\n'
+            'goal_m = { x = 0.0 }\nduration_s = "free"\n[objective]\nminimize = "time"\n',
+            encoding="utf-8",
+        )
+        return load_problem(path, settings)
+
+    return problem
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("half_swings", [1, 2, 5])
+def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring, half_swings):
+    """Each half swing about +-1 m takes pi and brings the end 2 m nearer."""
+    problem = spring(2.0 * half_swings)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.duration_s >= np.pi * half_swings * (1 - GRID)
+    plan = plan_motion(problem)
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(np.pi * half_swings, rel=MINIMUM_TIME)
+
+
+@pytest.mark.parametrize("way", [+1, -1])
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("share", [np.inf, 0.5])
+def test_a_leg_without_dampers_is_the_one_that_steps_from_cell_to_cell(way, backwards, share):
+    """The work alone gives its energy; where speeds are limited to a share of the largest the least energy is kept on."""
+    problem = load_problem("knee-sprint")
+    pose = start_pose_of(problem)
+    plane = plane_of(problem, *grid_of(problem, np.array([problem.motion.start[0]]), pose, 200), problem.limits.effort)
+    assert plane.undamped
+    free = plane.leg(100, 0.0, way, way, backwards=backwards)
+    below = np.full(len(plane.s), np.inf)
+    if np.isfinite(share):
+        top = np.full(len(plane.s), share * free.max())
+        plane = replace(plane, top={+1: top, -1: top})
+        below[90:95], below[106:111] = 0.1 * free.max(), 0.1 * free.max()
+    next_to_none = replace(plane, drag=np.full(len(plane.s), 1e-300))
+    assert not next_to_none.undamped
+    quick, stepped = (p.leg(100, 0.0, way, way, backwards=backwards, below=below) for p in (plane, next_to_none))
+    assert len(quick) == len(stepped) > 2
+    assert np.isinf(share) or not np.allclose(quick, free[: len(quick)])
+    np.testing.assert_allclose(quick, stepped, rtol=ROUNDING * len(quick))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["knee-sprint", "knee-sprint-bare"])
+def test_a_straight_least_time_is_met_to_the_grid(name):
+    problem = load_problem(name)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.duration_s == pytest.approx(plan_motion(problem).objective, rel=GRID)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [247, 474, 758])
+def test_a_least_time_next_to_a_singular_pose_or_a_rest_that_torque_barely_leaves_is_met_to_the_grid(number):
+    case = random_case(1, number)
+    problem = problem_from_tables("next to a singular pose", case.tables)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.duration_s == pytest.approx(case.shortest, rel=FINE_GRID)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [13, 672])
+def test_a_motion_that_turns_back_at_a_waypoint_takes_the_least_time_of_its_two_parts(number):
+    """Left to a smooth path through the waypoint, a solver answers with one that is 5 % (13) or 46 % (672) slower."""
+    case = random_case(1, number)
+    problem = problem_from_tables("by way of a turn", case.tables)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.duration_s == pytest.approx(case.duration, rel=GRID)
+    assert guess.position(guess.boundaries_s)[:, 0] == pytest.approx(
+        [problem.motion.start[0], problem.motion.waypoints[0].position[0], problem.motion.goal[0]]
+    )
+    plan = plan_motion(problem)
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(case.duration, rel=MINIMUM_TIME)
+
+
+@pytest.mark.slow
+def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
+    problem = spring(1.9)
+    way = replace(problem.motion, waypoints=tuple(Waypoint(position=[x]) for x in (1.5, 0.3)))
+    guess = least_time_guess(problem, start_pose_of(problem))
+    passed = least_time_guess(replace(problem, motion=way), start_pose_of(problem))
+    assert guess is not None
+    assert passed is not None
+    assert passed.duration_s == pytest.approx(guess.duration_s, rel=GRID)
+    assert passed.position(passed.boundaries_s)[:, 0] == pytest.approx([1.9, 1.5, 0.3, 0.0])
+
+
+@pytest.mark.slow
+def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
+    problem = spring(2.0)
+    asked = replace(problem.motion, waypoints=(Waypoint(position=[1.0], speed=[-0.5]),))
+    guess = least_time_guess(replace(problem, motion=asked), start_pose_of(problem))
+    assert guess is not None
+    assert guess.velocity(guess.boundaries_s)[:, 0] == pytest.approx([0.0, -0.5, 0.0], abs=SAME_FIGURE)
+
+
+@pytest.mark.slow
+def test_a_start_too_fast_to_stop_at_the_goal_turns_back_beyond_it():
+    case = random_case(1, 598)
+    problem = problem_from_tables("too fast to stop", case.tables)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.swings == 2
+    assert guess.duration_s == pytest.approx(case.duration, rel=TURNS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [65, 94, 136, 217])
+def test_a_speed_limit_is_kept_by_braking_in_time_and_left_no_faster_than_full_effort_does(number):
+    case = random_case(1, number)
+    problem = problem_from_tables("limited", case.tables)
+    guess = least_time_guess(problem, start_pose_of(problem))
+    assert guess is not None
+    assert guess.switch_times_s is None  # its efforts along the limit are none of the two
+    assert guess.duration_s == pytest.approx(case.duration, rel=GRID)
+
+
+@pytest.mark.slow
+def test_a_motion_that_there_is_no_time_for_is_not_tried_from_other_starts(spring):
+    plan = plan_motion(spring(10.0, "motion.max_duration_s=10"))
+    assert plan.status == "infeasible"
+    assert not [step for step in plan.history if step.what.startswith("start from")]

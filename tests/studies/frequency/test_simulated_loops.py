@@ -1,0 +1,104 @@
+"""Many loops at once, moved on piece by piece, are each the run of its own loop."""
+
+import numpy as np
+import pytest
+
+from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.sampling import sampling
+from linkplan.controllers.trackers.feedforward import Feedforward
+from linkplan.controllers.trackers.pd import pd
+from linkplan.models.mechanism import load_mechanism
+from linkplan.studies.frequency.feedback_loops import operating_point, pd_gain
+from linkplan.studies.frequency.simulated_loops import SimulatedLoops
+from tests.support.machines import run_alone
+
+# States and commands against rollout's own, where the order of sums differs. Measured 1e-16 and 3e-15.
+SAME = 1e-12
+KP, KD, N = 200.0, 20.0, 400
+
+
+def kicked(point, speed):
+    """Return the point held at rest, its first sample asking for a speed: what starts a run with one."""
+    still = point.constant(1e-4, N)
+    arrays = {name: np.array(getattr(still, name)) for name in ("time_s", "pose", "position", "velocity", "effort")}
+    arrays["velocity"][0] = speed
+    return SampledReference(period_s=1e-4, cycle=None, **arrays)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 3])
+def test_every_simulation_is_the_run_of_its_own_loop(delay):
+    mechanism = load_mechanism("optimus-knee", payload="shank")
+    points = [operating_point(mechanism, np.radians([angle])) for angle in (-30.0, 3.6, 40.0)]
+    references = [kicked(point, speed) for point, speed in zip(points, (0.01, 0.5, -4.0), strict=True)]
+    trackers = [Feedforward(reference=r, feedback=pd(mechanism, r, KP, KD)) for r in references]
+    loop = ControlLoop(effort_limit=np.array([[-30.0, 30.0]]), delay_periods=delay)
+    runs = [run_alone(mechanism, r, tracker, loop) for r, tracker in zip(references, trackers, strict=True)]
+    batch = SimulatedLoops(
+        mechanism,
+        pose=np.array([r.pose[0] for r in references]),
+        velocity=np.array([r.velocity[0] for r in references]),
+        gain=np.array([pd_gain(tracker.feedback.map[0], KP, KD) for tracker in trackers]),
+        under_way=np.array([rollout.commanded[0] for rollout in runs]),
+        timing=sampling(mechanism, 1e-4, delay),
+        effort_limit=loop.effort_limit,
+    )
+    along = np.stack([np.concatenate([r.position, r.velocity], axis=1) for r in references], axis=1)
+    states, commands = batch.run(np.arange(3), along, np.stack([r.effort for r in references], axis=1))
+    for i, rollout in enumerate(runs):
+        assert np.abs(states[:, i, 0] - rollout.position[:, 0]).max() < SAME
+        assert np.abs(states[:, i, 1] - rollout.velocity[:, 0]).max() < SAME * 1e3
+        assert np.abs(commands[:, i] - rollout.commanded).max() < SAME * 1e3
+    # The limit is met on the way, so that its share in the loop is looked at too.
+    assert runs[2].saturated_fraction > 0
+
+
+def test_a_simulation_left_out_runs_no_more():
+    mechanism = load_mechanism("optimus-knee")
+    point = operating_point(mechanism, np.radians([3.6]))
+    batch = SimulatedLoops(
+        mechanism,
+        pose=np.tile(point.pose, (2, 1)),
+        velocity=np.full((2, 1), 0.1),
+        gain=np.tile(pd_gain(np.eye(1), KP, 1.0), (2, 1, 1)),
+        under_way=np.tile(point.hold, (2, 1)),
+        timing=sampling(mechanism, 1e-4),
+        effort_limit=mechanism.effort_limit,
+    )
+    before = batch.state()
+    batch.run(np.array([1]), np.tile(point.state, (5, 1, 1)), np.tile(point.hold, (5, 1, 1)))
+    after = batch.state()
+    assert np.all(np.isnan(after[0]))
+    assert not np.array_equal(after[1], before[1])
+
+
+SERVO = """<mujoco><option timestep="1e-3" integrator="{integrator}"><flag contact="disable"/></option><worldbody>
+<body><joint name="O" axis="0 1 0" damping="0.02" armature="0.01"/><geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.02"/>
+</body></worldbody><actuator>
+<position name="servo" joint="O" gear="2" kp="30" kv="1.5" ctrlrange="-1 1" forcerange="-9 9"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast", "RK4", "discrete"])
+def test_a_servo_s_simulations_are_the_runs_of_its_loop_whatever_the_integrator(integrator):
+    mechanism = load_mechanism(SERVO.format(integrator=integrator))
+    point, period = operating_point(mechanism, np.array([0.2])), 2e-3
+    still = point.constant(period, N)
+    arrays = {name: np.array(getattr(still, name)) for name in ("time_s", "pose", "position", "velocity", "effort")}
+    arrays["velocity"][0] = 3.0
+    reference = SampledReference(period_s=period, cycle=None, **arrays)
+    tracker = Feedforward(reference=reference, feedback=pd(mechanism, reference, 20.0, 0.5))
+    loop = ControlLoop(effort_limit=np.array([[-9.0, 9.0]]))
+    rollout = run_alone(mechanism, reference, tracker, loop)
+    batch = SimulatedLoops(
+        mechanism,
+        pose=reference.pose[:1],
+        velocity=reference.velocity[:1],
+        gain=pd_gain(tracker.feedback.map[0], 20.0, 0.5)[None],
+        under_way=rollout.commanded[:1],
+        timing=sampling(mechanism, period, 0),
+        effort_limit=loop.effort_limit,
+    )
+    along = np.concatenate([reference.position, reference.velocity], axis=1)[:, None]
+    states, _ = batch.run(np.arange(1), along, reference.effort[:, None])
+    assert np.ptp(rollout.position) > 1e-3
+    assert np.abs(states[:, 0, 0] - rollout.position[:, 0]).max() < SAME
