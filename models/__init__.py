@@ -1,1 +1,1 @@
-"""What the machine is: MJCF models, tree dynamics, loop closure, reduction, assembly."""
+"""Models of mechanisms: MJCF files, symbolic tree dynamics, loop closure, reduced dynamics, actuators and assembly."""

@@ -1,4 +1,4 @@
-"""What a model says that the reduced dynamics do not honour: named one by one, never dropped in silence."""
+"""The elements of a model that the reduced dynamics leave out. Each is reported by name."""
 
 from dataclasses import dataclass
 
@@ -7,13 +7,13 @@ import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import (
-    brings_passive,
-    carries_passive,
+    has_passive_terms,
     is_idle_at_zero,
     label,
+    passive_terms_modelled,
     read_actuators,
     shared_clamps,
-    why_not,
+    unusable_reason,
 )
 from linkplan.models.actuation.transmission import attachment
 from linkplan.models.closure.equations import equality_name
@@ -24,17 +24,17 @@ from linkplan.models.tree.tendons import tendon_label, wraps
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Unhonoured:
-    """One element that is left out. `falsifies` says whether motions planned without it would be wrong."""
+class UnsupportedElement:
+    """One element that is left out. `falsifies` is True if motions planned without it are wrong."""
 
     text: str
     falsifies: bool
 
 
-def audit(model: mujoco.MjModel) -> tuple[Unhonoured, ...]:
-    """Return every element of a model that the reduced dynamics leave out (contacts are for the pose to show)."""
+def audit(model: mujoco.MjModel) -> tuple[UnsupportedElement, ...]:
+    """Return every element of a model that the reduced dynamics leave out, except for contacts, which depend on the pose."""
     false = [*_joints(model), *_tendons(model), *_surroundings(model), *shared_clamps(model)]
-    found = [Unhonoured(text=text, falsifies=True) for text in false]
+    found = [UnsupportedElement(text=text, falsifies=True) for text in false]
     return (*found, *_actuators(model), *_equalities(model))
 
 
@@ -82,24 +82,24 @@ def _tendon_lengths(model: mujoco.MjModel) -> tuple[tuple[ca.SX | None, ...], ca
 
 
 def _surroundings(model: mujoco.MjModel):
-    # On joints whose actuators carry it, MuJoCo clamps gravity compensation with their sum.
+    # MuJoCo clamps gravity compensation together with the sum of the efforts on a joint with actuatorgravcomp.
     clamped = any(model.jnt_actgravcomp[j] and model.jnt_actfrclimited[j] for j in range(model.njnt))
     for body in range(1, model.nbody):
         if clamped and model.body_gravcomp[body] != 0:
             yield f"gravcomp of body {model.body(body).name or body}, clamped by a joint's actuatorfrcrange"
     yield from _uncompensated(model)
-    if model.opt.density > 0 or model.opt.viscosity > 0:  # wind alone is of an empty space
+    if model.opt.density > 0 or model.opt.viscosity > 0:  # wind alone has no effect
         yield "fluid forces (option density or viscosity)"
     if model.nflex:
         yield f"{model.nflex} flex"
-    for body in np.flatnonzero(model.body_plugin >= 0).tolist():  # actuators name their own; sensors and shapes do not push
+    for body in np.flatnonzero(model.body_plugin >= 0).tolist():  # actuators report their own
         yield f"the plugin of body {model.body(body).name or body}"
     if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP):
         yield from _asleep(model)
 
 
 def _uncompensated(model: mujoco.MjModel):
-    """Yield what joints' actuators carry of gravity compensation where no actuator acts: the simulator then has none."""
+    """Yield the gravity compensation on joints with actuatorgravcomp if no actuator acts: the simulator then drops it."""
     if compensates(model) and (model.nactuator == 0 or disabled(model, mujoco.mjtDisableBit.mjDSBL_ACTUATION)):
         for joint in np.flatnonzero(model.jnt_actgravcomp).tolist():
             name = joint_label(model, joint)
@@ -107,7 +107,7 @@ def _uncompensated(model: mujoco.MjModel):
 
 
 def _asleep(model: mujoco.MjModel):
-    """Yield the trees that the simulator leaves asleep, so that no effort moves them until something else does."""
+    """Yield the trees that the simulator leaves asleep until another body wakes them."""
     for tree in np.flatnonzero(model.tree_sleep_policy == int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)).tolist():
         body = int(np.flatnonzero(model.body_treeid == tree)[0])
         yield f'sleep="init" of body {model.body(body).name or body}: the simulator leaves it and what it carries asleep'
@@ -115,21 +115,21 @@ def _asleep(model: mujoco.MjModel):
 
 def _actuators(model: mujoco.MjModel):
     for index in range(model.nactuator):
-        reason = why_not(model, index)
+        reason = unusable_reason(model, index)
         if reason is None:
             continue
         idle = is_idle_at_zero(model, index)
         kind = mujoco.mjtTrn(int(model.actuator_trntype[index])).name.removeprefix("mjTRN_").lower()
-        yield Unhonoured(
+        yield UnsupportedElement(
             text=f"actuator {label(model, index)} on {attachment(model, index).target} ({kind} transmission): {reason};"
             f" plans leave it {'idle at zero control' if idle else 'out, though it acts at zero control too'}",
             falsifies=not idle,
         )
     for actuator in read_actuators(model):
-        if brings_passive(model, actuator.index) and not carries_passive(model, actuator.index):
-            yield Unhonoured(
-                text=f"damping or armature of actuator {actuator.name} on {actuator.target}: its motor is planned with, they"
-                " are not",
+        if has_passive_terms(model, actuator.index) and not passive_terms_modelled(model, actuator.index):
+            yield UnsupportedElement(
+                text=f"damping or armature of actuator {actuator.name} on {actuator.target}: plans contain its effort but"
+                " not these forces",
                 falsifies=True,
             )
         if not actuator.is_servo:
@@ -138,22 +138,21 @@ def _actuators(model: mujoco.MjModel):
         within = ""
         if np.isfinite([actuator.control_lower, actuator.control_upper]).any():
             within = f", clamped to its ctrlrange {actuator.control_lower:g} to {actuator.control_upper:g}"
-        yield Unhonoured(
-            text=f"actuator {actuator.name} is a servo: a plan commands its effort{limits}, and its ctrl is set to what"
-            f" gives that effort against its gain and bias{within}",
+        yield UnsupportedElement(
+            text=f"actuator {actuator.name} is a servo: a plan commands its effort{limits}, and its ctrl is computed from"
+            f" that effort, its gain and its bias{within}",
             falsifies=False,
         )
 
 
 def _equalities(model: mujoco.MjModel):
-    off = (mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     for index in range(model.neq):
-        if any(disabled(model, bit) for bit in off):
-            yield Unhonoured(
+        if disabled(model, mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
+            yield UnsupportedElement(
                 text=f"equality constraint {equality_name(model, index)} is switched off by a flag of the model's option",
                 falsifies=False,
             )
         elif not model.eq_active0[index]:
-            yield Unhonoured(
+            yield UnsupportedElement(
                 text=f"equality constraint {equality_name(model, index)} is inactive and stays so", falsifies=False
             )

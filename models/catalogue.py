@@ -1,4 +1,4 @@
-"""What is built in, by name: models and payloads, their text, and whether a name is a file's. Loads nothing heavy."""
+"""The built-in models and payloads by name, and checks of paths. Importing this file is fast."""
 
 import itertools
 from collections.abc import Iterable
@@ -18,8 +18,6 @@ MODELS = {
     "optimus-knee-source": "the source document's knee, as printed: kept to be checked, not to be used",
 }
 PAYLOADS = ("shank",)
-# So many names of a folder are looked through for one that is misspelled.
-_MOST_NEIGHBOURS = 1000
 
 
 def built_in_text(name: str) -> str:
@@ -28,12 +26,12 @@ def built_in_text(name: str) -> str:
 
 
 def is_text(source: str) -> bool:
-    """Return whether a model's source is MJCF text, and no name or path."""
+    """Return True if a model's source is MJCF text and not a name or path."""
     return source.lstrip().startswith("<")
 
 
 def is_file(path: Path) -> bool:
-    """Return whether a path is a file; False for a name that no file can have."""
+    """Return True if a path is a file; False for a name that no file can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -41,7 +39,7 @@ def is_file(path: Path) -> bool:
 
 
 def is_there(path: Path) -> bool:
-    """Return whether a path leads to something that is no folder; False for a name that no file can have."""
+    """Return True if a path exists and is not a folder; False for a name that no file can have."""
     try:
         return path.exists() and not path.is_dir()
     except (OSError, ValueError):
@@ -49,11 +47,11 @@ def is_there(path: Path) -> bool:
 
 
 def nearest_source(source: str, names: Iterable[str]) -> str:
-    """Return " (did you mean 'x'?)" for the closest of built-in names and what stands where a path leads."""
+    """Return " (did you mean 'x'?)" for the closest built-in name or neighbouring file of a path."""
     path = Path(source)
     lead = source[: len(source) - len(path.name)] if source.endswith(path.name) else ""
     try:
-        there = sorted(one.name for one in itertools.islice(path.parent.iterdir(), _MOST_NEIGHBOURS))
+        there = sorted(one.name for one in itertools.islice(path.parent.iterdir(), 1000))
     except (OSError, ValueError):
         there = []
     match = closest(
@@ -63,7 +61,7 @@ def nearest_source(source: str, names: Iterable[str]) -> str:
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether a path is a folder; False for a name that no folder can have."""
+    """Return True if a path is a folder; False for a name that no folder can have."""
     try:
         return path.is_dir()
     except (OSError, ValueError):

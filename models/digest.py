@@ -1,6 +1,6 @@
-"""What a plan depends on in a model, as a hash of each part: enough to say later which of them has changed.
+"""Hashes of the parts of a model that a plan depends on. They show later which part has changed.
 
-Colours, cameras, contacts and the simulator's own settings are left out: no plan follows from them.
+Colours, cameras, contacts and the simulator's own settings are left out, because plans do not depend on them.
 """
 
 import copy
@@ -9,7 +9,7 @@ import hashlib
 import mujoco
 import numpy as np
 
-# Fields of mjModel (of its options for the last) that dynamics, closures, limits and transmissions are read from.
+# Fields of mjModel (for the last part: of its options) that determine dynamics, closures, limits and transmissions.
 _PARTS: dict[str, tuple[str, ...]] = {
     "bodies": (
         "body_parentid", "body_pos", "body_quat", "body_ipos", "body_iquat", "body_mass", "body_inertia", "body_gravcomp",
@@ -34,39 +34,38 @@ _PARTS: dict[str, tuple[str, ...]] = {
     ),
     "gravity and other options": ("gravity", "wind", "density", "viscosity", "disableflags"),
 }  # fmt: skip
-# Fields that earlier plans were made without: of no account while they are zero throughout.
-_LATER = ("jnt_margin",)
-# Significant digits that are compared: MuJoCo's compiler need not round alike on every machine.
-_DIGITS = 9
+# Fields that earlier versions did not hash. They are left out if all values are zero, so that old hashes remain valid.
+_ADDED_FIELDS = ("jnt_margin",)
 
 
 def part_hashes(model: mujoco.MjModel) -> dict[str, str]:
     """Return a hash of each part of a compiled model, by the part's name.
 
-    Fields that this MuJoCo does not have are left out, so hashes are to be compared under one version of MuJoCo.
+    Fields that this MuJoCo does not have are left out, so only hashes of the same version of MuJoCo are comparable.
     """
     found = {}
     for part, fields in _PARTS.items():
         digest = hashlib.sha256()
         for field in fields:
             value = getattr(model.opt if part == "gravity and other options" else model, field, None)
-            if value is not None and (field not in _LATER or np.any(value)):
+            if value is not None and (field not in _ADDED_FIELDS or np.any(value)):
                 array = np.array(value)
                 digest.update(f"{field}{array.shape}".encode())
-                digest.update(" ".join(f"{number + 0.0:.{_DIGITS}g}" for number in array.ravel()).encode())
+                # Nine digits: MuJoCo's compiler may round differently on other machines.
+                digest.update(" ".join(f"{number + 0.0:.9g}" for number in array.ravel()).encode())
         found[part] = digest.hexdigest()[:16]
     return found
 
 
 def compiled_bytes(model: mujoco.MjModel, body_apart: str | None = None) -> bytes:
-    """Return a compiled model as bytes; the mass of a body that is named is left out of it."""
+    """Return a compiled model as bytes, without the inertial properties of the body `body_apart`."""
     if body_apart is not None:
         model = copy.copy(model)
         body = model.body(body_apart).id
         model.body_mass[body], model.body_inertia[body] = 1.0, 1.0
         model.body_ipos[body], model.body_iquat[body] = 0.0, [1.0, 0.0, 0.0, 0.0]
-        mujoco.mj_setConst(model, mujoco.MjData(model))  # what the compiler derived from them
-        model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which the simulator alone uses
+        mujoco.mj_setConst(model, mujoco.MjData(model))  # update the quantities derived from the inertial properties
+        model.stat.meanmass, model.stat.meaninertia = 1.0, 1.0  # means over bodies, which only the simulator uses
     content = np.zeros(mujoco.mj_sizeModel(model), dtype=np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return content.tobytes()

@@ -1,24 +1,25 @@
-"""The errors that linkplan raises: one tree, rooted at `LinkplanError`.
+"""The errors that linkplan raises, all derived from `LinkplanError`.
 
-A message is one line that says what was asked, what is legal and what was got. Errors go from one process to another: what
-they carry beside it has a default, which pickle fills in.
+A message is one line that states what was asked, what is legal and what was got. Errors are pickled between processes, so
+every further argument of a constructor has a default.
 """
 
 from collections.abc import Mapping
 
-# A refusal quotes what it was given; what is longer than this is a file's content and not a name.
-_LONGEST = 4000
+
+def one_line(text: object, most: int = 4000) -> str:
+    """Return `text` as one line with single spaces and escaped control characters, shortened to about `most` characters."""
+    line = escaped(" ".join(str(text).split()))
+    return line if len(line) <= most else f"{line[: most // 2]} ... {line[-most // 4 :]}"
 
 
-def one_line(text: object) -> str:
-    """Return `text` as one line: white space folded, and what a terminal would obey in place of showing escaped."""
-    folded = " ".join(str(text).split())
-    said = "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii") for c in folded)
-    return said if len(said) <= _LONGEST else f"{said[: _LONGEST // 2]} ... {said[-_LONGEST // 4 :]}"
+def escaped(text: str) -> str:
+    """Return `text` with control characters and surrogates escaped, safe to print on a terminal."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii") for c in text)
 
 
 class LinkplanError(Exception):
-    """Anything that linkplan refuses; its text is one line meant for the user, whatever was asked."""
+    """The base of all errors that linkplan raises. Its text is one line for the user."""
 
     def __init__(self, message: str) -> None:
         Exception.__init__(self, one_line(message))
@@ -45,7 +46,7 @@ class AssemblyError(ModelError):
 
 
 class LockedError(AssemblyError):
-    """A mechanism that its closures lock; carries the degrees of freedom that come with leaving each of them out."""
+    """A mechanism that its closures lock. `freed` holds the degrees of freedom gained by leaving out each closure."""
 
     def __init__(self, message: str, freed: Mapping[str, int] | None = None) -> None:
         LinkplanError.__init__(self, message)
@@ -53,10 +54,10 @@ class LockedError(AssemblyError):
 
 
 class UnassembledError(AssemblyError):
-    """A model whose own pose is none to begin from: a loop does not close from there, or is singular.
+    """A model whose own pose cannot be assembled: a loop does not close from there, or the pose is singular.
 
-    Carries the gap [m] and the nearest closed pose that was found, as a keyframe to write into the model and as the tables
-    home_deg and home_m of a problem file; "" and nothing where none was found.
+    `gap_m` is the gap [m]. `keyframe` (MJCF) and `home` (tables home_deg and home_m of a problem file) contain the nearest
+    closed pose found; they are empty if none was found.
     """
 
     def __init__(
@@ -69,7 +70,7 @@ class UnassembledError(AssemblyError):
 
 
 class ProblemError(LinkplanError):
-    """A problem file or a value in it that makes no sense."""
+    """A problem file, or a value in it, that is not valid."""
 
 
 class PlanFileError(LinkplanError):
@@ -77,11 +78,11 @@ class PlanFileError(LinkplanError):
 
 
 class CertificateError(PlanFileError):
-    """A saved plan whose motion does not pass its certificate when it is read."""
+    """A saved plan whose motion fails its certificate when it is read."""
 
 
 class InfeasibleError(LinkplanError):
-    """Raised by `Plan.require()` on a plan that is not optimal; carries the plan."""
+    """Raised by `Plan.require()` on a plan that is not optimal. `plan` is that plan."""
 
     def __init__(self, message: str, plan: object = None) -> None:
         LinkplanError.__init__(self, message)

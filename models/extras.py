@@ -1,4 +1,4 @@
-"""Packages that only some features need: each is loaded at its first use, and refused in one line when it is missing."""
+"""Optional packages: each is loaded at its first use, with a one-line error if it is missing."""
 
 import importlib
 from types import ModuleType
@@ -23,7 +23,7 @@ def load_extra(module: str, feature: str) -> ModuleType:
         feature: what needs it, the subject of a sentence.
 
     Raises:
-        MissingPackageError: when the package is not installed.
+        MissingPackageError: if the package is not installed.
     """
     root = module.partition(".")[0]
     package, extra = EXTRAS[root]

@@ -1,9 +1,9 @@
-"""Ctrl-C and SIGTERM: a flag that loops and solvers read, and an exception only where one can be raised safely.
+"""Ctrl-C and SIGTERM: a flag that loops and solvers read, and a KeyboardInterrupt where it can be raised safely.
 
-A KeyboardInterrupt that Python raises while CasADi converts a number is swallowed, turned into a SystemError or ends the
-process. While `listening`, the first signal therefore sets a flag. It is raised as KeyboardInterrupt at once where no frame
-of CasADi and no destructor is being run and nothing is `shielded`; otherwise `check` raises it later, and the solver's
-callback reads it. A second Ctrl-C ends the process at once: what it writes is whole at every instant.
+A KeyboardInterrupt during CasADi's conversion of a number is swallowed, becomes a SystemError or ends the process. While
+`listening`, the first signal therefore sets a flag. KeyboardInterrupt is raised at once if no frame of CasADi and no
+destructor is on the stack and nothing is `shielded`. Otherwise `check` raises it later, and the solver's callback reads the
+flag. A second Ctrl-C ends the process at once. This loses no file, because files are written whole or not at all.
 """
 
 import contextlib
@@ -17,32 +17,32 @@ _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP
 
 
 class _State:
-    """What has been asked of this process; there is one, as there is one set of signal handlers."""
+    """The state of the signal handlers of this process."""
 
-    asked: int | None = None  # the signal's number
-    is_read = False  # whether signals set the flag now
-    shields = 0
+    asked: int | None = None  # the number of the signal received
+    is_read = False  # true while signals set the flag
+    shields = 0  # number of active `shielded` blocks
 
 
 def asked() -> int | None:
-    """Return the number of the signal that asks this process to end, or None; None in threads, which hear no signals."""
+    """Return the number of the signal that asks this process to end, or None. It is None in threads other than the main."""
     return _State.asked if _State.is_read and threading.current_thread() is threading.main_thread() else None
 
 
 def ended_by() -> int | None:
-    """Return the number of the signal that came while signals were last listened to, or None."""
+    """Return the number of the signal received in the last `listening` or `solving` block, or None."""
     return _State.asked
 
 
 def check() -> None:
-    """Raise KeyboardInterrupt where a signal has asked this process to end, unless it is held back."""
+    """Raise KeyboardInterrupt if a signal has asked this process to end, unless a `shielded` block is active."""
     if asked() is not None and not _State.shields:
         raise KeyboardInterrupt
 
 
 @contextlib.contextmanager
 def shielded() -> Iterator[None]:
-    """Hold signals back until what is inside is done. Only those that are listened to can be held back."""
+    """Delay the KeyboardInterrupt of a signal until the end of the block. Only effective while `listening`."""
     _State.shields += 1
     try:
         yield
@@ -53,33 +53,33 @@ def shielded() -> Iterator[None]:
 
 @contextlib.contextmanager
 def listening(*, to_the_end: bool = False) -> Iterator[None]:
-    """Listen to signals that ask this process to end.
+    """Handle signals that ask this process to end.
 
     Args:
-        to_the_end: whether the process ends afterwards: signals are then ignored from there on, not handled as before.
+        to_the_end: True if the process ends after the block. Signals are then ignored instead of handled as before.
     """
     if threading.current_thread() is not threading.main_thread() or _State.is_read:
         yield
         return
-    # What was ignored stays ignored: nohup, and jobs in the background of a shell without job control.
-    heard = {number: before for number in _SIGNALS if (before := signal.getsignal(number)) is not signal.SIG_IGN}
+    # Ignored signals stay ignored: nohup, and background jobs of a shell without job control.
+    handled = {number: before for number in _SIGNALS if (before := signal.getsignal(number)) is not signal.SIG_IGN}
     _State.asked, _State.is_read = None, True
-    for number in heard:
+    for number in handled:
         signal.signal(number, _remember_and_raise)
     try:
         yield
     finally:
-        _State.is_read = False  # from here on nothing is raised
-        for number, before in heard.items():
+        _State.is_read = False
+        for number, before in handled.items():
             signal.signal(number, signal.SIG_IGN if to_the_end else signal.SIG_DFL if before is None else before)
 
 
 @contextlib.contextmanager
 def solving() -> Iterator[None]:
-    """Let a signal stop the solver that is run inside, which reads `asked`, and raise KeyboardInterrupt when it has stopped.
+    """Let a signal stop the solver in the block, whose callback reads `asked`, and then raise KeyboardInterrupt.
 
-    Outside of `listening` (in a program of the user's) that holds for Ctrl-C, and the user's own handler is called after
-    the solver has stopped.
+    Outside of `listening` (in a user's program) only Ctrl-C is handled, and the user's own handler is called after the
+    solver has stopped.
     """
     if _State.is_read or threading.current_thread() is not threading.main_thread():
         yield
@@ -119,7 +119,7 @@ def _remember_and_raise(number: int, frame: FrameType | None) -> None:
 
 
 def can_raise(frame: FrameType | None) -> bool:
-    """Return whether an exception raised in a frame reaches its callers: not through CasADi, nor from a destructor."""
+    """Return True if an exception in a frame reaches its callers: no CasADi frame and no destructor is on the stack."""
     while frame is not None:
         if frame.f_code.co_name == "__del__" or frame.f_globals.get("__name__", "").partition(".")[0] == "casadi":
             return False

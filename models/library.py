@@ -20,42 +20,42 @@ __all__ = ["BUILT_IN", "built_in_text", "compile_model", "is_file", "is_folder"]
 
 
 def compile_model(source: str | Path, payload: Payload | None = None) -> tuple[str, mujoco.MjModel]:
-    """Return a model's name and its compiled form, the payload welded on.
+    """Return a model's name and its compiled form with the payload.
 
     Raises:
-        ModelError: when the source is neither a built-in name, nor a readable file, nor MJCF text; when MuJoCo refuses
-            it (with MuJoCo's reason); when the payload's body is not in it.
+        ModelError: if the source is neither a built-in name, nor a readable file, nor MJCF text; if MuJoCo refuses it
+            (with MuJoCo's reason); or if the payload's body is not in it.
     """
-    said: list[str] = []
-    mujoco.set_mju_user_warning(said.append)  # MuJoCo would write them to a log file in the working folder
+    messages: list[str] = []
+    mujoco.set_mju_user_warning(messages.append)  # by default MuJoCo writes a log file to the working folder
     try:
         name, spec = _read_spec(source)
         if payload is not None:
             attach(spec, payload)
-        with warnings.catch_warnings(record=True) as told:  # what MuJoCo's bindings pass on as Python's warnings
+        with warnings.catch_warnings(record=True) as caught:  # MuJoCo's bindings issue some messages as Python warnings
             warnings.simplefilter("always")
             model = spec.compile()
-        said += [str(one.message) for one in told]
+        messages += [str(one.message) for one in caught]
     except (ValueError, RuntimeError, mujoco.FatalError, UnicodeDecodeError) as error:
         what = "MJCF text" if is_text(str(source)) else source
         raise ModelError(f"model '{what}' does not compile: {one_line(error)}{mesh_hint(error)}") from error
     finally:
         mujoco.set_mju_user_warning(None)
     refuse_unusable(name, model)
-    if any("nan" in text.lower() for text in said) or not np.all(np.isfinite(model.opt.gravity)):
+    if any("nan" in text.lower() for text in messages) or not np.all(np.isfinite(model.opt.gravity)):
         raise ModelError(
-            f"model '{name}' holds a number that is not finite (nan or inf): {one_line(' '.join(said)) or 'gravity'}"
+            f"model '{name}' holds a number that is not finite (nan or inf): {one_line(' '.join(messages)) or 'gravity'}"
         )
-    for text in said:
+    for text in messages:
         warnings.warn(f"model '{name}': {one_line(text)}", RuntimeWarning, stacklevel=2)
     return name, model
 
 
 def model_spec(source: str | Path, payload: Payload | None = None) -> mujoco.MjSpec:
-    """Return the specification of a model that compiles, the payload welded on.
+    """Return the specification of a model with the payload.
 
     Raises:
-        ModelError: as `compile_model` does.
+        ModelError: if the model does not compile, see `compile_model`.
     """
     compile_model(source, payload)
     _, spec = _read_spec(source)

@@ -11,17 +11,17 @@ import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
-from linkplan.models.actuation.transmission import TRN_TENDON
 from linkplan.models.closure.closed_pose import locked_or_singular, with_closed_pose
 from linkplan.models.closure.equations import Closure, gaps_by_unit, read_closures
-from linkplan.models.closure.initial_assembly import assemble, home_positions, poses_about, refuse_singular_assembly
+from linkplan.models.closure.initial_assembly import assemble, home_positions, nearby_poses, refuse_singular_assembly
 from linkplan.models.closure.locked import refuse_locked
 from linkplan.models.closure.mobility import closure_tolerance, judge_mobility, lost_freedoms
 from linkplan.models.closure.nearest_pose import nearest_closed_pose
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.passive_freedom import find_passive_dofs, round_spins
-from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank
+from linkplan.models.closure.rank import numerical_rank
 from linkplan.models.closure.redundancy import ProjectedLoops, projected_loops
+from linkplan.models.coordinate_choice import choose_coordinates
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.library import compile_model
@@ -34,32 +34,23 @@ from linkplan.models.stiffness import set_softness
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import build_tree
 from linkplan.models.tree.friction import friction_notes, transition_speed
-from linkplan.models.tree.joints import Joint, index_of, read_joints
+from linkplan.models.tree.joints import Joint, index_of, read_joints, unit_steps
 from linkplan.models.tree.newton_euler import Inertial
 from linkplan.models.tree.size import extent_m
-from linkplan.models.tree.tendons import TendonLimit, is_fixed, limited_tendons, tendon_joints
+from linkplan.models.tree.tendons import TendonLimit, limited_tendons
 from linkplan.models.urdf import conversion_notes
-
-# A named choice of coordinates is refused where a column of J_z is left with less than this share of itself: the pose
-# is then within some microradians of a dead centre of the choice.
-_SINGULAR_CHOICE = 1e-6
-# Jacobians away from home show so many times the noise of the file that home's does.
-_NOISE_ROOM = 1e4
-# The rank at the reference pose means something where the loops are closed there, up to a file's rounding.
-_CLOSED_REFERENCE_M = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Mechanism:
     """A mechanism assembled at its home pose.
 
-    Its coordinates q (n_q,) are internal ones, see `models.tree.coordinates`; `independent` and `dependent` are indices into
-    them. `home` (n_q,) closes the loops; `home_gap_m` is how far they stood open at the model's own reference pose, before
-    assembly; `closed_m` is the gap [m] below which they count as closed, more than rounding where the file's own numbers
-    leave more. Overconstrained loops are `projected`: closed in the normal equations of all their rows. `passive_dofs` are
-    passive degrees of freedom: independent coordinates that can move alone while all other bodies rest and
-    that no actuator drives, as a rod between two ball joints spins; `notes` are sentences on what is worth knowing of the
-    assembly. `source` is what it was loaded from, as the [mechanism] table of a problem file.
+    The coordinates q (n_q,) are defined in `models.tree.coordinates`; `independent` and `dependent` are indices into q. The
+    loops are closed at `home` (n_q,). They were open by `home_gap_m` at the model's own reference pose, before assembly.
+    They count as closed below a gap of `closed_m`, which is larger if the file's numbers are rounded. Overconstrained loops
+    are in `projected` and are closed by the normal equations of all their rows. `passive_dofs` are independent coordinates
+    that no actuator drives and that can move while all other bodies rest, such as the spin of a rod between two ball joints.
+    `notes` are remarks on the assembly. `source` is the [mechanism] table of a problem file.
     """
 
     name: str
@@ -67,9 +58,9 @@ class Mechanism:
     payload: Payload | None
     joints: tuple[Joint, ...]
     actuators: tuple[Actuator, ...]
-    tendons: tuple[TendonLimit, ...]  # whose lengths are limited
+    tendons: tuple[TendonLimit, ...]  # tendons with a limited length
     closures: tuple[Closure, ...]
-    closure_rows: np.ndarray  # rows of phi that are independent at home
+    closure_rows: np.ndarray  # independent rows of phi
     projected: tuple[ProjectedLoops, ...]
     independent: np.ndarray
     dependent: np.ndarray
@@ -77,10 +68,10 @@ class Mechanism:
     reference: np.ndarray
     home_gap_m: float
     closed_m: float
-    extent_m: float  # of what moves: a length to compare lengths with
+    extent_m: float  # the size of the moving bodies
     dynamics: ReducedDynamics
-    parametric: ReducedDynamics | None  # with the payload's numbers as inputs, where there is one
-    friction_transition: float  # the speed of dry friction, see `models.tree.friction`
+    parametric: ReducedDynamics | None  # with the payload's numbers as further inputs; None without a payload
+    friction_transition: float  # transition speed of dry friction, see `models.tree.friction`
     coordinates: Coordinates
     passive_dofs: tuple[int, ...]
     notes: tuple[str, ...]
@@ -91,7 +82,7 @@ class Mechanism:
 
     @property
     def n_q(self) -> int:
-        """The number of internal coordinates: joints, a ball joint counted thrice."""
+        """The number of internal coordinates; a ball joint has three."""
         return len(self.joints)
 
     @property
@@ -101,12 +92,12 @@ class Mechanism:
 
     @property
     def n_closure_rows(self) -> int:
-        """The number of closure equations, redundant ones among them."""
+        """The number of closure equations, redundant ones included."""
         return self.closures[-1].rows.stop if self.closures else 0
 
     @property
     def dof(self) -> int:
-        """The degrees of freedom, n_q less the rank of the closure."""
+        """The number of degrees of freedom: n_q less the rank of the closure."""
         return len(self.independent)
 
     @property
@@ -126,13 +117,13 @@ class Mechanism:
 
     @property
     def cyclic(self) -> np.ndarray:
-        """Which independent coordinates (n_s,) are passive degrees of freedom of round bodies: nothing depends on them."""
+        """A mask (n_s,) of the passive degrees of freedom of round bodies, on which the dynamics do not depend."""
         return round_spins(self.dynamics, self.home, np.isin(self.independent, self.passive_dofs))
 
     def fingerprint(self, *, payload_apart: bool = False) -> str:
-        """Return a hash of all that the reduced dynamics depend on: the compiled model and the choice of coordinates.
+        """Return a hash of the compiled model and of the choice of coordinates, which determine the reduced dynamics.
 
-        With `payload_apart` payloads on one body have one hash, as they have one `parametric_dynamics`.
+        With `payload_apart` the hash does not depend on the payload's numbers, like `parametric_dynamics`.
         """
         return _fingerprint(self, payload_apart)
 
@@ -140,7 +131,7 @@ class Mechanism:
         """Return the reduced dynamics with the payload's numbers (7,) as every function's last input.
 
         Raises:
-            ModelError: when there is no payload.
+            ModelError: if there is no payload.
         """
         if self.parametric is None:
             raise ModelError(f"mechanism '{self.name}' has no payload to vary")
@@ -151,12 +142,12 @@ class Mechanism:
         return index_of(self.name, self.joints, name, error)
 
     def closure_slice(self, closure: int) -> slice:
-        """Return where the force [N] of a closure of `closure_names` stands among all rows: a weld's at its point."""
+        """Return the rows of the force [N] of closure number `closure` in `closure_names`; for a weld those of its point."""
         name = list(dict.fromkeys(gap.index for gap in self.closures))[closure]
         return next(gap.rows for gap in self.closures if gap.index == name)
 
     def gap_m(self, q: np.ndarray) -> float:
-        """Return the largest gap [m] of any closure at pose q (n_q,), an angle by what it moves at the model's extent."""
+        """Return the largest gap [m] of any closure at pose q (n_q,); angles are multiplied by the extent."""
         return float(self.gaps_m(np.asarray(q)[None])[0])
 
     def gaps_m(self, q: np.ndarray) -> np.ndarray:
@@ -165,7 +156,7 @@ class Mechanism:
         return np.max([np.zeros(len(q)), *(np.linalg.norm(phi[:, one.rows], axis=1) for one in self.closures)], axis=0)
 
     def gaps_by_unit(self, q: np.ndarray) -> dict[str, np.ndarray]:
-        """Return the largest gap (n,) of closures at poses q (n, n_q) by unit: "m" of points and slides, "rad" of angles."""
+        """Return the largest gap (n,) of the closures at poses q (n, n_q) by unit, "m" or "rad"."""
         return gaps_by_unit(self.closures, self._closure(q))
 
     def _closure(self, q: np.ndarray) -> np.ndarray:
@@ -176,7 +167,7 @@ class Mechanism:
         return self.coordinates.qpos_of(q)
 
     def q_of(self, qpos: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
-        """Return the poses q (..., n_q) of MuJoCo's qpos (..., nq); what turns for ever by whole turns `near` a pose."""
+        """Return the poses q (..., n_q) of MuJoCo's qpos (..., nq), with whole turns chosen to be `near` a pose."""
         return self.coordinates.q_of(qpos, near)
 
     def qvel_of(self, q: np.ndarray, rates: np.ndarray) -> np.ndarray:
@@ -213,22 +204,20 @@ def load_mechanism(
     Args:
         source: a built-in name, a path, or MJCF text.
         payload: a `Payload`, a built-in payload's name, or a table with body, mass_kg, com_m, inertia_kgm2.
-        home: joint positions by name [rad or m] at which to assemble. Independent joints are held there; the others
-            choose the branch. Without it the model's keyframe "home", else its reference pose, is the guess.
-        independent: names of joints to be independent coordinates; by default the actuated ones are, as far as they can.
-        solref: "stiff" for the stiffest equality constraints in simulation that the timestep admits; by default the model's.
-        closure_tolerance_m: the gap [m] up to which a motion that the file's rounding alone forbids is free; by default a
-            micrometre, or a hundred thousandth of a small mechanism.
-        friction_transition: the speed [rad/s; on a slide or tendon, of the mechanism's extent a second] about which dry
-            friction goes over from one direction to the other; by default two degrees a second.
+        home: joint positions by name [rad or m] at which to assemble. Independent joints keep these positions; the others
+            choose the branch. The default guess is the model's keyframe "home", else its reference pose.
+        independent: names of the independent joints; by default the actuated joints, as far as the closure allows.
+        solref: "stiff" simulates with the stiffest equality constraints that the timestep admits; default: the model's own.
+        closure_tolerance_m: the gap [m] up to which a motion that only rounding of the file locks counts as free; by default
+            1e-6 m, or 1e-5 of a small mechanism's extent.
+        friction_transition: the transition speed of dry friction [rad/s on a hinge; extents per second on a slide or
+            tendon]; by default two degrees per second.
 
     Raises:
-        ModelError: when the model cannot be used, or the named joints cannot be its coordinates.
-        InertiaError: when a motion of its joints moves no mass at home.
-        AssemblyError: when its loops do not close at, or near, the pose asked.
+        ModelError: if the model cannot be used, or the named joints cannot be its coordinates.
+        InertiaError: if some motion of the joints at home has no kinetic energy.
+        AssemblyError: if the loops do not close at, or near, the asked pose.
     """
-    if independent is not None:
-        _names_of(independent)
     asked = {"independent": independent, "closure_tolerance_m": closure_tolerance_m, "solref": solref}
     payload = payload_from(payload)
     name, model = compile_model(source, payload)
@@ -245,12 +234,13 @@ def load_mechanism(
     closures = read_closures(model, tree)
     actuators = read_actuators(model)
     phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
+    sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
     loop = KinematicLoop(
         function=ca.Function("loop", [tree.q], [ca.densify(phi), ca.densify(ca.jacobian(phi, tree.q))]),
         rows=tuple(closure.rows for closure in closures),
     )
     extent = extent_m(model)
-    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])  # what counts as a radian
+    unit = unit_steps(joints, extent)
     tolerance = closure_tolerance(closure_tolerance_m, extent)
     reference = tree.coordinates.q_of(reference_qpos)
     try:
@@ -260,15 +250,10 @@ def load_mechanism(
     _refuse_beyond_charts(name, tree.coordinates, pose)
     mobility = judge_mobility(loop, pose, unit, tolerance)
     loop, share = mobility.loop, mobility.loop.rank_tolerance
-    about = poses_about(loop, pose, unit)
+    about = nearby_poses(loop, pose, unit)
     jacobians = [loop.residual(q)[1] * unit for q in (pose, *about)]
     refuse_locked(name, len(joints), closures, jacobians[0], mobility, tolerance)
-    rank = numerical_rank(jacobians[0], share)
-    ordinary = [jacobian for jacobian in jacobians if numerical_rank(jacobian, share) == rank]
-    rows = independent_rows(ordinary, rank, share)
-    named = _named(name, joints, independent, len(joints) - rank)
-    dependent = _choose_dependent(joints, model, jacobians[0][rows], rank, actuators, named)
-    free = np.array([i for i in range(len(joints)) if i not in dependent], dtype=int)
+    rows, free, dependent = choose_coordinates(name, joints, model, actuators, jacobians, share, independent)
     try:
         refuse_singular_assembly(name, joints, loop, pose, free, extent, about)
     except LockedError as error:
@@ -276,23 +261,17 @@ def load_mechanism(
     except UnassembledError as error:
         raise with_closed_pose(error, joints, tree.coordinates, nearest_closed_pose(loop, joints, pose, unit)) from None
     B = effort_matrix(model, tree, actuators)
-    sparse = ca.Function("J", [tree.q], [ca.jacobian(phi, tree.q)])
-    projected = projected_loops(
-        sparse, rows.tolist(), dependent.tolist(), pose, mobility.noise * _NOISE_ROOM, gapes=bool(mobility.freed_m)
-    )
-    long = lengths(model, tree, actuators)
-    parametric = reduce_tree(tree, closures, B, rows, free, dependent, pi, projected, long)
+    noise = 1e4 * mobility.noise  # rounding of the file affects J more away from home than at home
+    projected = projected_loops(sparse, rows.tolist(), dependent.tolist(), pose, noise, inexact=bool(mobility.freed_m))
+    parametric = reduce_tree(tree, closures, B, rows, free, dependent, pi, projected, lengths(model, tree, actuators))
     dynamics = parametric if payload is None else with_numbers(parametric, payload.numbers())
     refuse_singular_inertia(name, joints, free, dynamics, pose)
+    rank = len(dependent)
     poses = [q for q, jacobian in zip((pose, *about), jacobians, strict=True) if numerical_rank(jacobian, share) == rank]
-    passive_dofs, notes = (
-        find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent) if closures else ((), [])
-    )
+    passive_dofs, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
     notes += lost_freedoms(joints, actuators, dynamics, poses, mobility, tolerance)
     notes += [*friction_notes(model, transition, extent), *conversion_notes(source)]
-    at_reference = numerical_rank(loop.residual(reference)[1] * unit, share)
-    if loop.gap(loop.residual(reference)[0]) <= _CLOSED_REFERENCE_M and at_reference != rank:
-        notes.append(f"the model's reference pose is singular: the closure has rank {at_reference} there and {rank} at home")
+    notes += _reference_notes(loop, reference, unit, rank)
 
     mechanism = Mechanism(
         name=name,
@@ -325,9 +304,20 @@ def load_mechanism(
 
 
 def _varied(model: mujoco.MjModel, numbers: ca.SX | None) -> dict[int, Inertial]:
-    """Return the inertial parameters that a payload's numbers (7,) are; none where there is no payload."""
-    varied = {} if numbers is None else {model.body(BODY_NAME).id: numbers}
-    return {body: Inertial(mass=pi[0], com=pi[1:4], inertia=ca.diag(pi[4:7])) for body, pi in varied.items()}
+    """Return the payload's inertial properties with its numbers (7,) as symbols, by body; empty without a payload."""
+    if numbers is None:
+        return {}
+    inertial = Inertial(mass=numbers[0], com=numbers[1:4], inertia=ca.diag(numbers[4:7]))
+    return {model.body(BODY_NAME).id: inertial}
+
+
+def _reference_notes(loop: KinematicLoop, reference: np.ndarray, unit: np.ndarray, rank: int) -> list[str]:
+    """Return a note if the closed reference pose is singular."""
+    phi, jacobian = loop.residual(reference)
+    there = numerical_rank(jacobian * unit, loop.rank_tolerance)
+    if loop.gap(phi) > 1e-6 or there == rank:  # [m]: the rank is meaningful only at a closed pose
+        return []
+    return [f"the model's reference pose is singular: the closure has rank {there} there and {rank} at home"]
 
 
 def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:
@@ -339,61 +329,8 @@ def _reference_qpos(model: mujoco.MjModel) -> np.ndarray:
 
 
 def _refuse_beyond_charts(name: str, coordinates: Coordinates, pose: np.ndarray) -> None:
-    left = coordinates.left(pose)
-    if left is not None:
+    violation = coordinates.range_violation(pose)
+    if violation is not None:
         raise AssemblyError(
-            f"mechanism '{name}' assembles with {left}; give the model a keyframe 'home' near the pose meant"
+            f"mechanism '{name}' assembles with {violation}; give the model a keyframe 'home' near the pose meant"
         )
-
-
-def _names_of(asked: object) -> None:
-    """Refuse what is no list of joint names."""
-    if not isinstance(asked, list | tuple) or not all(isinstance(joint, str) for joint in asked):
-        raise ModelError(f"mechanism.independent is a list of joint names, got {asked!r}")
-
-
-def _named(name: str, joints: tuple[Joint, ...], asked: Sequence[str] | None, dof: int) -> list[int]:
-    """Return the indices of the joints named as independent coordinates."""
-    if asked is None:
-        return []
-    named = [index_of(name, joints, joint) for joint in asked]
-    if len(set(named)) < len(named) or len(named) > dof:
-        raise ModelError(
-            f"mechanism.independent names {len(named)} joints ({', '.join(asked)}); mechanism '{name}' has {dof} degrees of"
-            " freedom, each a joint of its own"
-        )
-    return named
-
-
-def _choose_dependent(joints, model, jacobian, rank: int, actuators, named: list[int]) -> np.ndarray:
-    """Return the dependent columns: not the named joints, and as few of the driven ones as can be.
-
-    Raises:
-        ModelError: when the named joints do not fix the others at home.
-    """
-    driven = [actuator.joint for actuator in actuators if actuator.joint is not None]
-    pulled = [
-        dof
-        for actuator in actuators
-        if int(model.actuator_trntype[actuator.index]) == int(TRN_TENDON)
-        and is_fixed(model, int(model.actuator_trnid[actuator.index, 0]))
-        for dof in tendon_joints(model, int(model.actuator_trnid[actuator.index, 0]))
-    ]
-    groups, left = [], list(range(len(joints)))
-    for group in (named, driven, pulled):
-        groups.insert(0, [i for i in dict.fromkeys(group) if i in left])
-        left = [i for i in left if i not in groups[0]]
-    chosen = dependent_columns(jacobian, rank, [left, *groups])
-    if named and (lost := [joints[i].name for i in named if i in chosen]):
-        raise ModelError(
-            f"mechanism.independent = {[joints[i].name for i in named]} is singular at home: the loops fix joint"
-            f" {', '.join(lost)} there whatever the other coordinates do; name another joint, or another home pose"
-        )
-    if named and rank:
-        values = np.linalg.svd(jacobian[:, chosen], compute_uv=False)
-        if values[-1] < _SINGULAR_CHOICE * values[0]:
-            raise ModelError(
-                f"mechanism.independent = {[joints[i].name for i in named]} is singular at home: the other joints are at a"
-                " dead centre there; name another joint, or another home pose"
-            )
-    return chosen

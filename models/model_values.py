@@ -1,6 +1,6 @@
-"""What no compiled model may hold: names that are no text, and numbers that are not finite or mean nothing.
+"""Checks of a compiled model: printable names, finite numbers, no negative masses, ordered ranges.
 
-MuJoCo's compiler warns of NaN and passes on most else: infinite masses, negative armatures, ranges from high to low.
+MuJoCo's compiler warns of NaN but accepts infinite masses, negative armatures and ranges with low above high.
 """
 
 from collections.abc import Iterator
@@ -9,23 +9,21 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError, one_line
+from linkplan.models.payload import MAX_SI_VALUE
 from linkplan.models.reading import shown
 
-# No quantity of a mechanism is larger, in SI units; MuJoCo's own bound on states is 1e10, and solver parameters are below.
-MAX_SI_VALUE = 1e12
-# Longer names are no names: pages and tables show them.
 MAX_NAME_LENGTH = 500
-# Fields of a compiled model that are not below zero, by what they are.
+# Fields of a compiled model that must not be negative, with the words for a message.
 _NOT_NEGATIVE = {
     "body_mass": "mass", "body_inertia": "inertia", "dof_armature": "armature", "dof_frictionloss": "frictionloss",
     "dof_damping": "damping", "tendon_frictionloss": "frictionloss", "tendon_damping": "damping",
     "tendon_armature": "armature", "actuator_armature": "armature", "actuator_damping": "damping",
 }  # fmt: skip
-# What the compiler works out of the others, for its own scaling: huge where something is nearly massless.
+# Fields that the compiler derives for its own scaling. They are huge for a nearly massless body.
 _DERIVED = ("oct_coeff", "actuator_acc0", "body_invweight0", "dof_invweight0", "tendon_invweight0")
-# The simulator's step [s]: below the first no computer gets anywhere, above the last nothing moves as it should.
+# Legal range of the simulator's timestep [s].
 TIMESTEP_RANGE_S = (1e-8, 1.0)
-# Which of mjModel's names a field's prefix has, for a refusal that names the element.
+# The element kind of each field prefix of mjModel, for messages.
 _OWNERS = {
     "body": "body", "jnt": "joint", "geom": "geom", "site": "site", "tendon": "tendon", "actuator": "actuator",
     "eq": "equality", "key": "key", "mesh": "mesh", "cam": "camera", "sensor": "sensor",
@@ -39,10 +37,10 @@ _KINDS = {
 
 
 def refuse_unusable(name: str, model: mujoco.MjModel) -> None:
-    """Refuse a compiled model that holds names that are no text, or numbers that are not finite or mean nothing.
+    """Refuse a compiled model with invalid names or numbers.
 
     Raises:
-        ModelError: naming the element and the field.
+        ModelError: if a name or number is invalid; the message names the element and the field.
     """
     _refuse_names(name, model)
     step = float(model.opt.timestep)
@@ -74,7 +72,7 @@ def refuse_unusable(name: str, model: mujoco.MjModel) -> None:
 
 
 def _numbers(model: mujoco.MjModel) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield every array of floats of a model and of its options, by its name."""
+    """Yield every array of floats of a model and of its options with its name."""
     for owner, prefix in ((model, ""), (model.opt, "option ")):
         for field in dir(owner):
             if field.startswith("_") or field.endswith(("_user", "_numeric")) or field in _DERIVED:
@@ -104,7 +102,7 @@ def _refuse_names(name: str, model: mujoco.MjModel) -> None:
 
 
 def _where(model: mujoco.MjModel, field: str, bad: np.ndarray) -> str:
-    """Return a field's name and, where it belongs to elements, that of the first bad one."""
+    """Return a field's name, with the name of the first bad element if the field belongs to elements."""
     prefix, _, rest = field.partition("_")
     row = int(np.argwhere(bad)[0][0])
     if prefix == "dof" and row < model.nv:

@@ -1,25 +1,23 @@
-"""Choosing among names: one line with what was asked, what is legal, and the nearest legal name."""
+"""Choice among legal names, with a suggestion for a misspelled name."""
 
 from collections.abc import Iterable
 
 from linkplan.models.errors import ModelError
 
-# Names count as close from this share of common letters on (`difflib`'s ratio): half of them.
-_CLOSE = 0.5
-# What is written in another unit than files have: the key in ours is meant, however many letters are alike.
+# Other units in a key, and the unit that files use.
 _UNITS = {"rad": "deg", "mm": "m", "cm": "m", "ms": "s", "us": "s", "g": "kg", "kw": "w", "khz": "hz", "kn": "n"}
 
 
 def nearest(asked: str, legal: Iterable[str]) -> str:
-    """Return " (did you mean 'x'?)" for the legal name closest to `asked`, or nothing where none is close."""
+    """Return " (did you mean 'x'?)" for the legal name closest to `asked`, or an empty text if no name is close."""
     match = closest(asked, legal)
     return "" if match is None else f" (did you mean '{match}'?)"
 
 
 def closest(asked: str, legal: Iterable[str]) -> str | None:
-    """Return the legal name closest to `asked`: the same in our units, or by its letters; None where none is close.
+    """Return the legal name closest to `asked`, or None if no name is close.
 
-    Capitals are not counted.
+    A name that differs only in its units comes first. Upper and lower case count as equal.
     """
     folded: dict[str, str] = {}
     for name in legal:
@@ -29,7 +27,7 @@ def closest(asked: str, legal: Iterable[str]) -> str | None:
         return folded[in_our_units]
     import difflib
 
-    matches = difflib.get_close_matches(str(asked).casefold(), list(folded), n=1, cutoff=_CLOSE)
+    matches = difflib.get_close_matches(str(asked).casefold(), list(folded), n=1, cutoff=0.5)
     return folded[matches[0]] if matches else None
 
 
@@ -37,7 +35,7 @@ def choose(what: str, asked: str, legal: Iterable[str], error: type[Exception] =
     """Return `asked` if it is legal.
 
     Raises:
-        error: with one line naming the legal values, if it is not.
+        error: if it is not; the message lists the legal values.
     """
     legal = list(legal)
     if asked in legal:

@@ -13,10 +13,8 @@ from linkplan.models.names import choose, nearest
 
 BODY_NAME = "linkplan_payload"
 
-# The triangle inequality of principal moments is MuJoCo's own test; this much rounding in a typed-in inertia is let pass.
-_INERTIA_ROUNDING = 1e-9
-# Masses, lengths and moments beyond this are no mechanism's, and their products overflow.
-_LARGEST = 1e12
+# Largest number in SI units of a model or payload: products of larger numbers overflow.
+MAX_SI_VALUE = 1e12
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -43,14 +41,14 @@ class Payload:
             value.flags.writeable = False
             object.__setattr__(self, name, value)
         number = isinstance(self.mass_kg, numbers.Real) and not isinstance(self.mass_kg, bool)
-        if not number or not 0 < self.mass_kg < _LARGEST:
+        if not number or not 0 < self.mass_kg < MAX_SI_VALUE:
             raise ModelError(f"payload.mass_kg is a positive number, got {self.mass_kg!r}")
-        if np.abs([*self.com_m, *self.inertia_kgm2]).max() > _LARGEST:
+        if np.abs([*self.com_m, *self.inertia_kgm2]).max() > MAX_SI_VALUE:
             raise ModelError("payload.com_m and payload.inertia_kgm2 are too large for a mechanism")
         moments = np.sort(self.inertia_kgm2)
         if moments[0] < 0:
             raise ModelError(f"payload.inertia_kgm2 has no negative moments, got {self.inertia_kgm2.tolist()}")
-        if moments[2] > moments[:2].sum() * (1 + _INERTIA_ROUNDING):
+        if moments[2] > moments[:2].sum() * (1 + 1e-9):  # 1e-9 is rounding of typed numbers
             raise ModelError(
                 "payload.inertia_kgm2 belongs to no rigid body: the largest moment exceeds the sum of the other two,"
                 f" got {self.inertia_kgm2.tolist()}"
@@ -61,7 +59,7 @@ class Payload:
         return np.concatenate([[self.mass_kg], self.com_m, self.inertia_kgm2])
 
     def table(self) -> dict:
-        """Return the payload as the table that a problem file has of it."""
+        """Return the payload as a table of a problem file."""
         return {
             "body": self.body,
             "mass_kg": float(self.mass_kg),
@@ -74,8 +72,8 @@ class Payload:
         return replace(self, mass_kg=self.mass_kg * factor, inertia_kgm2=self.inertia_kgm2 * factor)
 
 
-# The shank of the source's knee: it points along the world's -x where the knee is straight (q_O = 56.27 deg). Only the
-# moment about y enters the motion of a planar linkage; the other two describe a lean body about as wide as it is deep.
+# The shank of the source's knee. It points along the world's -x if the knee is straight (q_O = 56.27 deg). Only the moment
+# about y affects the motion of a planar linkage.
 SHANK = Payload(
     body="crank",
     mass_kg=4.0,
@@ -89,7 +87,7 @@ _KEYS = ("body", "mass_kg", "com_m", "inertia_kgm2")
 
 
 def payload_from(value: object) -> Payload | None:
-    """Return the payload that a problem file's `mechanism.payload` means: a built-in name, a table, or "none"."""
+    """Return the payload of a problem file's `mechanism.payload`: a built-in name, a table, or "none"."""
     if value is None or value == "none":
         return None
     if isinstance(value, Payload):

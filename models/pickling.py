@@ -1,4 +1,4 @@
-"""What goes to another process: records with CasADi's expressions in them, which are pickled in a context of their own."""
+"""Pickling of records that contain CasADi expressions, which need a global pickle context."""
 
 import pickle
 from dataclasses import fields
@@ -8,12 +8,12 @@ import casadi as ca
 
 
 def packed(record: Any) -> bytes:
-    """Return a dataclass's values as bytes."""
+    """Return the values of a dataclass as bytes."""
     with ca.global_pickle_context():
         return pickle.dumps({field.name: getattr(record, field.name) for field in fields(record)})
 
 
 def unpacked(kind: type, content: bytes) -> Any:
-    """Return a record of a kind from its bytes."""
+    """Return a record of the dataclass `kind` from the bytes of `packed`."""
     with ca.global_unpickle_context():
         return kind(**pickle.loads(content))

@@ -1,4 +1,4 @@
-"""What a mechanism is loaded from, as the [mechanism] table of a problem file."""
+"""The source of a mechanism as the [mechanism] table of a problem file."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +14,7 @@ def source_table(
     joints: Sequence[Joint],
     asked: Mapping[str, object],
 ) -> dict[str, object]:
-    """Return the table of a model, its payload, where it is assembled [rad or m], and other keys `asked` but for None."""
+    """Return the table of a model, its payload, its home [rad or m] and the keys in `asked` that are not None."""
     table: dict[str, object] = {"model": str(source)}
     if payload is not None:
         table["payload"] = payload.table()

@@ -1,4 +1,4 @@
-"""How stiff MuJoCo's equality constraints are: the stiffest that a model's timestep admits, on request."""
+"""The stiffness of MuJoCo's equality constraints and dry friction: on request the stiffest that the timestep admits."""
 
 import mujoco
 import numpy as np
@@ -6,26 +6,24 @@ import numpy as np
 from linkplan.models.errors import ModelError
 from linkplan.models.names import nearest
 
-# The one word that `mechanism.solref` takes.
+# The only legal value of `mechanism.solref`.
 STIFF = "stiff"
-# Impedances next to the largest that MuJoCo admits, 0.9999: what the built-in models have. In MJCF's words, and in numbers
-# (MuJoCo, "Solver parameters": d_0, d_width, width [m], midpoint, power).
+# The impedance of the built-in models, close to MuJoCo's maximum of 0.9999, as MJCF text and as numbers (MuJoCo, "Solver
+# parameters": d_0, d_width, width [m], midpoint, power).
 STIFF_IMPEDANCE = "0.999 0.999 0.001"
 STIFF_SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
-# The least time constant that MuJoCo admits, in steps.
-_STEPS = 2.0
 
 
 def stiff_time_constant_s(model: mujoco.MjModel) -> float:
-    """Return the least time constant [s] that a model's timestep admits for its constraints."""
-    return _STEPS * float(model.opt.timestep)
+    """Return the least time constant [s] that MuJoCo admits for constraints, two timesteps."""
+    return 2.0 * float(model.opt.timestep)
 
 
 def set_softness(model: mujoco.MjModel, asked: object) -> None:
-    """Give a model's equality constraints and its dry friction the softness asked for: their own (None), or the stiffest.
+    """Set the stiffest equality constraints and dry friction if `asked` is "stiff"; keep the model's own if it is None.
 
     Raises:
-        ModelError: for anything else.
+        ModelError: if `asked` has another value.
     """
     if asked is None:
         return
@@ -37,17 +35,16 @@ def set_softness(model: mujoco.MjModel, asked: object) -> None:
     model.eq_solref[:] = stiff_time_constant_s(model), 1.0
     model.eq_solimp[:] = np.array(STIFF_SOLIMP)
     make_dry(model, model.dof_frictionloss > 0)
-    rubbing = model.tendon_frictionloss > 0
-    model.tendon_solref_fri[rubbing] = stiff_time_constant_s(model), 1.0
-    model.tendon_solimp_fri[rubbing] = np.array(STIFF_SOLIMP)
+    dry = model.tendon_frictionloss > 0
+    model.tendon_solref_fri[dry] = stiff_time_constant_s(model), 1.0
+    model.tendon_solimp_fri[dry] = np.array(STIFF_SOLIMP)
 
 
 def make_dry(model: mujoco.MjModel, dofs: np.ndarray) -> None:
-    """Make the dry friction of degrees of freedom (nv,) hard enough to be dry.
+    """Set the stiffest dry friction for the degrees of freedom in the mask `dofs` (nv,).
 
-    MuJoCo's gives way: below a speed of f R / b, f the friction, R = (1 - d) / d times the joint's inverse inertia and
-    b = 2 / (d tc) of its solref and solimp, it is viscous. With MuJoCo's defaults 0.4 N.m at the knee's coupler are so
-    below 9 rad/s, since its own inertia is small; a machine would creep where it sticks.
+    MuJoCo's dry friction is viscous below a speed (`models.tree.friction.viscous_below`). With MuJoCo's defaults this speed
+    is 9 rad/s for 0.4 N.m at the knee's coupler, whose inertia is small: the joint would creep where it should stick.
     """
     model.dof_solref[dofs] = stiff_time_constant_s(model), 1.0
     model.dof_solimp[dofs] = np.array(STIFF_SOLIMP)

@@ -1,7 +1,7 @@
-"""What MuJoCo's converter leaves out of a URDF: named, never dropped in silence.
+"""Notes on the elements of a URDF that MuJoCo's converter ignores.
 
-It makes joints, masses, shapes, ranges, damping, dry friction, effort limits and couplings (`mimic`) of a URDF, and reads
-compiler, option and size in its <mujoco> element (MuJoCo, "URDF extensions"). Whatever else stands there is passed over.
+MuJoCo converts joints, masses, shapes, ranges, damping, dry friction, effort limits and couplings (`mimic`) of a URDF. It
+reads compiler, option and size in the <mujoco> element (MuJoCo, "URDF extensions") and ignores all other elements.
 """
 
 import xml.etree.ElementTree as ET
@@ -11,12 +11,10 @@ from linkplan.models.catalogue import is_text
 
 _READ_IN_MUJOCO = ("compiler", "option", "size")
 _READ = ("link", "joint", "material", "mujoco")
-# How many names are said of a kind.
-_NAMED = 6
 
 
 def conversion_notes(source: str | Path) -> list[str]:
-    """Return a sentence on each kind of thing in a URDF, a path or text, that its conversion leaves out; none for MJCF."""
+    """Return a note on each kind of element of a URDF (a path or text) that its conversion ignores; none for MJCF."""
     root = _root(str(source))
     if root is None or root.tag != "robot":
         return []
@@ -39,22 +37,22 @@ def conversion_notes(source: str | Path) -> list[str]:
         notes.append(f"MuJoCo's converter leaves out the URDF's elements {_some(list(dict.fromkeys(others)))}")
     if inside:
         notes.append(
-            f"MuJoCo passes over {_some(list(dict.fromkeys(inside)))} in the URDF's <mujoco> element, where it reads"
-            f" {', '.join(_READ_IN_MUJOCO)} alone"
+            f"MuJoCo ignores {_some(list(dict.fromkeys(inside)))} in the URDF's <mujoco> element, where it only reads"
+            f" {', '.join(_READ_IN_MUJOCO)}"
         )
     notes.append(
-        "a URDF has no actuators for MuJoCo, and no closures but mimic: an MJCF file with them that attaches it is a model,"
+        "MuJoCo reads no actuators from a URDF, and no closures except mimic: add them in an MJCF file that attaches it,"
         ' with <asset><model name="NAME" file="FILE.urdf"/></asset> and <frame><attach model="NAME" prefix="P_"/></frame>'
     )
     return notes
 
 
 def mesh_hint(error: Exception) -> str:
-    """Return what finds a URDF's meshes where MuJoCo did not know their package; nothing for other errors."""
+    """Return a hint on the folder of a URDF's meshes if MuJoCo did not find their package, else an empty text."""
     if "'package:" not in str(error):
         return ""
     return (
-        "; where a package's meshes are is said in the URDF's <robot>:"
+        "; name the folder of the package's meshes in the URDF's <robot>:"
         ' <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco>'
     )
 
@@ -65,10 +63,10 @@ def _root(source: str) -> ET.Element | None:
             return ET.fromstring(source)
         path = Path(source)
         return ET.fromstring(path.read_bytes()) if path.suffix.lower() in (".urdf", ".xml") and path.is_file() else None
-    except (ET.ParseError, OSError, ValueError, LookupError):  # MuJoCo's own reader has read it, and is less strict
+    except (ET.ParseError, OSError, ValueError, LookupError):  # MuJoCo's own reader is less strict
         return None
 
 
-def _some(names: list[str]) -> str:
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return f"{', '.join(names[:_NAMED])}{more}"
+def _some(names: list[str], most: int = 6) -> str:
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return f"{', '.join(names[:most])}{more}"

@@ -15,7 +15,7 @@ from linkplan.models.actuation.actuators import Actuator, constant_arms
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.payload import BODY_NAME
-from linkplan.models.poses.assembly import led
+from linkplan.models.poses.assembly import continue_to
 from linkplan.models.stiffness import make_dry
 
 # MuJoCo answers a loop constraint's time constant below this many steps by taking this many.
@@ -96,7 +96,7 @@ def start_of(
         gamma = np.array(mechanism.dynamics.velocity_map(reference.pose[0]))
         return reference.pose[0], gamma @ reference.velocity[0]
     # Newton's method from the plan's own start leads anywhere where the machine's lies far from it: along the branch first.
-    poses, arrived = led(mechanism, reference.pose[0], s[None])
+    poses, arrived = continue_to(mechanism, reference.pose[0], s[None])
     pose, rates = np.array(poses[0] if arrived else reference.pose[0]), np.zeros(mechanism.n_q)
     pose[mechanism.independent], rates[mechanism.independent] = s, v
     pose = closed_pose(model, data, mechanism, pose)

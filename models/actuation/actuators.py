@@ -1,14 +1,14 @@
-"""Actuators that a plan can use: efforts bounded on both sides, acting through a transmission.
+"""Actuators that a plan can use, with their effort limits.
 
     tau = B(q) u,   u = gain ctrl + bias,   u in [lower, upper]
 
-The effort u is MuJoCo's actuator force. A motor's gain is a number and its bias none, so that its `ctrlrange` limits the
-effort as `forcerange` does, and as the joint's or tendon's `actuatorfrcrange` does over the moment. A servo (position,
-velocity, any affine gain and bias) has a bias that moves with its length l and speed l':
+The effort u is MuJoCo's actuator force. A motor has a constant gain and no bias, so its `ctrlrange` limits the effort, in
+addition to `forcerange` and to the `actuatorfrcrange` of its joint or tendon. A servo (position, velocity, any affine gain
+and bias) has a gain and a bias that depend on its length l and speed l':
 
     gain = g0 + g1 l + g2 l',   bias = b0 + b1 l + b2 l'
 
-A plan commands its effort all the same; who runs the plan inverts gain and bias to find the ctrl that gives it.
+A plan contains efforts for both. The simulation inverts gain and bias to find the ctrl that gives an effort.
 """
 
 from dataclasses import dataclass
@@ -24,16 +24,16 @@ from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label, 
 
 FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE)
 NO_BIAS, AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
-# A fraction of its nominal gain below which a servo's gain counts as none: no ctrl then gives an effort.
+# A servo's gain below this share of its nominal gain counts as zero: no ctrl then gives a prescribed effort.
 LEAST_GAIN = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Actuator:
-    """An actuator: its effort limits [unit], what it acts on, and where MuJoCo keeps it.
+    """An actuator: its effort limits [unit], its target and its indices in MuJoCo's model.
 
-    `joint` is the coordinate of the hinge or slide that it drives, None where it acts otherwise; `target` says on what in
-    words ("joint O", "tendon cable", "site tool"). `gains` and `biases` hold (g0, g1, g2) and (b0, b1, b2).
+    `joint` is the coordinate of the hinge or slide that it drives, or None for any other transmission. `target` names the
+    driven element ("joint O", "tendon cable", "site tool"). `gains` and `biases` hold (g0, g1, g2) and (b0, b1, b2).
     """
 
     name: str
@@ -50,11 +50,11 @@ class Actuator:
     lower: float
     upper: float
     unit: str  # "N.m" or "N"
-    has_length: bool  # whether `lengths` has it: on a hinge, slide or tendon
+    has_length: bool  # true on a hinge, slide or tendon: `lengths` then gives its length
 
     @property
     def limits_control(self) -> bool:
-        """Whether its ctrlrange limits the effort by where it stands and how fast it moves: a servo of constant gain."""
+        """True if its ctrlrange gives effort limits that depend on length and speed: a servo with constant gain."""
         limited = np.isfinite([self.control_lower, self.control_upper]).any()
         return self.is_servo and bool(limited) and not any(self.gains[1:]) and self.has_length
 
@@ -65,20 +65,17 @@ class Actuator:
 
     @property
     def is_servo(self) -> bool:
-        """Whether its effort for a given ctrl depends on where it stands or how fast it moves."""
+        """True if its effort at a given ctrl depends on its length or speed."""
         return any(self.gains[1:]) or any(self.biases[1:])
 
     def effort(self, control: float, length: float, velocity: float) -> float:
-        """Return the effort that a ctrl gives at a length and speed, the ctrl cut at its range (forcerange not)."""
+        """Return the effort of a ctrl at a length and speed. The ctrl is clipped to its range, the effort is not clipped."""
         state = np.array([1.0, length, velocity])
         cut = min(max(control, self.control_lower), self.control_upper)
         return float(state @ self.gains * cut + state @ self.biases)
 
     def control(self, effort: float, length: float, velocity: float) -> float:
-        """Return the ctrl that gives an effort at a length and speed, cut at its range.
-
-        Where the gain vanishes no ctrl does, and zero is returned.
-        """
+        """Return the ctrl that gives an effort at a length and speed, clipped to its range; zero if the gain vanishes."""
         state = np.array([1.0, length, velocity])
         gain = float(state @ self.gains)
         if abs(gain) <= LEAST_GAIN * abs(self.gain):
@@ -87,14 +84,15 @@ class Actuator:
 
 
 def ranged_control(actuator: Actuator, control, effort, gain, larger):
-    """Return what a servo's ctrlrange bounds: the ctrl c that gives an effort, but where the whole range is beyond a clamp.
+    """Return the quantity that a servo's ctrlrange bounds: the ctrl c of an effort, corrected for force clamps.
 
-    MuJoCo's force is clip(gain clip(ctrl) + bias), the outer one at the clamps of force. Where all of the range asks for
-    more than a clamp, any ctrl gives the clamp, and the effort is that, whatever c is:
+    MuJoCo's force is clip(gain clip(ctrl) + bias), where the outer clip is at the force clamps. If the whole ctrlrange
+    exceeds a clamp, every ctrl gives the clamp, and the effort at the clamp must be legal whatever c is:
 
         low <= c + max(0, low - c_most) - max(0, c_least - high) <= high,
 
-    c_least and c_most being the ctrls that just reach the clamps. `larger` is np.maximum of numbers, ca.fmax of expressions.
+    where c_least and c_most are the ctrls that reach the clamps. `larger` is np.maximum for numbers and ca.fmax for
+    expressions.
     """
     clamps = (actuator.lower, actuator.upper) if actuator.gain > 0 else (actuator.upper, actuator.lower)
     least, most = (control + (clamp - effort) / gain if np.isfinite(clamp) else None for clamp in clamps)
@@ -107,14 +105,16 @@ def ranged_control(actuator: Actuator, control, effort, gain, larger):
 
 
 def label(model: mujoco.MjModel, index: int) -> str:
-    """Return an actuator's name, or one made of its index."""
+    """Return an actuator's name, or a name made from its index."""
     return model.actuator(index).name or f"actuator {index}"
 
 
-def why_not(model: mujoco.MjModel, index: int) -> str | None:
-    """Return why a plan cannot use actuator `index`, in a few words, or None where it can."""
-    kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
-    gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
+def unusable_reason(model: mujoco.MjModel, index: int) -> str | None:
+    """Return the reason why a plan cannot use actuator `index`, or None if it can."""
+    return _unusable_dynamics(model, index) or _unusable_force(model, index)
+
+
+def _unusable_dynamics(model: mujoco.MjModel, index: int) -> str | None:
     if _switched_off(model, index):
         return "it is switched off"
     if float(model.actuator_delay[index]) != 0.0:
@@ -124,8 +124,14 @@ def why_not(model: mujoco.MjModel, index: int) -> str | None:
     if int(model.actuator_dyntype[index]) != int(mujoco.mjtDyn.mjDYN_NONE) or int(model.actuator_actnum[index]) > 0:
         dynamics = mujoco.mjtDyn(int(model.actuator_dyntype[index])).name.removeprefix("mjDYN_").lower()
         return f"it has a state of its own ({dynamics} dynamics)"
+    return None
+
+
+def _unusable_force(model: mujoco.MjModel, index: int) -> str | None:
+    kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
+    gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
     if kind not in KINDS or int(model.actuator_outnum[index]) != 1:
-        return "a plan knows joint, tendon, slider-crank and site transmissions of one force"
+        return "a plan supports joint, tendon, slider-crank and site transmissions of one force"
     if int(model.actuator_ctrlnum[index]) != 1:
         return f"it has {int(model.actuator_ctrlnum[index])} controls, where a plan has one"
     if gain not in (FIXED, AFFINE) or bias not in (NO_BIAS, AFFINE_BIAS):
@@ -135,23 +141,23 @@ def why_not(model: mujoco.MjModel, index: int) -> str | None:
     if not np.any(gear_of(model, index)):
         return "its gear is zero"
     if has_length(model, index) and kind != TRN_SITE and gear_of(model, index)[0] == 0.0:
-        return "its gear is zero but for axes that it has not: on a hinge, slide or tendon the first number counts"
+        return "the first number of its gear is zero, and on a hinge, slide or tendon only that number counts"
     if kind == TRN_TENDON and wraps(model, int(model.actuator_trnid[index, 0])):
         return "its tendon wraps around a geom"
     if _moves(model, index) and not has_length(model, index):
-        return "it is a servo on a rotation, which MuJoCo takes on a circle"
+        return "it is a servo on a rotation, whose length MuJoCo wraps to one turn"
     return None
 
 
 def _switched_off(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether the model's flags or its groups switch an actuator off: it then gives no force, whatever its bias."""
+    """Return True if the model's flags or groups disable an actuator. It then gives no force, not even its bias."""
     group = int(model.actuator_group[index])
     by_group = 0 <= group < 31 and bool(model.opt.disableactuator >> group & 1)
     return by_group or bool(model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_ACTUATION))
 
 
 def _moves(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether the actuator's force depends on its length or velocity at a given ctrl."""
+    """Return True if the actuator's force depends on its length or velocity at a given ctrl."""
     gains, biases = _coefficients(model, index)
     return any(gains[1:]) or any(biases[1:])
 
@@ -165,24 +171,26 @@ def _coefficients(model: mujoco.MjModel, index: int) -> tuple[tuple[float, ...],
 
 
 def is_idle_at_zero(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether an actuator that a plan leaves out, its control at zero, leaves the mechanism alone."""
+    """Return True if an actuator at zero control has no effect that the planner does not model."""
     if int(model.actuator_plugin[index]) >= 0:
         return _switched_off(model, index)
     gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
     affine = gain in (FIXED, AFFINE) and (
         bias == NO_BIAS or (bias == AFFINE_BIAS and not any(_coefficients(model, index)[1]))
     )
-    return (affine or _switched_off(model, index)) and (carries_passive(model, index) or not brings_passive(model, index))
+    return (affine or _switched_off(model, index)) and (
+        passive_terms_modelled(model, index) or not has_passive_terms(model, index)
+    )
 
 
-def brings_passive(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether an actuator has damping or armature of its own."""
+def has_passive_terms(model: mujoco.MjModel, index: int) -> bool:
+    """Return True if an actuator has damping or armature of its own."""
     own = [model.actuator_damping[index], *model.actuator_dampingpoly[index], model.actuator_armature[index]]
     return bool(np.any(own))
 
 
-def carries_passive(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether the tree carries the actuator's own damping and armature: on a hinge, slide or tendon's length."""
+def passive_terms_modelled(model: mujoco.MjModel, index: int) -> bool:
+    """Return True if the tree includes the actuator's own damping and armature: on a hinge, slide or unwrapped tendon."""
     if int(model.actuator_trntype[index]) == int(TRN_TENDON):
         return not wraps(model, int(model.actuator_trnid[index, 0]))
     on_joint = attachment(model, index)
@@ -191,17 +199,17 @@ def carries_passive(model: mujoco.MjModel, index: int) -> bool:
 
 def read_actuators(model: mujoco.MjModel) -> tuple[Actuator, ...]:
     """Return the actuators of a model that a plan can use, in file order."""
-    return tuple(_read(model, index) for index in range(model.nactuator) if why_not(model, index) is None)
+    return tuple(_read(model, index) for index in range(model.nactuator) if unusable_reason(model, index) is None)
 
 
 def effort_matrix(model: mujoco.MjModel, tree: Tree, actuators: tuple[Actuator, ...]) -> ca.SX:
-    """Return B (n_q, n_u), the generalised effort of each actuator's unit effort, an expression of tree.q."""
+    """Return B (n_q, n_u), whose columns are the generalised forces of unit efforts, an expression of tree.q."""
     columns = [moment(model, tree, actuator.index) for actuator in actuators]
     return ca.sparsify(ca.horzcat(ca.SX(tree.q.numel(), 0), *columns))
 
 
 def lengths(model: mujoco.MjModel, tree: Tree, actuators: tuple[Actuator, ...]) -> ca.SX:
-    """Return the actuators' lengths (n_u,) [rad or m], not a number where none is written here: sites and slider-cranks."""
+    """Return the actuators' lengths (n_u,) [rad or m]; NaN for sites and slider-cranks."""
     found = []
     for actuator in actuators:
         first = int(model.actuator_trnid[actuator.index, 0])
@@ -246,7 +254,7 @@ def _read(model: mujoco.MjModel, index: int) -> Actuator:
 
 
 def constant_arms(model: mujoco.MjModel, index: int) -> dict[int, float]:
-    """Return the moments of an actuator on a hinge, slide or fixed tendon, by coordinate; none for any other."""
+    """Return an actuator's constant moment arms by coordinate, empty unless it acts on a hinge, slide or fixed tendon."""
     gear, at = float(gear_of(model, index)[0]), attachment(model, index)
     if at.dof is not None:
         return {at.dof: gear}
@@ -257,7 +265,7 @@ def constant_arms(model: mujoco.MjModel, index: int) -> dict[int, float]:
 
 
 def _clamps(model: mujoco.MjModel, index: int):
-    """Yield the effort limits that clamps of joints and tendons put on an actuator with constant moments."""
+    """Yield the effort limits of an actuator with constant moment arms that follow from joint and tendon clamps."""
     tendon = int(model.actuator_trnid[index, 0])
     if int(model.actuator_trntype[index]) == int(TRN_TENDON) and model.tendon_actfrclimited[tendon]:
         yield _scaled(model.tendon_actfrcrange[tendon], 1.0)
@@ -273,24 +281,25 @@ def _scaled(interval: np.ndarray, factor: float) -> tuple[float, float]:
 
 
 def shared_clamps(model: mujoco.MjModel) -> list[str]:
-    """Return the clamps of joints and tendons that no limit of a single actuator stands for, in words.
+    """Return descriptions of the joint and tendon clamps that no limit of a single actuator can represent.
 
-    MuJoCo clamps the sum of all that act on a joint or tendon; a plan's limits are each actuator's own.
+    MuJoCo clamps the sum of the efforts on a joint or tendon, while a plan limits each effort on its own.
     """
-    usable = [index for index in range(model.nactuator) if why_not(model, index) is None]
-    found = []
-    for joint in range(model.njnt):
-        if not model.jnt_actfrclimited[joint] or int(model.jnt_type[joint]) not in (HINGE, SLIDE):
+    usable = [index for index in range(model.nactuator) if unusable_reason(model, index) is None]
+    found: list[tuple[str, list[int]]] = []
+    for joint in np.flatnonzero(model.jnt_actfrclimited).tolist():
+        if int(model.jnt_type[joint]) not in (HINGE, SLIDE):
             continue
         dof = int(model.jnt_dofadr[joint])
         acting = [index for index in usable if dof in (constant_arms(model, index) or range(model.nv))]
         if len(acting) > 1 or any(not constant_arms(model, index) for index in acting):
-            names = ", ".join(label(model, index) for index in acting)
-            found.append(f"actuatorfrcrange of joint {joint_label(model, joint)}, which limits the sum of {names}")
-    for tendon in range(model.ntendon):
-        on_it = int(TRN_TENDON)
-        acting = [i for i in usable if int(model.actuator_trntype[i]) == on_it and int(model.actuator_trnid[i, 0]) == tendon]
-        if model.tendon_actfrclimited[tendon] and len(acting) > 1:
-            names = ", ".join(label(model, index) for index in acting)
-            found.append(f"actuatorfrcrange of tendon {tendon_label(model, tendon)}, which limits the sum of {names}")
-    return found
+            found.append((f"joint {joint_label(model, joint)}", acting))
+    on_tendon = [index for index in usable if int(model.actuator_trntype[index]) == int(TRN_TENDON)]
+    for tendon in np.flatnonzero(model.tendon_actfrclimited).tolist():
+        acting = [index for index in on_tendon if int(model.actuator_trnid[index, 0]) == tendon]
+        if len(acting) > 1:
+            found.append((f"tendon {tendon_label(model, tendon)}", acting))
+    return [
+        f"actuatorfrcrange of {target}, which limits the sum of {', '.join(label(model, index) for index in acting)}"
+        for target, acting in found
+    ]

@@ -1,9 +1,9 @@
-"""Transmissions: how an actuator's force acts on the joints, as MuJoCo has it, in internal coordinates.
+"""Transmissions: the moment arms of an actuator's force in internal coordinates, with MuJoCo's definitions.
 
     tau = B(q) u,   power = u l',   B = (dl / dq)^T
 
-l is the transmission's length (gear times a joint's position, a tendon's length or a slider-crank's travel). A wrench at a
-site, or on a ball or free joint, has no such length: B is then the site's Jacobian applied to the gear's axes.
+The transmission's length l is gear times a joint's position, a tendon's length or a slider-crank's travel. A wrench at a
+site, or on a ball or free joint, has no length: B is then the transposed Jacobian times the gear's axes.
 """
 
 from dataclasses import dataclass
@@ -24,10 +24,10 @@ KINDS = (TRN_JOINT, TRN_IN_PARENT, TRN_TENDON, TRN_CRANK, TRN_SITE)
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Attachment:
-    """What an actuator acts on, in words and indices.
+    """The target of an actuator.
 
-    `target` is as in a sentence ("joint crank"); `dof` the coordinate of the one hinge or slide that it drives, None for any
-    other transmission; `unit` that of its force.
+    `target` names it ("joint crank"). `dof` is the coordinate of the hinge or slide that the actuator drives, None for any
+    other transmission. `unit` is the unit of the actuator's force.
     """
 
     target: str
@@ -41,7 +41,7 @@ def gear_of(model: mujoco.MjModel, index: int) -> np.ndarray:
 
 
 def attachment(model: mujoco.MjModel, index: int) -> Attachment:
-    """Return what actuator `index` acts on."""
+    """Return the target of actuator `index`."""
     kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
     first, second = (int(i) for i in model.actuator_trnid[index])
     if kind in (TRN_JOINT, TRN_IN_PARENT):
@@ -66,9 +66,9 @@ def _site(model: mujoco.MjModel, site: int) -> str:
 
 
 def has_length(model: mujoco.MjModel, index: int) -> bool:
-    """Return whether the actuator's length is a position on a line, which a servo's bias may depend on.
+    """Return True if the actuator's length is not periodic, so that a servo's bias can depend on it.
 
-    Rotations of ball joints and sites are lengths on a circle to MuJoCo, and a wrench without reference has none.
+    MuJoCo wraps rotations of ball joints and sites to one turn. A wrench without a reference site has no length.
     """
     kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
     if kind in (TRN_JOINT, TRN_IN_PARENT):
@@ -79,14 +79,14 @@ def has_length(model: mujoco.MjModel, index: int) -> bool:
 
 
 def moment(model: mujoco.MjModel, tree: Tree, index: int) -> ca.SX:
-    """Return the actuator's column of B (n_q,), zero entries left out where the transmission cannot reach."""
+    """Return the actuator's column of B (n_q,), sparse."""
     kind = mujoco.mjtTrn(int(model.actuator_trntype[index]))
     gear, first = gear_of(model, index), int(model.actuator_trnid[index, 0])
     if kind in (TRN_JOINT, TRN_IN_PARENT):
         return _on_joint(model, tree, first, gear, in_parent=kind == TRN_IN_PARENT)
     if kind == TRN_TENDON:
         length = tree.tendon_lengths[first]
-        assert length is not None, "a tendon without an expression is no transmission: see actuators.why_not"
+        assert length is not None, "a tendon without an expression is no transmission: see actuators.unusable_reason"
         return gear[0] * ca.jacobian(length, tree.q).T
     if kind == TRN_CRANK:
         return gear[0] * ca.jacobian(_crank_travel(model, tree, index), tree.q).T
@@ -113,10 +113,7 @@ def _on_joint(model, tree: Tree, joint: int, gear: np.ndarray, in_parent: bool) 
 
 
 def _crank_travel(model, tree: Tree, index: int) -> ca.SX:
-    """Return where the slider stands on its axis: the foot of the crank's pin, less what the rod leans.
-
-    As in MuJoCo it is the foot itself where the rod is too short to reach the axis.
-    """
+    """Return the slider's position [m] on its axis. As in MuJoCo, a rod that is too short counts as normal to the axis."""
     crank, slider = (int(i) for i in model.actuator_trnid[index])
     to_crank = _place(model, tree, crank) - _place(model, tree, slider)
     frame = tree.frames[int(model.site_bodyid[slider])]
@@ -124,12 +121,12 @@ def _crank_travel(model, tree: Tree, index: int) -> ca.SX:
     along = ca.dot(to_crank, axis)
     rod = float(model.actuator_cranklength[index])
     square = along**2 + rod**2 - ca.dot(to_crank, to_crank)
-    # The root's argument is kept away from where it has no derivative: a product with zero would not help.
+    # The inner if_else keeps the derivative of the square root finite in the branch that is not used.
     return along - ca.if_else(square > 0, ca.sqrt(ca.if_else(square > 0, square, 1)), 0)
 
 
 def _at_site(model, tree: Tree, index: int, gear: np.ndarray) -> ca.SX:
-    """Return J^T of a wrench along a site's axes, or a reference site's, which then sees the difference of the two."""
+    """Return J^T times a wrench along a site's axes, or along a reference site's axes with the relative Jacobian."""
     site, reference = (int(i) for i in model.actuator_trnid[index])
     body = int(model.site_bodyid[site])
     holder = site if reference < 0 else reference
@@ -145,7 +142,7 @@ def _at_site(model, tree: Tree, index: int, gear: np.ndarray) -> ca.SX:
             column += ca.jacobian(velocity, tree.qd).T @ (R @ ca.DM(axis))
     if reference < 0:
         return column
-    # Joints that carry both sites move them together: MuJoCo leaves those out.
+    # MuJoCo ignores the joints that carry both sites.
     keep = ca.DM.ones(tree.q.numel())
     above = common_ancestor(model, body, holder_body)
     while above:

@@ -1,4 +1,4 @@
-"""A closed pose in words to paste: a keyframe of the model, the keys of a problem's [mechanism] table."""
+"""A closed pose as text: a keyframe of the model, or keys of a problem's [mechanism] table."""
 
 import json
 import re
@@ -15,29 +15,29 @@ from linkplan.models.errors import AssemblyError, LockedError, UnassembledError
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint
 
-# A pose is written to a millionth of a degree; assembly closes what is left.
-_DECIMALS = 6
-# A keyframe closes its loops by itself to a nanometre, far below what is called open.
-_DIGITS = 10
+# Decimals of an angle [deg] in a problem file; assembly removes the rounding. Lengths [m] have three more.
+_ANGLE_DECIMALS = 6
+# Significant digits of a keyframe: its loops then close to a nanometre without assembly.
+_KEYFRAME_DIGITS = 10
 
 
 def keyframe_of(coordinates: Coordinates, pose: np.ndarray) -> str:
     """Return the MJCF keyframe "home" of a pose (n_q,)."""
-    qpos = np.where(np.abs(values := coordinates.qpos_of(pose)) < 10.0**-_DIGITS, 0.0, values)
-    return f'<keyframe><key name="home" qpos="{" ".join(f"{x:.{_DIGITS}g}" for x in qpos)}"/></keyframe>'
+    qpos = np.where(np.abs(values := coordinates.qpos_of(pose)) < 10.0**-_KEYFRAME_DIGITS, 0.0, values)
+    return f'<keyframe><key name="home" qpos="{" ".join(f"{x:.{_KEYFRAME_DIGITS}g}" for x in qpos)}"/></keyframe>'
 
 
 def home_of(joints: Sequence[Joint], pose: np.ndarray) -> dict[str, dict[str, float]]:
-    """Return the tables home_deg and home_m of a pose (n_q,), those that have joints."""
+    """Return the tables home_deg and home_m of a pose (n_q,), without empty ones."""
     tables: dict[str, dict[str, float]] = {}
     for joint, x in zip(joints, pose, strict=True):
-        decimals = _DECIMALS if joint.kind == "hinge" else _DECIMALS + 3
+        decimals = _ANGLE_DECIMALS if joint.kind == "hinge" else _ANGLE_DECIMALS + 3
         tables.setdefault(f"home_{joint.unit}", {})[joint.name] = round(joint.shown(x), decimals) + 0.0
     return tables
 
 
 def home_text(tables: dict[str, dict[str, float]]) -> str:
-    """Return home_deg and home_m as a problem file's [mechanism] table has them."""
+    """Return home_deg and home_m as lines of a problem file's [mechanism] table."""
     rows = []
     for key, table in tables.items():
         values = ", ".join(f"{_key(joint)} = {x:.10g}" for joint, x in table.items())
@@ -46,20 +46,20 @@ def home_text(tables: dict[str, dict[str, float]]) -> str:
 
 
 def _key(name: str) -> str:
-    """Return a name as a key of TOML: quoted where it is more than letters, digits, dashes."""
+    """Return a name as a TOML key, quoted if it contains anything but letters, digits, dashes and underscores."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def with_closed_pose(
     error: UnassembledError, joints: Sequence[Joint], coordinates: Coordinates, pose: np.ndarray | None
 ) -> UnassembledError:
-    """Return a refusal that offers a closed pose (n_q,), or says that none was found."""
+    """Return an error that offers a closed pose (n_q,), or states that none was found."""
     if pose is None:
-        said = "no closed pose was found near it: the links may be too short; else name one with mechanism.home_deg"
-        return UnassembledError(f"{error}; {said}", error.gap_m)
+        hint = "no closed pose was found near it: the links may be too short; else name one with mechanism.home_deg"
+        return UnassembledError(f"{error}; {hint}", error.gap_m)
     home = home_of(joints, pose)
-    said = f"nearest closed pose found: mechanism.{' and mechanism.'.join(home_text(home).splitlines())}"
-    return UnassembledError(f"{error}; {said}", error.gap_m, keyframe_of(coordinates, pose), home)
+    hint = f"nearest closed pose found: mechanism.{' and mechanism.'.join(home_text(home).splitlines())}"
+    return UnassembledError(f"{error}; {hint}", error.gap_m, keyframe_of(coordinates, pose), home)
 
 
 def locked_or_singular(
@@ -71,9 +71,10 @@ def locked_or_singular(
     pose: np.ndarray,
     unit: np.ndarray,
 ) -> AssemblyError:
-    """Return the refusal of a pose (n_q,) from which a joint cannot move: of a singular one, with another, or of a lock.
+    """Return the error for a pose (n_q,) at which a joint cannot move.
 
-    A parallelogram drawn flat has fewer independent rows there than elsewhere; a truss drawn flat is nowhere else closed.
+    At a singular pose (a flat parallelogram) the error offers a regular closed pose. Otherwise the mechanism is locked (a
+    flat truss) and the error names the closures that lock it.
     """
     jacobian, share = loop.residual(pose)[1] * unit, loop.rank_tolerance
     other = nearest_closed_pose(loop, joints, pose, unit)

@@ -1,15 +1,15 @@
 """Loop closure: the equations phi(q) = 0 of a model's equality constraints.
 
-A connect asks two points to coincide (three rows), a weld two frames (six), a joint or tendon equality asks a position or
-length to be a quartic polynomial of another (one row). The residuals are MuJoCo's own, with three changes that leave their
-zeros where they are:
+A connect makes two points coincide (three rows). A weld makes two frames coincide (six rows). A joint or tendon equality
+makes a position or length a quartic polynomial of another (one row). The residuals are MuJoCo's own, with three changes that
+keep their zeros:
 
-* All rows are lengths [m]. A weld's rotation rows are 2 sin(theta / 2) axis, the angle where it is small, times the
-  mechanism's extent; so is the row of a joint equality on a hinge. An angle then counts by what it moves, forces on all
-  rows are newtons, and one tolerance serves all.
-* A loop that rides on a moving body is closed in that body's frame: two points tied within a leg have their rows along the
-  leg's axes and not the world's, so that a planar loop keeps its two independent rows however the leg turns.
-* A second connect between the same two bodies has only the rows across the line of the pins (`second_pin`).
+* All rows are lengths [m]. A weld's rotation rows are 2 sin(theta / 2) axis times the mechanism's extent, and the row of a
+  joint equality on a hinge is the angle times the extent. Forces on all rows are therefore newtons, and one tolerance
+  applies to all rows.
+* The rows lie along the axes of the nearest body that carries both tied bodies. A planar loop on a moving leg therefore
+  keeps its two independent rows when the leg turns.
+* A second connect between the same two bodies has only the rows normal to the line through the two pins (`second_pin`).
 """
 
 from collections.abc import Sequence
@@ -19,9 +19,10 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.closure.second_pin import across
+from linkplan.models.closure.second_pin import second_pin_residual
 from linkplan.models.errors import ModelError
 from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in
+from linkplan.models.tree.passive import disabled
 from linkplan.models.tree.rotations import product
 from linkplan.models.tree.size import extent_m
 from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label
@@ -33,11 +34,11 @@ JOINT, TENDON = mujoco.mjtEq.mjEQ_JOINT, mujoco.mjtEq.mjEQ_TENDON
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Closure:
-    """One gap of an equality constraint: rows of phi [m] that belong together.
+    """One gap of an equality constraint: the rows of phi [m] that form one vector.
 
-    A weld has two, its point and its orientation. `unit` is that of the gap as a designer counts it, "m" or "rad", and
-    `per_unit` what one of it counts in the rows: an angle's lever, a tendon's moment arm at the joint that moves it most.
-    `frame` is the body whose axes the rows lie along, 0 for the world's; `scale` makes the residual of MuJoCo's row.
+    A weld has two gaps, its point and its orientation. `unit` is the gap's natural unit, "m" or "rad", and `per_unit` the
+    length [m] of one such unit in the rows: an angle's lever, or a tendon's largest moment arm. The rows lie along the axes
+    of body `frame` (0 is the world). MuJoCo's own residual times `scale` is `residual`.
     """
 
     name: str
@@ -51,12 +52,12 @@ class Closure:
     per_unit: float
 
     def gap(self, phi: np.ndarray) -> np.ndarray:
-        """Return how far the gap stands open, [m] or [rad] as `unit` says, from values of all rows (..., n_rows)."""
+        """Return the size of the gap [`unit`] from values of all rows (..., n_rows)."""
         return np.linalg.norm(phi[..., self.rows], axis=-1) / self.per_unit
 
 
 def gaps_by_unit(closures: Sequence[Closure], phi: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the largest gap (...,) of closures in each unit of theirs, "m" or "rad", from all rows (..., n_rows)."""
+    """Return the largest gap (...,) of the closures in each unit, "m" or "rad", from all rows (..., n_rows)."""
     found: dict[str, np.ndarray] = {}
     for closure in closures:
         gap = closure.gap(phi)
@@ -68,14 +69,12 @@ def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
     """Return the active loop closures of a model.
 
     Raises:
-        ModelError: for an active equality constraint of a kind that has no equation here.
+        ModelError: if an active equality constraint is of another kind.
     """
     closures: list[Closure] = []
-    off = mujoco.mjtDisableBit.mjDSBL_EQUALITY.value | mujoco.mjtDisableBit.mjDSBL_CONSTRAINT.value
-    disabled = model.opt.disableflags & off
-    for index in range(model.neq):
-        if not model.eq_active0[index] or disabled:
-            continue
+    if disabled(model, mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
+        return ()
+    for index in np.flatnonzero(model.eq_active0).tolist():
         kind = mujoco.mjtEq(int(model.eq_type[index]))
         if kind not in _READERS:
             raise ModelError(
@@ -102,7 +101,7 @@ def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
 
 
 def equality_name(model: mujoco.MjModel, index: int) -> str:
-    """Return the constraint's own name, or one made of what it ties."""
+    """Return the constraint's own name, or a name made from the two elements that it ties."""
     name = model.equality(index).name
     if name:
         return name
@@ -116,28 +115,28 @@ def equality_name(model: mujoco.MjModel, index: int) -> str:
     return "-".join(element(i).name or str(i) for i in tied)
 
 
-def _seen(model: mujoco.MjModel, tree: Tree, bodies: list[int]) -> tuple[int, list[Frame]]:
+def _common_frames(model: mujoco.MjModel, tree: Tree, bodies: list[int]) -> tuple[int, list[Frame]]:
     ancestor = common_ancestor(model, *bodies)
     return ancestor, [frame_in(tree, ancestor, body) for body in bodies]
 
 
 def _connect(model: mujoco.MjModel, tree: Tree, index: int):
     ends = tied_points(model, index)
-    frame, frames = _seen(model, tree, [body for body, _ in ends])
+    frame, frames = _common_frames(model, tree, [body for body, _ in ends])
     first, second = _places(frames, ends)
-    beside = pin_beside(model, index)
-    if beside is not None:
-        before = _in_order(tied_points(model, beside), ends)
+    earlier = earlier_pin(model, index)
+    if earlier is not None:
+        before = _in_order(tied_points(model, earlier), ends)
         own = np.array([[place for _, place in pin] for pin in (before, ends)])
-        apart = across(_places(frames, before), (first, second), own, tree.q)
-        if apart is not None:
-            yield "point", apart, frame, 1.0, ("m", 1.0)
+        residual = second_pin_residual(_places(frames, before), (first, second), own, tree.q)
+        if residual is not None:
+            yield "point", residual, frame, 1.0, ("m", 1.0)
             return
     yield "point", first - second, frame, 1.0, ("m", 1.0)
 
 
-def pin_beside(model: mujoco.MjModel, index: int) -> int | None:
-    """Return the first active connect between the bodies that a connect ties, where that is an earlier one, else None."""
+def earlier_pin(model: mujoco.MjModel, index: int) -> int | None:
+    """Return the first active connect before `index` between the same two bodies, or None."""
     bodies = sorted(body for body, _ in tied_points(model, index))
     if int(model.eq_type[index]) != CONNECT or bodies[0] == bodies[1]:
         return None
@@ -149,12 +148,12 @@ def pin_beside(model: mujoco.MjModel, index: int) -> int | None:
     return None
 
 
-def pins_together(model: mujoco.MjModel, closures: Sequence[Closure]) -> list[list[int]]:
-    """Return the rows of phi by closure, and after them those of pins that make a hinge together."""
+def rows_by_pin(model: mujoco.MjModel, closures: Sequence[Closure]) -> list[list[int]]:
+    """Return the rows of phi of each closure, followed by the rows of each pair of pins that forms a hinge."""
     rows = [(gap, list(range(gap.rows.start, gap.rows.stop))) for gap in closures]
     of = {gap.index: own for gap, own in rows if gap.kind == "point"}
-    beside = [(gap.index, pin_beside(model, gap.index)) for gap in closures if gap.kind == "point"]
-    pairs = [of[first] + of[index] for index, first in beside if first in of]
+    earlier = [(gap.index, earlier_pin(model, gap.index)) for gap in closures if gap.kind == "point"]
+    pairs = [of[first] + of[index] for index, first in earlier if first in of]
     return [own for _, own in rows] + pairs
 
 
@@ -164,27 +163,27 @@ def _places(frames: list[Frame], ends: list[tuple[int, np.ndarray]]) -> tuple[ca
 
 
 def _in_order(pin: list[tuple[int, np.ndarray]], of: list[tuple[int, np.ndarray]]) -> list[tuple[int, np.ndarray]]:
-    """Return a pin's two ends in the order in which another names the bodies."""
+    """Return a pin's two ends in the body order of the pin `of`."""
     return pin if pin[0][0] == of[0][0] else pin[::-1]
 
 
 def _weld(model: mujoco.MjModel, tree: Tree, index: int):
-    """Yield the point, and the orientation unless `torquescale` is zero, which leaves a connect."""
+    """Yield the point's rows, and the orientation's rows unless `torquescale` is zero."""
     yield from _connect(model, tree, index)
     torquescale = float(model.eq_data[index, 10])
     if torquescale == 0:
         return
     bodies = [body for body, _ in tied_points(model, index)]
-    _, (first, second) = _seen(model, tree, bodies)
+    _, (first, second) = _common_frames(model, tree, bodies)
     if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
         turns = [model.site_quat[model.eq_obj1id[index]], model.site_quat[model.eq_obj2id[index]]]
     else:
         turns = [model.eq_data[index, 6:10] / np.linalg.norm(model.eq_data[index, 6:10]), np.array([1.0, 0, 0, 0])]
     q_1, q_2 = (product(f.quaternion, ca.SX(ca.DM(turn))) for f, turn in zip((first, second), turns, strict=True))
-    apart = product(ca.vertcat(q_2[0], -q_2[1:]), q_1)
+    relative = product(ca.vertcat(q_2[0], -q_2[1:]), q_1)
     lever = extent_m(model)
-    # Rows of MuJoCo's: torquescale times the vector part. Its scalar part is one where the weld holds, or minus one.
-    yield "orientation", 2 * lever * apart[1:], bodies[1], 2 * lever / torquescale, ("rad", lever)
+    # MuJoCo's rows are torquescale times the quaternion's vector part. The scalar part is 1 or -1 where the weld holds.
+    yield "orientation", 2 * lever * relative[1:], bodies[1], 2 * lever / torquescale, ("rad", lever)
 
 
 def _polynomial(model: mujoco.MjModel, index: int, y: ca.SX, x: ca.SX | None) -> ca.SX:
@@ -220,10 +219,7 @@ def _tendon(model: mujoco.MjModel, tree: Tree, index: int):
 
 
 def _moved_most(model: mujoco.MjModel, tendon: int) -> tuple[str, float]:
-    """Return the unit of the joint that moves a fixed tendon most, and by how much of its length one of that does.
-
-    A length of hinges may be an angle, where its coefficients are ratios, or a length, where they are moment arms.
-    """
+    """Return the unit of the joint with a fixed tendon's largest coefficient, and that coefficient."""
     arms = tendon_joints(model, tendon)
     dof = max(arms, key=lambda one: abs(arms[one]))
     unit = "rad" if int(model.jnt_type[model.dof_jntid[dof]]) == HINGE else "m"

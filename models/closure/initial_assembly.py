@@ -1,7 +1,8 @@
-"""Initial assembly: the home pose near a reference, the poses about it, and the refusal of a singular one."""
+"""Initial assembly: the home pose near a reference pose, closed poses near home, and the check for a singular home."""
 
+import itertools
 import numbers
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from random import Random
 
@@ -11,28 +12,25 @@ from linkplan.models.closure import newton
 from linkplan.models.closure.newton import KinematicLoop
 from linkplan.models.closure.rank import numerical_rank
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
-from linkplan.models.tree.joints import Joint, index_of, where
+from linkplan.models.tree.joints import Joint, index_of, unit_steps, where
 
-# Joint angles named in `home` beside the independent ones choose a branch; the loop may settle this far from them.
+# Largest distance [rad or m] between a dependent joint's position in `home` and its closed position on the same branch.
 HOME_TOLERANCE = np.radians(5.0)
-# No joint is asked to stand further out than this [rad or m].
-_FARTHEST = 1e3
-# Steps from the home pose that test whether it is a regular one [rad; on a slide, of the model's extent]: the shorter where
-# the longer opens the loop, next to an end of the reach.
+
+# Steps that test whether a joint can move from home [rad; extents on a slide]. The short one serves next to an end of reach.
 _HOME_STEPS = (0.02, 0.002)
-# Poses sampled about home, and how far away they are [rad; on a slide, of the model's extent].
-_NEARBY = 4
+# Distance of the sampled nearby poses from home [rad; extents on a slide].
 _NEARBY_STEP = 0.15
 
 
 def home_positions(name: str, joints: tuple[Joint, ...], home: Mapping[str, float] | None) -> dict[int, float]:
-    """Return the positions [rad or m] that `home` asks for, by joint index."""
+    """Return the positions [rad or m] in `home` by joint index."""
     asked = {}
     for joint, value in (home or {}).items():
         index = index_of(name, joints, joint)
         number = isinstance(value, numbers.Real) and not isinstance(value, bool)
-        if not number or not abs(value) < _FARTHEST:
-            raise ModelError(f"home of joint '{joint}' is a finite position within {_FARTHEST:g} rad or m, got {value!r}")
+        if not number or not abs(value) < 1000:
+            raise ModelError(f"home of joint '{joint}' is a finite position within 1000 rad or m, got {value!r}")
         asked[index] = float(value)
     return asked
 
@@ -45,11 +43,14 @@ def assemble(
     asked: dict[int, float],
     tolerance_m: float = newton.CLOSED_M,
 ) -> np.ndarray:
-    """Return a pose that closes every loop, with the asked joints held as far as the loops leave them free.
+    """Return a pose that closes every loop, with the asked joints at their values as far as the loops allow.
 
-    From the reference pose along a straight line to the asked one where that closes, which stays on the reference's
-    branch; else by Newton from the asked values, which then choose the branch. Where nothing closes to rounding, a gap
-    within `tolerance_m` [m] will do: that of a file whose points are rounded.
+    The asked joints first move on a straight line from the closed reference pose, which keeps the reference's branch. If a
+    loop opens on the way, Newton starts from the asked values, which then choose the branch. If no pose closes to
+    rounding, a gap up to `tolerance_m` [m] is accepted (the points of the file may be rounded).
+
+    Raises:
+        AssemblyError: if no closed pose is found.
     """
     try:
         return _assemble(name, joints, loop, reference, asked)
@@ -75,31 +76,35 @@ def _assemble(
     base = near if gap <= loop.closed_m else reference
     start = np.array([asked.get(i, base[i]) for i in everything])
     unnamed = [i for i in everything if i not in asked]
-    poses = []
-    if gap <= loop.closed_m:
-        poses.append(newton.follow(loop, near, asked))
-    # Where more joints are named than the loop leaves free, the first are held and the others choose the branch. Unnamed
-    # joints may start on another branch than the reference's: each is tried all round as well.
+    # Unnamed joints may belong to another branch than the reference's: quarter turns of them are further starts.
     starts = [start, *(_turned(joints, start, unnamed) if len(asked) > 1 else [])]
-    for n_held in range(len(asked), 0, -1):
-        held = list(asked)[:n_held]
-        free = [i for i in everything if i not in held]
-        for trial in starts:
-            guess = newton.close(loop, trial, unnamed)[0] if n_held < len(asked) and unnamed else trial
-            poses.append(newton.close(loop, guess, free))
-            for pose, open_by in poses:
-                away = max(abs(pose[i] - value) for i, value in asked.items())
-                if open_by <= loop.closed_m and away <= HOME_TOLERANCE:
-                    return pose
-            poses.clear()
+    from_reference = [newton.follow(loop, near, asked)] if gap <= loop.closed_m else []
+    for pose, gap in itertools.chain(from_reference, _trial_poses(loop, starts, list(asked), unnamed)):
+        away = max(abs(pose[i] - value) for i, value in asked.items())
+        if gap <= loop.closed_m and away <= HOME_TOLERANCE:
+            return pose
     gap = min(newton.least_gap(loop, trial, unnamed) for trial in starts)
     raise AssemblyError(
         f"mechanism '{name}' does not close at {where(joints, asked)}: the loop stays open by {1e3 * gap:.3g} mm"
     )
 
 
+def _trial_poses(
+    loop: KinematicLoop, starts: list[np.ndarray], asked: list[int], unnamed: list[int]
+) -> Iterator[tuple[np.ndarray, float]]:
+    """Yield poses and their gaps by Newton from `starts`, with fewer and fewer of the asked joints held.
+
+    More joints may be asked than the loop leaves free. The first are then held, and the others only choose the branch.
+    """
+    for n_held in range(len(asked), 0, -1):
+        free = [i for i in range(len(starts[0])) if i not in asked[:n_held]]
+        for trial in starts:
+            guess = newton.close(loop, trial, unnamed)[0] if n_held < len(asked) and unnamed else trial
+            yield newton.close(loop, guess, free)
+
+
 def _turned(joints, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
-    """Return `start` with its unnamed hinges turned by quarters, together: places to look for another branch from."""
+    """Return `start` with all unnamed hinges turned by one, two and three quarter turns, as starts on other branches."""
     hinges = [i for i in unnamed if joints[i].kind == "hinge" and joints[i].chart is None]
     turned = []
     for quarter in (1, 2, 3) if hinges else ():
@@ -109,20 +114,21 @@ def _turned(joints, start: np.ndarray, unnamed: list[int]) -> list[np.ndarray]:
     return turned
 
 
-def poses_about(loop: KinematicLoop, home: np.ndarray, unit: np.ndarray) -> list[np.ndarray]:
-    """Return closed poses some way off the home pose, in directions that the loops leave free there.
+def nearby_poses(loop: KinematicLoop, home: np.ndarray, unit: np.ndarray, n_poses: int = 4) -> list[np.ndarray]:
+    """Return closed poses near the home pose, in random directions that the loops leave free there.
 
     Args:
         loop: the closure.
         home: a closed pose (n_q,).
-        unit: what counts as a radian for each joint (n_q,) [rad or m].
+        unit: the length of one unit step of each joint (n_q,) [rad or m].
+        n_poses: number of directions.
     """
     jacobian = loop.residual(home)[1] * unit
     rank = numerical_rank(jacobian, loop.rank_tolerance)
     free = np.linalg.svd(jacobian)[2][rank:].T if jacobian.size else np.eye(len(home))
-    random = Random(0)  # the standard library's: numpy's takes as long to load as a loop to close
+    random = Random(0)  # the standard library's generator: numpy's takes as long to load as the assembly takes
     found = []
-    for _ in range(_NEARBY if free.shape[1] else 0):
+    for _ in range(n_poses if free.shape[1] else 0):
         direction = free @ [random.gauss(0.0, 1.0) for _ in range(free.shape[1])]
         trial = home + _NEARBY_STEP * unit * direction / np.abs(direction).max()
         pose, gap = newton.close(loop, trial, list(range(len(home))))
@@ -140,9 +146,9 @@ def refuse_singular_assembly(
     extent: float,
     about: list[np.ndarray],
 ) -> None:
-    """Refuse a home pose where the rank is not that of its neighbours, or from which nothing can move.
+    """Refuse a home pose at which an independent joint cannot move, or whose closure rank is below the rank nearby.
 
-    A parallelogram drawn flat, or a truss of three bars in a line, shows fewer independent rows there than it has.
+    A parallelogram drawn flat, or a truss of three bars in a line, has fewer independent rows there than elsewhere.
 
     Args:
         name: of the mechanism.
@@ -150,19 +156,18 @@ def refuse_singular_assembly(
         loop: its closure.
         pose: its home (n_q,).
         independent: indices of the independent joints.
-        extent: of what moves [m].
+        extent: the mechanism's size [m].
         about: further closed poses.
 
     Raises:
-        LockedError: where an independent joint cannot move.
-        UnassembledError: where the pose is singular.
+        LockedError: if an independent joint cannot move.
+        UnassembledError: if the pose is singular.
     """
-    unit = np.array([1.0 if joint.kind == "hinge" else extent for joint in joints])
+    unit = unit_steps(joints, extent)
     rank = numerical_rank(loop.residual(pose)[1] * unit, loop.rank_tolerance)
     held = [int(i) for i in independent]
     rest = [i for i in range(len(joints)) if i not in held]
-    # Where several loops lie flat at once, motions are free to first order that no pose nearby has: what cannot move alone
-    # there says less than the rank.
+    # The rank is checked first: where several loops lie flat at once, a joint that cannot move alone is no sign of a lock.
     away = [q for q in about if np.abs((q - pose) / unit).max() > 0.5 * _NEARBY_STEP]
     _refuse_lower_rank(name, loop, rank, away, unit)
     neighbours = list(about)
@@ -171,7 +176,7 @@ def refuse_singular_assembly(
         for step in _HOME_STEPS:
             for change in (step, -step):
                 trial = np.array(pose)
-                trial[index] += change * (1.0 if joints[index].kind == "hinge" else extent)
+                trial[index] += change * unit[index]
                 neighbour, gap = newton.close(loop, trial, rest)
                 if gap <= loop.closed_m:
                     moved = True

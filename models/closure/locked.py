@@ -1,4 +1,4 @@
-"""Locked mechanisms: refused with the closures that lock them, each by the freedom that there would be without it."""
+"""Locked mechanisms: the error that names the closures which lock a mechanism, and the freedom gained without each."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -10,26 +10,22 @@ from linkplan.models.closure.mobility import Mobility
 from linkplan.models.closure.rank import numerical_rank, weak_rank
 from linkplan.models.errors import LockedError
 
-# Closures are left out by so many at a time to see which lock a mechanism, more than two only where two do not; and so many
-# sets of them are named.
-_TOGETHER, _ALWAYS, _SETS = 3, 2, 8
-
 
 def refuse_locked(
     name: str, n_joints: int, closures: Sequence[Closure], jacobian: np.ndarray, mobility: Mobility, tolerance_m: float
 ) -> None:
-    """Refuse a mechanism whose closures leave nothing to move.
+    """Refuse a mechanism with no degree of freedom.
 
     Args:
         name: of the mechanism.
         n_joints: of its tree.
         closures: of the mechanism.
-        jacobian: of phi at a closed pose (n_rows, n_joints), in units of what counts as a radian.
-        mobility: as judged there.
-        tolerance_m: the gap [m] that was allowed.
+        jacobian: of phi at a closed pose (n_rows, n_joints), with columns per unit step of each joint [m].
+        mobility: its mobility there.
+        tolerance_m: the allowed gap [m].
 
     Raises:
-        LockedError: with the closures without which it would move.
+        LockedError: if the mechanism is locked; the message names the closures that lock it.
     """
     share = mobility.loop.rank_tolerance
     rank = numerical_rank(jacobian, share)
@@ -44,21 +40,24 @@ def refuse_locked(
 
 
 def locked_by(error: LockedError, closures: Sequence[Closure], jacobian: np.ndarray, share: float) -> LockedError:
-    """Return the refusal of a locked mechanism that names the closures which lock it; the Jacobian as of `refuse_locked`."""
-    freed = without_which_it_moves(closures, jacobian, share)
-    return LockedError(f"{error}{freed_words(freed)}", freed)
+    """Return the error with the closures that lock the mechanism added. The Jacobian is the one of `refuse_locked`."""
+    freed = freedoms_without(closures, jacobian, share)
+    return LockedError(f"{error}{_freed_text(freed)}", freed)
 
 
-def without_which_it_moves(closures: Sequence[Closure], jacobian: np.ndarray, share: float) -> dict[str, int]:
-    """Return the degrees of freedom that come with leaving out a closure, or the orientation of a weld, by what is left out.
+def freedoms_without(
+    closures: Sequence[Closure], jacobian: np.ndarray, share: float, *, max_size: int = 3, max_listed: int = 8
+) -> dict[str, int]:
+    """Return the degrees of freedom gained by leaving out closures, or orientations of welds, by the names left out.
 
-    Sets that do so only together have their names joined by " and ".
+    A key joins names with " and " if only the set frees the mechanism. Sets of `max_size` closures are tried only if no
+    smaller set frees it. At most `max_listed` sets are returned.
     """
     least = numerical_rank(jacobian, share)
     parts = list(_parts(closures))
     found: dict[frozenset[str], int] = {}
-    for size in range(1, _TOGETHER + 1):
-        if size > _ALWAYS and found:
+    for size in range(1, max_size + 1):
+        if size == max_size and found:
             break
         for chosen in itertools.combinations(parts, size):
             names = frozenset(part for part, _ in chosen)
@@ -69,12 +68,12 @@ def without_which_it_moves(closures: Sequence[Closure], jacobian: np.ndarray, sh
             if more:
                 found[names] = more
     order = [part for part, _ in parts]
-    said = {" and ".join(sorted(names, key=order.index)): more for names, more in found.items()}
-    return dict(itertools.islice(said.items(), _SETS))
+    named = {" and ".join(sorted(names, key=order.index)): more for names, more in found.items()}
+    return dict(itertools.islice(named.items(), max_listed))
 
 
 def _parts(closures: Sequence[Closure]) -> Iterator[tuple[str, list[int]]]:
-    """Yield what may be left out, in words, with its rows."""
+    """Yield the names of the closures, and of the orientations of welds, with their rows."""
     rows: dict[int, list[int]] = {}
     for gap in closures:
         rows.setdefault(gap.index, []).extend(range(gap.rows.start, gap.rows.stop))
@@ -86,11 +85,10 @@ def _parts(closures: Sequence[Closure]) -> Iterator[tuple[str, list[int]]]:
             yield f"weld {gap.name}'s orientation", list(range(gap.rows.start, gap.rows.stop))
 
 
-def freed_words(freed: dict[str, int]) -> str:
-    """Return the words on the closures that lock a mechanism, to follow a sentence."""
+def _freed_text(freed: dict[str, int]) -> str:
+    """Return the clause that lists the closures which lock a mechanism, empty if there are none."""
     if not freed:
         return ""
-
     parts = [f"{part} ({more})" for part, more in freed.items()]
     first = next(iter(freed.values()))
     parts[0] = parts[0].replace(f"({first})", f"({first} degree{'s' if first > 1 else ''} of freedom)")

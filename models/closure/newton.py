@@ -7,25 +7,21 @@ import numpy as np
 
 from linkplan.models.closure.rank import RANK_TOLERANCE
 
-# A loop counts as closed below this gap: a hundredth of the 1e-9 m that certificates promise, a hundred thousand times
-# the rounding of coordinates of order one metre.
+# Largest gap [m] of a closed loop: a hundredth of the 1e-9 m that certificates promise, and far above rounding.
 CLOSED_M = 1e-11
 
-_MAX_STEPS = 100
-# A step turns no joint further than this [rad or m], which keeps Newton on the branch that it starts from.
+# Longest step of a joint [rad or m]: short enough for Newton to stay on its branch.
 _MAX_STEP = 0.3
-# Steps are taken along singular vectors down to this share of the largest singular value.
-_LEAST_SHARE = 1e-10
-# Two degrees, the step of `follow`.
-_FOLLOW_STEP = 0.035
+# Newton ignores singular values of J below this share of the largest.
+_LEAST_SINGULAR_SHARE = 1e-10
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class KinematicLoop:
-    """The closure as numbers: `function` maps q to phi [m] and J, and `rows` are the rows that are one gap each.
+    """The closure as numbers: `function` maps q to phi [m] and J, and each slice of `rows` is one gap.
 
-    `closed_m` is the gap [m] below which a loop counts as closed, `rank_tolerance` the share of the largest singular value
-    below which one counts as none: both larger where a file's rounding is in them, see `closure.mobility`.
+    A loop counts as closed below the gap `closed_m` [m]. Singular values below `rank_tolerance` times the largest count as
+    zero. Both tolerances are larger for a file with rounded numbers, see `closure.mobility`.
     """
 
     function: ca.Function
@@ -39,22 +35,22 @@ class KinematicLoop:
         return np.array(phi).ravel(), np.array(jacobian).reshape(-1, len(q))
 
     def gap(self, phi: np.ndarray) -> float:
-        """Return the largest gap [m] in values of phi, an angle by what it moves at its lever."""
+        """Return the largest gap [m] in values of phi; an angle counts with its lever."""
         return max((float(np.linalg.norm(phi[rows])) for rows in self.rows), default=0.0)
 
 
 def close(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> tuple[np.ndarray, float]:
     """Return the pose that Newton reaches from `start` by moving the joints in `free`, and its largest gap [m].
 
-    Minimum-norm steps, so that redundant rows and spare freedom do no harm; steps are shortened where they would be
-    long or do not reduce the residual. The pose is the best found, closed or not.
+    The steps have minimum norm, so redundant rows and spare freedom do no harm. Steps are shortened if they are too long or
+    do not reduce the residual. The pose may be open.
     """
     q = np.array(start, dtype=float)
     phi, jacobian = loop.residual(q)
     if phi.size == 0 or not free:
         return q, loop.gap(phi)
-    rcond = _LEAST_SHARE if loop.rank_tolerance <= RANK_TOLERANCE else loop.rank_tolerance
-    for _ in range(_MAX_STEPS):
+    rcond = _LEAST_SINGULAR_SHARE if loop.rank_tolerance <= RANK_TOLERANCE else loop.rank_tolerance
+    for _ in range(100):
         step = np.zeros_like(q)
         step[free] = np.linalg.lstsq(jacobian[:, free], -phi, rcond=rcond)[0]
         size = np.abs(step).max()
@@ -75,7 +71,7 @@ def close(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> tuple[np.n
 
 
 def least_gap(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> float:
-    """Return the smallest gap [m] found near `start` where a loop does not close: what stays open at the best."""
+    """Return the smallest gap [m] near `start` of a loop that does not close, by least squares."""
     import scipy
 
     def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -92,16 +88,18 @@ def least_gap(loop: KinematicLoop, start: np.ndarray, free: list[int]) -> float:
     return loop.gap(found.fun)
 
 
-def follow(loop: KinematicLoop, start: np.ndarray, held: dict[int, float]) -> tuple[np.ndarray, float]:
-    """Return the pose reached from the closed pose `start` by leading the joints in `held` to their values, and its gap.
+def follow(
+    loop: KinematicLoop, start: np.ndarray, held: dict[int, float], longest_step: float = 0.035
+) -> tuple[np.ndarray, float]:
+    """Return the pose and gap [m] after moving the joints in `held` from the closed pose `start` to their values.
 
-    Straight in those joints, in steps short enough for Newton to stay on the branch; where the loop opens on the way,
-    the gap of that place is returned.
+    The held joints move on a straight line in steps of at most `longest_step` [rad or m], so that Newton stays on the
+    branch. If the loop opens on the way, the pose and gap there are returned.
     """
     free = [i for i in range(len(start)) if i not in held]
     joints, goal = list(held), np.array(list(held.values()))
     begin = start[joints]
-    n_steps = max(1, int(np.ceil(np.abs(goal - begin).max() / _FOLLOW_STEP)))
+    n_steps = max(1, int(np.ceil(np.abs(goal - begin).max() / longest_step)))
     q, gap = start, 0.0
     for fraction in np.linspace(0.0, 1.0, n_steps + 1)[1:]:
         trial = np.array(q)

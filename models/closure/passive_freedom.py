@@ -1,8 +1,7 @@
-"""Passive degrees of freedom: bodies that spin about a line through their centres, independently of everything else.
+"""Passive degrees of freedom: bodies that can spin about a line through their centres while all other bodies rest.
 
-A rod between two ball joints, a link pinned on the loop's own pin, a rod that hangs on a hinge along its line: whatever
-joints such a spin is made of, in the kernel of the closure it is the motion in which every body rests or turns about its
-own centre of mass, and on which no actuator and no spring acts.
+Examples are a rod between two ball joints and a rod on a hinge along its own line. In the kernel of the closure such a spin
+is a motion in which every body rests or turns about its own centre of mass, and on which no actuator and no spring acts.
 """
 
 from collections.abc import Sequence
@@ -10,16 +9,9 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint
-
-# A moment or spring's force below this share of the largest is rounding.
-_NOTHING = 1e-9
-# A body spins about its centre where that moves by less than this share of the mechanism's size a radian: seven digits of a
-# file, and the rounding of its inertias.
-_ON_LINE = 1e-6
-# A body is round where inertias change by less than this share as it spins: a file's digits.
-_ROUND = 1e-6
 
 
 def find_passive_dofs(
@@ -31,11 +23,11 @@ def find_passive_dofs(
     poses: Sequence[np.ndarray],
     extent_m: float,
 ) -> tuple[tuple[int, ...], list[str]]:
-    """Return the independent coordinates that are passive degrees of freedom, and a sentence on what spins in each.
+    """Return the independent coordinates that are passive degrees of freedom, and a note on each.
 
     Args:
-        model: whose bodies they are.
-        joints: of the mechanism, which has loops.
+        model: the compiled model.
+        joints: of the mechanism.
         coordinates: of the mechanism.
         dynamics: its reduced dynamics.
         independent: coordinates (n_s,).
@@ -43,7 +35,9 @@ def find_passive_dofs(
         extent_m: the mechanism's size [m].
     """
     found: list[int] = []
-    notes = []
+    notes: list[str] = []
+    if not dynamics.closure.size1_out(0):
+        return (), []
     for column, index in enumerate(independent.tolist()):
         spinning = [_spinning(model, coordinates, dynamics, q, column, extent_m) for q in poses]
         if not spinning or not all(spinning):
@@ -57,11 +51,11 @@ def find_passive_dofs(
 
 
 def _spinning(model, coordinates: Coordinates, dynamics, q: np.ndarray, column: int, extent_m: float) -> list[int]:
-    """Return the bodies that turn about their own centres as one coordinate moves; none where other things move or act."""
+    """Return the bodies that spin as coordinate `column` moves, empty if that motion is not a passive spin."""
     gamma = np.array(dynamics.velocity_map(q))[:, column]
     springs = np.array(dynamics.passive(q, np.zeros(len(q)))).reshape(-1, 1)
     acting = np.hstack([np.array(dynamics.effort_matrix(q)).reshape(len(q), -1), springs])
-    least = _NOTHING * max(1.0, float(np.abs(acting).max())) * np.abs(gamma).max()
+    least = ROUNDING_SHARE * max(1.0, float(np.abs(acting).max())) * np.abs(gamma).max()
     if np.abs(acting.T @ gamma).max() > least:
         return []
     data = mujoco.MjData(model)
@@ -74,15 +68,17 @@ def _spinning(model, coordinates: Coordinates, dynamics, q: np.ndarray, column: 
     for body in np.flatnonzero(model.body_mass > 0):
         mujoco.mj_jacBodyCom(model, data, linear, angular, body)
         speeds[body], turns[body] = np.linalg.norm(linear @ qvel), np.linalg.norm(angular @ qvel)
-    if speeds.max() > _ON_LINE * extent_m * turns.max():
+    if speeds.max() > FILE_ROUNDING_SHARE * extent_m * turns.max():
         return []
-    return np.flatnonzero(turns > _NOTHING * turns.max()).tolist()
+    return np.flatnonzero(turns > ROUNDING_SHARE * turns.max()).tolist()
 
 
 def round_spins(dynamics, home: np.ndarray, passive: np.ndarray) -> np.ndarray:
-    """Return which of the `passive` coordinates (n_s,) no inertia depends on, turned by a radian from the home pose."""
+    """Return a mask (n_s,) of the `passive` coordinates that leave the inertia unchanged one radian from the home pose."""
     inertia, found = np.array(dynamics.reduced_inertia(home)), np.array(passive)
     for column in np.flatnonzero(passive):
         turned = home + np.array(dynamics.velocity_map(home))[:, column]
-        found[column] = np.abs(np.array(dynamics.reduced_inertia(turned)) - inertia).max() <= _ROUND * inertia.max()
+        found[column] = (
+            np.abs(np.array(dynamics.reduced_inertia(turned)) - inertia).max() <= FILE_ROUNDING_SHARE * inertia.max()
+        )
     return found

@@ -1,8 +1,8 @@
-"""Pins that two bodies share: where their geoms overlap by construction and not because they meet.
+"""Pins that two bodies share. Their geoms overlap there by construction, which is no collision.
 
-A point of a joint lies on its body and on the parent, a point of a connect or weld on both of the bodies that it ties; two
-bodies with points that coincide at home are on one pin, siblings on a pivot and three links on a bolt among them. Bodies
-without a joint between them are one, as for MuJoCo's own collision filter.
+The anchor of a joint lies on its body and on the parent. The point of a connect or weld lies on both bodies that it ties.
+Two bodies share a pin if two of their points coincide at home, which includes siblings on a pivot and three links on a
+bolt. Bodies without a joint between them count as one body, as in MuJoCo's own collision filter.
 """
 
 from collections.abc import Mapping
@@ -11,22 +11,20 @@ from itertools import combinations
 import mujoco
 import numpy as np
 
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
 from linkplan.models.tree.coordinates import BALL, HINGE
 from linkplan.models.tree.ties import tied_points
 
-# Points nearer to one another than this share of the model's extent are one: above a file's rounding, below any pin.
-_ONE_POINT = 1e-6
-
-Point = tuple[int, np.ndarray]  # a body and a place (3,) [m] in its frame
+Point = tuple[int, np.ndarray]  # a body and a position (3,) [m] in its frame
 
 
 def shared_pins(model: mujoco.MjModel, home: np.ndarray, extent: float) -> Mapping[tuple[int, int], tuple[Point, ...]]:
-    """Return the pins that pairs of bodies share, bodies by `body_weldid`, the lesser first.
+    """Return the pins that pairs of bodies share. Keys are pairs of `body_weldid`, the smaller first.
 
     Args:
-        model: whose joints and active equalities make the pins.
-        home: the pose (nq,) at which the loops are closed.
-        extent: the size [m] that tells rounding from distance.
+        model: the compiled model.
+        home: the closed home pose (nq,).
+        extent: the mechanism's size [m].
     """
     data = mujoco.MjData(model)
     data.qpos[:] = home
@@ -42,7 +40,7 @@ def shared_pins(model: mujoco.MjModel, home: np.ndarray, extent: float) -> Mappi
     shared: dict[tuple[int, int], list[Point]] = {}
     for (one, here), (other, there) in combinations(found, 2):
         a, b = sorted((int(model.body_weldid[one]), int(model.body_weldid[other])))
-        if a != b and np.linalg.norm(here - there) <= _ONE_POINT * extent:
+        if a != b and np.linalg.norm(here - there) <= FILE_ROUNDING_SHARE * extent:
             local = data.xmat[one].reshape(3, 3).T @ (here - data.xpos[one])
             shared.setdefault((a, b), []).append((one, local))
     return {pair: tuple(points) for pair, points in shared.items()}

@@ -1,22 +1,26 @@
-"""Rank, independent rows and dependent columns of a closure's Jacobian, by pivoted factorisation, never by counting.
+"""Rank, independent rows and dependent columns of a closure's Jacobian by pivoted factorisation, never by counting.
 
 A planar loop closed by a connect has three rows and rank 2, and repeated pins add rows without rank (Golub & Van Loan,
-Matrix Computations, 5.4.2). What holds at one pose may not at the next, so choices are made over several closed poses.
+Matrix Computations, 5.4.2). The choice of rows uses several closed poses, because one pose may be special.
 """
 
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-# Singular values below this share of the largest count as zero. An exact planar loop shows 1e-16; a pose within
-# a millionth of a link length of singular still shows 1e-6.
+# Singular values below this share of the largest count as zero. An exact planar loop has 1e-16; a pose a millionth of a link
+# length from a singular pose has 1e-6.
 RANK_TOLERANCE = 1e-9
-# Singular values between the former and this are more often a file's rounding, axes not quite parallel, than a mechanism's.
-WEAK = 1e-4
+# Singular values between RANK_TOLERANCE and this share are often due to rounding of the file (axes not quite parallel).
+WEAK_SHARE = 1e-4
+# Values below this share of the largest one are zero to rounding of the arithmetic,
+ROUNDING_SHARE = 1e-9
+# and to rounding of the numbers in a file, which often have seven digits.
+FILE_ROUNDING_SHARE = 1e-6
 
 
 def numerical_rank(jacobian: np.ndarray, tolerance: float = RANK_TOLERANCE) -> int:
-    """Return the rank of a matrix by its singular values, those below a share `tolerance` of the largest being none."""
+    """Return the rank of a matrix. Singular values below `tolerance` times the largest count as zero."""
     if jacobian.size == 0:
         return 0
     values = np.linalg.svd(jacobian, compute_uv=False)
@@ -24,18 +28,18 @@ def numerical_rank(jacobian: np.ndarray, tolerance: float = RANK_TOLERANCE) -> i
 
 
 def weak_rank(jacobian: np.ndarray, tolerance: float = RANK_TOLERANCE) -> int:
-    """Return how many singular values count towards the rank, but by a ten-thousandth of the largest only."""
+    """Return the number of singular values between `tolerance` and WEAK_SHARE times the largest."""
     values = np.linalg.svd(jacobian, compute_uv=False) if jacobian.size else np.zeros(1)
-    return int(np.sum((values > tolerance * values[0]) & (values < WEAK * values[0])))
+    return int(np.sum((values > tolerance * values[0]) & (values < WEAK_SHARE * values[0])))
 
 
 def independent_rows(jacobians: Sequence[np.ndarray], rank: int, tolerance: float = RANK_TOLERANCE) -> np.ndarray:
     """Return the indices (rank,) of rows that span the row space at every pose, in file order.
 
     Args:
-        jacobians: at several closed poses (n_rows, n_q) each, the first one decisive: where the rows that serve all poses
-            best do not span the row space at each of them, the rows are those of the first.
-        rank: of each of them.
+        jacobians: at several closed poses, (n_rows, n_q) each. If no rows chosen from all poses span every row space, the
+            rows are chosen from the first pose.
+        rank: of each Jacobian.
         tolerance: of the rank.
     """
     if rank == 0:
@@ -50,10 +54,10 @@ def independent_rows(jacobians: Sequence[np.ndarray], rank: int, tolerance: floa
 def dependent_columns(
     jacobian: np.ndarray, rank: int, groups: Sequence[Sequence[int]], tolerance: float = RANK_TOLERANCE
 ) -> np.ndarray:
-    """Return the columns (rank,) to solve for: a well-conditioned set out of the earliest groups that can carry the loop.
+    """Return the dependent columns (rank,): a well-conditioned set with columns from the earliest possible groups.
 
-    Gram-Schmidt with pivoting over the columns of each group in turn, so that the joints of the last group (those named, and
-    then the actuated ones) stay independent wherever the rest will do.
+    The method is Gram-Schmidt with pivoting over the columns of each group in turn. The joints of the last groups (actuated
+    and named ones) therefore stay independent if the other columns have full rank.
     """
     work = np.array(jacobian, dtype=float)
     floor = tolerance * max(np.linalg.norm(work, axis=0).max(initial=0.0), np.finfo(float).tiny)
@@ -65,7 +69,10 @@ def dependent_columns(
 
 
 def _pivots(matrix: np.ndarray, columns: Iterable[int], most: int, floor: float) -> tuple[np.ndarray, list[int]]:
-    """Return a matrix without its components along chosen columns, and these: the longest left each time, above a floor."""
+    """Return the chosen columns and the matrix without its components along them.
+
+    Each step chooses the longest remaining column, until `most` are chosen or none is longer than `floor`.
+    """
     work, candidates, chosen = np.array(matrix, dtype=float), list(columns), []
     while candidates and len(chosen) < most:
         norms = np.linalg.norm(work[:, candidates], axis=0)

@@ -6,20 +6,18 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.tree.friction import rubbing_of
+from linkplan.models.tree.friction import frictions_of
 
-# Samples of a function of many outputs that are evaluated side by side: CasADi takes longer to lay out more of them, as one
-# sparse matrix, than it takes to evaluate them.
-_TOGETHER, _MANY = 32, 256
-# An actuator has no arm on what it moves by less than this share of the largest: rounding, at its dead centre.
-_NO_ARM = 1e-12
-# Many times the speed about which dry friction turns over: joints that move a hundredth as fast rub in full, too.
-_FAST = 1000.0
+# A function with at least _LARGE_OUTPUT outputs is evaluated in batches of _BATCH_SIZE samples. CasADi takes longer to set
+# up a larger sparse matrix than to evaluate it.
+_BATCH_SIZE, _LARGE_OUTPUT = 32, 256
+# Moment arms below this share of the largest are zero to rounding, at an actuator's dead centre.
+_ZERO_ARM_SHARE = 1e-12
 
 
 @functools.lru_cache(maxsize=64)
 def mapped(function: ca.Function, n: int) -> ca.Function:
-    """Return a function of n samples side by side. Motions on the same mesh ask for the same ones again and again."""
+    """Return a function mapped over n samples, cached because motions on the same mesh need the same ones."""
     return function.map(n)
 
 
@@ -28,17 +26,17 @@ def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
     n = len(arguments[0])
     if n == 0:
         return np.empty((0, *function.size_out(0)))
-    if n > _TOGETHER and function.numel_out(0) >= _MANY:
-        parts = [[a[k : k + _TOGETHER] for a in arguments] for k in range(0, n, _TOGETHER)]
+    if n > _BATCH_SIZE and function.numel_out(0) >= _LARGE_OUTPUT:
+        parts = [[a[k : k + _BATCH_SIZE] for a in arguments] for k in range(0, n, _BATCH_SIZE)]
         return np.concatenate([sampled(function, *part) for part in parts])
     (stacked,) = evaluated(mapped(function, n), *[a.T for a in arguments], outputs=1)
     return stacked.reshape(function.size1_out(0), n, function.size2_out(0)).transpose(1, 0, 2)
 
 
 def sampled_where_moving(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
-    """Return what `sampled` does, by a function of those inputs alone that are not the same in all samples.
+    """Return the values of `sampled` by a shorter function of the inputs that vary between samples.
 
-    Where one coordinate of many moves, most of a long function is arithmetic with numbers, done once, as this one is made.
+    If one coordinate of many moves, most of a long function is arithmetic with constants, which is done only once here.
     """
     moving = [np.any(a != a[0], axis=0) for a in arguments]
     x = ca.SX.sym("x", int(sum(columns.sum() for columns in moving)))
@@ -65,7 +63,7 @@ def evaluated(function: ca.Function, *arguments: np.ndarray, outputs: int | None
     CasADi reads and writes numpy's memory: its own matrices take longer to convert than the function takes to evaluate.
     """
     buffer, evaluate = function.buffer()
-    given = [np.asarray(a, dtype=float).ravel(order="F") for a in arguments]  # alive until the call is done
+    given = [np.asarray(a, dtype=float).ravel(order="F") for a in arguments]  # kept alive during the call
     found = [np.empty(function.numel_out(k)) for k in range(function.n_out() if outputs is None else outputs)]
     for put, arrays in ((buffer.set_arg, given), (buffer.set_res, found)):
         for k, array in enumerate(arrays):
@@ -81,19 +79,20 @@ def joint_rates(mechanism: Mechanism, q: np.ndarray, v: np.ndarray) -> np.ndarra
 
 
 def sliding_friction(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """Return the dry friction (n,) [N.m or N] against a mechanism of one degree of freedom moving at poses (n, n_q)."""
-    if not any(rubbing_of(mechanism.model)):
+    """Return the dry friction (n,) [N.m or N] of a mechanism of one degree of freedom that moves through poses (n, n_q)."""
+    if not any(frictions_of(mechanism.model)):
         return np.zeros(len(q))
-    fast, still = np.full((len(q), 1), _FAST * mechanism.friction_transition), np.zeros((len(q), 1))
+    # At 1000 transition speeds, joints that move a hundredth as fast still have full friction.
+    fast, still = np.full((len(q), 1), 1000.0 * mechanism.friction_transition), np.zeros((len(q), 1))
     motion = (q, fast, still, np.zeros((len(q), mechanism.n_u)))
     whole, without = (sampled(f, *motion)[:, 0, 0] for f in (mechanism.dynamics.residual, mechanism.dynamics.sliding))
     return whole - without
 
 
 def needed_effort(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least efforts (n, n_u) that produce a motion, and the generalised effort (n, n_s) that they miss.
+    """Return the least efforts (n, n_u) for a motion, and the generalised effort (n, n_s) that no effort can produce.
 
-    u = (Gamma^T B)^+ tau; what is missed is zero where there are enough actuators.
+    u = (Gamma^T B)^+ tau. The second value is zero if there are enough actuators.
     """
     tau, maps = demanded(mechanism, q, v, a)
     effort = least_effort(tau, maps)
@@ -107,11 +106,11 @@ def demanded(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) 
 
 
 def least_effort(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
-    """Return the least efforts (n, n_u) that give generalised ones (n, n_s), or come nearest to them."""
-    same = len(maps) > 1 and bool(np.all(maps == maps[0]))  # motors on the coordinates themselves: one inverse for all
+    """Return the efforts (n, n_u) of least norm that give generalised efforts tau (n, n_s), in least squares."""
+    same = len(maps) > 1 and bool(np.all(maps == maps[0]))  # motors on the coordinates: one inverse for all samples
     inverse = (
-        np.broadcast_to(np.linalg.pinv(maps[0], rcond=_NO_ARM), maps.transpose(0, 2, 1).shape)
+        np.broadcast_to(np.linalg.pinv(maps[0], rcond=_ZERO_ARM_SHARE), maps.transpose(0, 2, 1).shape)
         if same
-        else np.linalg.pinv(maps, rcond=_NO_ARM)
+        else np.linalg.pinv(maps, rcond=_ZERO_ARM_SHARE)
     )
     return np.einsum("kus,ks->ku", inverse, tau)

@@ -1,8 +1,8 @@
 """Poses of a mechanism on its branch, along a path of independent positions.
 
-A path is followed by a tangent predictor and Newton in the dependent joints. Where Newton fails, corrects by more than
-the step itself, or the sign of a block of det J_z turns, the step is halved: so a pose found is on the branch that the path
-began on, and a path that meets a singular pose stops there instead of slipping through.
+A path is followed by a tangent predictor and Newton in the dependent joints. The step is halved if Newton fails, if its
+correction is too large, or if the determinant of a block of J_z changes sign. A pose is therefore on the branch of the
+path's start, and a path stops at a singular pose.
 """
 
 import functools
@@ -14,14 +14,15 @@ from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, sampled
-from linkplan.models.poses.continuation import MOST_CORRECTED, MOST_TURNED, stride_along
-from linkplan.models.tree.joints import where
+from linkplan.models.poses.continuation import MAX_CORRECTION_SHARE, MAX_GAMMA_CHANGE, stride_along
+from linkplan.models.tree.joints import unit_steps, where
 
-_STEP = 0.035  # two degrees [rad]; on a slide, this share of the model's extent
-_MIN_SHARE = 1e-5  # of a step: shorter than this, the path has met a singular pose
-_NEWTON_STEPS = 12
-# A pose further away than this many steps (some 500 turns) is taken for a typing error.
-_MOST_STEPS = 1e5
+# Longest step of a joint [rad; extents on a slide], about two degrees.
+_STEP_RAD = 0.035
+# Shortest step as a share of the longest. Below it the path has met a singular pose.
+_LEAST_STEP_SHARE = 1e-5
+# Largest distance in steps (about 500 turns). A pose further away is a typing error.
+_MAX_PATH_STEPS = 1e5
 
 
 def follow(
@@ -30,33 +31,35 @@ def follow(
     """Return the poses (n, n_q) on the branch of `start` along positions s of the independent joints (n, n_s).
 
     Args:
-        mechanism: whose loops are to stay closed.
-        path: independent positions [rad or m], each near the one before; the first may be far from `start`.
+        mechanism: the assembled mechanism.
+        path: independent positions [rad or m]. Each is near the previous one; the first may be far from `start`.
         start: a closed pose (n_q,); home by default.
-        deadline: until when the path may be followed.
+        deadline: of the computation.
 
     Raises:
-        AssemblyError: naming the joint's position at which the loop opens, or the ball joint whose chart the motion leaves.
-        OutOfTimeError: when the deadline passes before its end.
+        AssemblyError: if the loop opens on the way (with the position there), or if a ball joint leaves its chart.
+        OutOfTimeError: if the deadline passes before the end of the path.
     """
     q = np.array(mechanism.home if start is None else start, dtype=float)
     path = np.asarray(path, dtype=float)
-    poses, arrived = led(mechanism, q, path, deadline)
+    poses, arrived = continue_to(mechanism, q, path, deadline)
     if arrived < len(path):
         raise AssemblyError(
             f"mechanism '{mechanism.name}' does not close at {_where(mechanism, path[arrived])}: the kinematic loop opens at"
             f" {_where(mechanism, poses[-1][mechanism.independent])}"
         )
-    left = mechanism.coordinates.left(poses)
-    if left is not None:
-        raise AssemblyError(f"mechanism '{mechanism.name}' turns {left}")
+    violation = mechanism.coordinates.range_violation(poses)
+    if violation is not None:
+        raise AssemblyError(f"mechanism '{mechanism.name}' turns {violation}")
     return poses
 
 
-def led(mechanism: Mechanism, q: np.ndarray, path: np.ndarray, deadline: Deadline = NO_DEADLINE) -> tuple[np.ndarray, int]:
-    """Return the poses at the positions of a path, led from pose q, and how many there are.
+def continue_to(
+    mechanism: Mechanism, q: np.ndarray, path: np.ndarray, deadline: Deadline = NO_DEADLINE
+) -> tuple[np.ndarray, int]:
+    """Return the poses at the positions of a path by continuation from pose q, and their number.
 
-    Where the path cannot be followed to its end, one pose more: the last on the branch before the loop comes apart.
+    If the loop opens on the way, the array has one more pose: the last one on the branch.
     """
     step_size, independent = step_sizes(mechanism), mechanism.independent
     poses, k = np.empty((len(path), mechanism.n_q)), 0
@@ -68,7 +71,7 @@ def led(mechanism: Mechanism, q: np.ndarray, path: np.ndarray, deadline: Deadlin
         reached = int(np.searchsorted(at, len(strides), side="right"))
         poses[k : k + reached] = strides[at[:reached] - 1]
         q, k = (strides[-1] if len(strides) else q), k + reached
-        if k < len(path):  # from the last regular pose on, with steps as short as it takes
+        if k < len(path):  # continue from the last regular pose with adaptive steps
             q, arrived = advance(mechanism, q, path[k], deadline)
             if not arrived:
                 return np.concatenate([poses[:k], q[None]]), k
@@ -78,10 +81,10 @@ def led(mechanism: Mechanism, q: np.ndarray, path: np.ndarray, deadline: Deadlin
 
 
 def _strides(mechanism: Mechanism, path: np.ndarray, step_size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions at most a step apart from the first of a path (n + 1, n_s) to its last, and the number to each."""
+    """Return positions along a path (n + 1, n_s) that are at most a step apart, and their number up to each path point."""
     ways = np.diff(path, axis=0)
     long = np.max(np.abs(ways) / step_size, axis=1, initial=0.0)
-    if not long.sum() < _MOST_STEPS:
+    if not long.sum() < _MAX_PATH_STEPS:
         raise AssemblyError(
             f"mechanism '{mechanism.name}' does not close at {_where(mechanism, path[-1])}: further away than any motion"
             " goes"
@@ -95,12 +98,12 @@ def _strides(mechanism: Mechanism, path: np.ndarray, step_size: np.ndarray) -> t
 
 
 def _stays_on_branch(mechanism: Mechanism, poses: np.ndarray) -> bool:
-    """Return whether all rows of overconstrained loops are closed at poses (n, n_q), and no block folds between two."""
+    """Return True if overconstrained loops are closed at poses (n, n_q) and no block of J_z folds between two poses."""
     return not np.any(mechanism.gaps_m(poses[:1]) > mechanism.closed_m) and _on_branch(mechanism, poses) == len(poses) - 1
 
 
 def _on_branch(mechanism: Mechanism, poses: np.ndarray) -> int:
-    """Return how many poses after the first (n, n_q) close all rows of overconstrained loops without a fold on the way."""
+    """Return the number of poses (n, n_q) after the first that close overconstrained loops without a fold on the way."""
     if len(poses) < 2:
         return 0
     closed = mechanism.gaps_m(poses[1:]) <= mechanism.closed_m
@@ -118,7 +121,7 @@ def close_at(mechanism: Mechanism, s: np.ndarray, start: np.ndarray | None = Non
 
 @functools.lru_cache(maxsize=16)
 def _from_home(mechanism: Mechanism, s: tuple[float, ...]) -> np.ndarray:
-    """Return the pose at s on the branch of home: start and goal are asked for five times in every plan."""
+    """Return the pose at s on the branch of home, cached because a plan needs start and goal five times."""
     return follow(mechanism, np.array([s]))[0]
 
 
@@ -127,22 +130,21 @@ def _where(mechanism: Mechanism, s: np.ndarray) -> str:
 
 
 def step_sizes(mechanism: Mechanism) -> np.ndarray:
-    """Return how far (n_q,) [rad or m] each joint goes in a step."""
-    extent = mechanism.extent_m
-    return np.array([_STEP if joint.kind == "hinge" else _STEP * extent for joint in mechanism.joints])
+    """Return the longest step (n_q,) [rad or m] of each joint."""
+    return _STEP_RAD * unit_steps(mechanism.joints, mechanism.extent_m)
 
 
 def advance(
     mechanism: Mechanism, q: np.ndarray, target: np.ndarray, deadline: Deadline = NO_DEADLINE
 ) -> tuple[np.ndarray, bool]:
-    """Return the pose at `target`, or the last one on the branch before the loop comes apart, and whether it arrived."""
+    """Return the pose at `target` and True, or the last pose on the branch before the loop opens and False."""
     independent, dependent = mechanism.independent, mechanism.dependent
     step_size = step_sizes(mechanism)
     q = np.array(q, dtype=float)
     _, _, gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)
     share = 1.0
     longest = np.max(np.abs(target - q[independent]) / step_size[independent], initial=0.0)
-    if not longest < _MOST_STEPS:
+    if not longest < _MAX_PATH_STEPS:
         raise AssemblyError(
             f"mechanism '{mechanism.name}' does not close at {_where(mechanism, target)}: further away than any motion goes"
         )
@@ -159,28 +161,29 @@ def advance(
         predicted = trial[dependent].copy()
         trial, gamma_trial, dets_trial = _correct(mechanism, trial)
         moved = np.max(np.abs(trial[dependent] - predicted) / step_size[dependent], initial=0.0)
-        turned = np.max(np.abs(gamma_trial - gamma), initial=0.0) > MOST_TURNED * (1 + np.max(np.abs(gamma), initial=0.0))
-        regular = np.isfinite(moved) and moved < MOST_CORRECTED and not turned and np.all(dets_trial * determinants > 0)
+        change = np.max(np.abs(gamma_trial - gamma), initial=0.0) / (1 + np.max(np.abs(gamma), initial=0.0))
+        smooth = np.isfinite(moved) and moved < MAX_CORRECTION_SHARE and not change > MAX_GAMMA_CHANGE
+        regular = smooth and np.all(dets_trial * determinants > 0)
         if regular and (not mechanism.projected or _stays_on_branch(mechanism, np.array([q, trial]))):
             q, gamma, determinants = trial, gamma_trial, dets_trial
             share = min(1.0, 2 * share)
             continue
         share = 0.5 * min(share, longest)
-        if share < _MIN_SHARE:
+        if share < _LEAST_STEP_SHARE:
             return q, False
 
 
 def _correct(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the pose closed by Newton in its dependent joints, with Gamma and det J_z by blocks; NaN where it fails."""
+    """Return the pose closed by Newton in its dependent joints, Gamma and the determinants of J_z's blocks, or NaN."""
     q = np.array(q)
     dependent = mechanism.dependent
-    for iteration in range(_NEWTON_STEPS):
+    for iteration in range(12):
         phi, step, gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)
         step = step.ravel()
         size = np.abs(step).max(initial=0.0)
         if not np.isfinite(size) or size > 10:
             break
-        # One step past convergence costs little and leaves rounding only.
+        # One step past convergence leaves only rounding.
         done = np.abs(phi).max(initial=0.0) <= CLOSED_M and (size < 1e-12 or iteration > 2)
         q[dependent] += step
         if done or step.size == 0:

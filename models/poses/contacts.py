@@ -1,7 +1,7 @@
-"""Contacts between geoms along poses: forces that the reduced dynamics do not know.
+"""Contacts between geoms along poses. The reduced dynamics contain no contact forces.
 
-All of it is MuJoCo's own collision detection, with the model's filters, pairs, margins and exclusions. A contact acts where
-the distance of two surfaces is below the margin; its depth is counted from there.
+Contacts come from MuJoCo's own collision detection with the model's filters, pairs, margins and exclusions. A contact acts
+if the distance of two surfaces is below the margin, and its depth is the difference.
 """
 
 import copy
@@ -13,27 +13,26 @@ import mujoco
 import numpy as np
 
 from linkplan.models.closure.pins import shared_pins
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.passive import disabled
 
-# An overlap at home is there by construction as far as it goes there, and by this share of itself more: two links on a pin
-# overlap a little more at some angles than at others. What goes deeper is a collision.
-_DEEPER = 0.1
-# Depths and distances below this share of the model's extent are rounding: resting geoms touch by as much.
-_TOUCH = 1e-6
-# Between two instants with this share of the extent or less to travel, no contact is searched for: 30 um on a leg.
-_TRAVEL = 1e-4
-# The instant at which geoms meet is found to this share of the motion.
-_INSTANT = 1e-10
+# An overlap up to this share deeper than at home is there by construction: the overlap of two links on a pin varies.
+_EXTRA_DEPTH_SHARE = 0.1
+
+# No contact is searched for between two instants if the geoms travel less than this share of the extent (30 um on a leg).
+_LEAST_TRAVEL_SHARE = 1e-4
+# Accuracy of the instant at which geoms meet, as a share of the motion.
+_INSTANT_SHARE = 1e-10
 
 Pair = tuple[int, int]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ContactPair:
-    """Two geoms that collide at one or more of the poses checked: at which (indices), and how deep at the worst [m]."""
+    """Two geoms in contact at some of the checked poses: the indices of these poses and the largest depth [m]."""
 
     first: str
     second: str
@@ -46,8 +45,8 @@ class ContactPair:
 class Meeting:
     """Two geoms in contact along a motion.
 
-    `since` is the instant at which they meet as they do not at home: None for an overlap by construction, which is there at
-    home, as deep, or on a pin that their bodies share.
+    `since` is the first instant of a contact that is not there by construction. It is None for an overlap that is as deep at
+    home, or that is at a pin which the two bodies share.
     """
 
     first: str
@@ -61,7 +60,7 @@ class Meeting:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _PoseSample:
-    """What one pose shows: the clearances [m] of near pairs, anywhere and away from shared pins; where the geoms are."""
+    """The geoms at one pose: the clearances [m] of near pairs, overall and away from shared pins, and the geoms' frames."""
 
     clearance: dict[Pair, tuple[float, float]]
     centres: np.ndarray  # (n_geoms, 3)
@@ -73,8 +72,8 @@ class _PoseSample:
 
 
 def may_collide(model: mujoco.MjModel) -> bool:
-    """Return whether any two geoms of a model can be in contact at all."""
-    if disabled(model, mujoco.mjtDisableBit.mjDSBL_CONTACT) or disabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
+    """Return True if any two geoms of a model can be in contact."""
+    if disabled(model, mujoco.mjtDisableBit.mjDSBL_CONTACT, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
         return False
     return bool(model.npair) or bool(np.any(model.geom_contype) and np.any(model.geom_conaffinity))
 
@@ -109,19 +108,19 @@ def meetings(
     position_at: Callable[[np.ndarray], np.ndarray],
     deadline: Deadline = NO_DEADLINE,
 ) -> tuple[Meeting, ...]:
-    """Return the contacts along a motion, those that are not there by construction first, in the order of their instants.
+    """Return the contacts along a motion in the order of their instants, followed by overlaps by construction.
 
-    Where two geoms may touch between two instants, by their distances and how far they travel, more instants are checked.
+    More instants are checked between two where the geoms' distances and travel allow a contact.
 
     Args:
-        mechanism: whose geoms they are.
-        time: increasing instants (n,), or another measure of the way.
-        poses: closed poses (n, n_q) at them.
+        mechanism: the assembled mechanism.
+        time: increasing instants (n,), or another path parameter.
+        poses: closed poses (n, n_q) at these instants.
         position_at: independent positions (m, n_s) at instants (m,), for poses between.
-        deadline: until when poses may be looked at.
+        deadline: of the computation.
 
     Raises:
-        OutOfTimeError: when the deadline passes before the motion's end.
+        OutOfTimeError: if the deadline passes before the motion's end.
     """
     model = mechanism.model
     if not may_collide(model):
@@ -139,11 +138,11 @@ def meetings(
 
 
 def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sample, position_at) -> Meeting:
-    """Return a pair's meeting along what was seen of a motion."""
+    """Return a pair's contact along the samples `seen` of a motion."""
     model, extent = mechanism.model, mechanism.extent_m
     depth = np.array([-one.clearance.get(pair, (np.inf, np.inf))[0] for _, _, one in seen])
     away = np.array([-one.away(pair) for _, _, one in seen])
-    allowed = (1 + _DEEPER) * max(0.0, -at_home.away(pair)) + _TOUCH * extent
+    allowed = (1 + _EXTRA_DEPTH_SHARE) * max(0.0, -at_home.away(pair)) + FILE_ROUNDING_SHARE * extent
     deeper = np.flatnonzero(away > allowed)
     since, deepest = None, int(np.argmax(depth))
     if len(deeper):
@@ -160,11 +159,11 @@ def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sampl
 
 
 def _onset(mechanism: Mechanism, pair: Pair, allowed: float, k: int, seen, sample, position_at) -> float:
-    """Return the instant between the k-th and the one before at which a pair's depth passes what is allowed."""
+    """Return the instant between samples k - 1 and k at which a pair's depth exceeds `allowed`."""
     if k == 0:
         return seen[0][0]
     (before, pose, _), after = seen[k - 1], seen[k][0]
-    least = _INSTANT * (seen[-1][0] - seen[0][0])
+    least = _INSTANT_SHARE * (seen[-1][0] - seen[0][0])
     while after - before > least:
         middle = (before + after) / 2
         there = close_at(mechanism, position_at(np.array([middle]))[0], pose)
@@ -177,8 +176,8 @@ def _onset(mechanism: Mechanism, pair: Pair, allowed: float, k: int, seen, sampl
 
 
 def _sampled_between(mechanism: Mechanism, seen, sample, position_at, size: np.ndarray) -> list:
-    """Return the samples of a motion, more of them where a contact could be missed between two."""
-    least = _TRAVEL * mechanism.extent_m
+    """Return the samples of a motion, refined where a contact could occur between two samples."""
+    least = _LEAST_TRAVEL_SHARE * mechanism.extent_m
     result, ahead = [seen[0]], list(reversed(seen[1:]))
     while ahead:
         (begin, pose, one), (end, _, other) = result[-1], ahead[-1]
@@ -190,7 +189,7 @@ def _sampled_between(mechanism: Mechanism, seen, sample, position_at, size: np.n
             and one.away(pair) + other.away(pair) <= travel[pair[0]] + travel[pair[1]]
             and travel[pair[0]] + travel[pair[1]] > least
         ]
-        if near and end - begin > _INSTANT * (seen[-1][0] - seen[0][0]):
+        if near and end - begin > _INSTANT_SHARE * (seen[-1][0] - seen[0][0]):
             middle = (begin + end) / 2
             there = close_at(mechanism, position_at(np.array([middle]))[0], pose)
             ahead.extend((middle, there, one) for one in sample(there[None]))
@@ -202,7 +201,7 @@ def _sampled_between(mechanism: Mechanism, seen, sample, position_at, size: np.n
 def _pose_sampler(
     mechanism: Mechanism, model: mujoco.MjModel, deadline: Deadline = NO_DEADLINE
 ) -> Callable[[np.ndarray], Iterator[_PoseSample]]:
-    """Return a function from poses (n, n_q) to what collision detection with a model shows at each."""
+    """Return a function that yields the collision sample of each pose (n, n_q)."""
     pins = shared_pins(mechanism.model, mechanism.qpos_of(mechanism.home), mechanism.extent_m)
     data = mujoco.MjData(model)
     weld, body, radius = model.body_weldid, model.geom_bodyid, _bounding_radii(mechanism)
@@ -221,7 +220,7 @@ def _pose_sampler(
         clearance: dict[Pair, tuple[float, float]] = {}
         contact = data.contact
         for geoms, distance, place in zip(contact.geom, contact.dist - contact.includemargin, contact.pos, strict=True):
-            if min(geoms) < 0:  # of a flex, which is refused elsewhere
+            if min(geoms) < 0:  # a flex, which `audit` reports
                 continue
             pair = (int(min(geoms)), int(max(geoms)))
             anywhere, away = clearance.get(pair, (np.inf, np.inf))
@@ -232,19 +231,19 @@ def _pose_sampler(
         )
 
     def sample(poses: np.ndarray) -> Iterator[_PoseSample]:
-        return map(look, mechanism.qpos_of(poses))  # of all at once: quaternions take longer than collisions
+        return map(look, mechanism.qpos_of(poses))  # one call for all poses: it takes longer than the collisions
 
     return sample
 
 
 def _bounding_radii(mechanism: Mechanism) -> np.ndarray:
-    """Return the radius (n_geoms,) [m] of the ball about each geom's centre; of one without end, the model's extent."""
+    """Return the bounding radius (n_geoms,) [m] of each geom; the model's extent for an infinite plane."""
     radius = mechanism.model.geom_rbound
     return np.where(radius > 0, radius, mechanism.extent_m)
 
 
 def _travel(one: _PoseSample, other: _PoseSample, size: np.ndarray) -> np.ndarray:
-    """Return how far (n_geoms,) [m] any point of each geom goes between two looks, at least; arcs are little longer."""
+    """Return an estimate (n_geoms,) [m] of the largest travel of any point of each geom between two samples."""
     turned = np.einsum("gij,gij->g", one.frames, other.frames)
     angle = np.arccos(np.clip((turned - 1) / 2, -1.0, 1.0))
     return np.linalg.norm(other.centres - one.centres, axis=1) + size * angle
@@ -260,12 +259,12 @@ def _with_wider_gaps(model: mujoco.MjModel, width: float) -> mujoco.MjModel:
 
 
 def geom_name(model: mujoco.MjModel, index: int) -> str:
-    """Return a geom's name, or one made of its index and body."""
+    """Return a geom's name, or a name made from its index and body."""
     return model.geom(index).name or f"geom {index} of {body_name(model, model.geom_bodyid[index])}"
 
 
 def body_name(model: mujoco.MjModel, index: int) -> str:
-    """Return a body's name, or one made of its index."""
+    """Return a body's name, or a name made from its index."""
     return model.body(int(index)).name or f"body {int(index)}"
 
 
@@ -275,13 +274,13 @@ def _bodies(model: mujoco.MjModel, pair: Pair) -> tuple[str, str]:
 
 
 def exclusion(bodies: tuple[str, str]) -> str:
-    """Return the line of MJCF by which two bodies pass each other, to stand in <contact>."""
-    from xml.sax.saxutils import quoteattr  # loads Python's client of HTTP with it
+    """Return the MJCF element for <contact> that excludes contacts between two bodies."""
+    from xml.sax.saxutils import quoteattr  # a slow import: it loads Python's HTTP client
 
     one, other = (quoteattr(body) for body in bodies)
     return f"<exclude body1={one} body2={other}/>"
 
 
 def new_meetings(found: Iterable[Meeting]) -> tuple[Meeting, ...]:
-    """Return the meetings that are not there by construction."""
+    """Return the contacts that are not there by construction."""
     return tuple(meeting for meeting in found if meeting.since is not None)

@@ -1,4 +1,4 @@
-"""The ctrl that planned efforts ask of actuators along a motion: what a servo's range must leave room for."""
+"""The ctrl that planned efforts need along a motion, which a servo's ctrlrange must contain."""
 
 import mujoco
 import numpy as np
@@ -11,14 +11,14 @@ from linkplan.models.poses.along import joint_rates
 def needed_controls(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Return MuJoCo's ctrl (n, n_u) of every actuator that gives efforts u (n, n_u) at poses q (n, n_q) under v (n, n_s).
 
-    (u - bias) / gain at MuJoCo's own length and speed of the actuator, not cut at its range; infinite where the gain is
-    zero.
+    The ctrl is (u - bias) / gain at MuJoCo's own length and speed of the actuator. The value is not clipped to the range,
+    and is infinite where the gain is zero.
     """
     return _needed(mechanism, q, v, u)[0]
 
 
 def _needed(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the ctrls (n, n_u) as `needed_controls`, and the gains there."""
+    """Return the ctrls (n, n_u) of `needed_controls`, and the gains (n, n_u)."""
     model, controls, gains = mechanism.model, np.empty((len(q), mechanism.n_u)), np.empty((len(q), mechanism.n_u))
     data = mujoco.MjData(model)
     rates = joint_rates(mechanism, q, v)
@@ -35,9 +35,9 @@ def _needed(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -
 
 
 def control_excess(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return how far (n, n_u) the needed ctrl lies beyond its range, in its own unit: positive where another effort acts.
+    """Return the violation (n, n_u) of ctrlrange by the needed ctrl, in its own unit, negative inside the range.
 
-    Where all of the range is beyond a clamp of the force, it is how far the effort is from that.
+    If the whole range exceeds a force clamp, the value is the distance of the effort from that clamp.
     """
     ranges = np.array([[a.control_lower, a.control_upper] for a in mechanism.actuators]).reshape(-1, 2)
     controls, gains = _needed(mechanism, q, v, u)

@@ -1,7 +1,8 @@
-"""Where freedoms without a drive rest on their springs: what a start or goal means that does not name them.
+"""Static equilibrium of undriven coordinates on their springs, for a start or goal that does not name these coordinates.
 
-Of a leg with springs in it a user knows where its motors stand, not by how much its springs give. At rest the drives can
-hold everything but what lies in the null space of their effort map R (n_s, n_u); there springs and weight balance:
+In a leg with springs, a user states the positions of the motors but not the deflections of the springs. At rest the
+actuators can balance every generalised effort except those in the null space N^T of their effort map R (n_s, n_u). In that
+null space springs and gravity balance:
 
     N^T tau(s, 0, 0) = 0,   N^T R = 0.
 """
@@ -10,18 +11,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 
-# The rest is found where what springs and weight leave over is below this share of the springs' own effort at a radian.
-_BALANCED = 1e-9
-# A spring's effort on a coordinate below this share of the stiffest one's is rounding.
-_SPRING = 1e-12
-
 
 def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
-    """Return the columns of coordinates that no actuator is on, that are not passive, and that springs act on at home."""
+    """Return the independent coordinates (columns) with springs at home that are neither driven nor passive freedoms."""
     stiffness = _stiffness(mechanism).diagonal()
     driven = {actuator.joint for actuator in mechanism.actuators}
     return tuple(
@@ -29,17 +26,17 @@ def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
         for column, index in enumerate(mechanism.independent.tolist())
         if index not in driven
         and index not in mechanism.passive_dofs
-        and stiffness[column] > _SPRING * stiffness.max(initial=0.0)
+        and stiffness[column] > 1e-12 * stiffness.max(initial=0.0)  # below this it is zero to rounding
     )
 
 
-def resting(mechanism: Mechanism, named: Mapping[int, float], unnamed: tuple[int, ...]) -> np.ndarray | None:
-    """Return positions s (n_s,) [rad or m] at which freedoms rest on their springs; None where no such rest is found.
+def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed: tuple[int, ...]) -> np.ndarray | None:
+    """Return positions s (n_s,) [rad or m] at static equilibrium on the springs, or None if none is found.
 
     Args:
-        mechanism: whose springs they are.
-        named: positions by column of s; what is neither named nor unnamed stands at home.
-        unnamed: columns to be found, from home.
+        mechanism: the assembled mechanism.
+        named: prescribed positions by column of s; columns neither named nor unnamed stay at home.
+        unnamed: columns to solve for, starting from home.
     """
     import scipy
 
@@ -53,18 +50,19 @@ def resting(mechanism: Mechanism, named: Mapping[int, float], unnamed: tuple[int
         s[columns] = x
         return close_at(mechanism, s, near)
 
-    def left_over(x: np.ndarray) -> np.ndarray:
+    def unbalanced(x: np.ndarray) -> np.ndarray:
         pose = closed(x)
         tau = np.array(mechanism.dynamics.inverse_dynamics(pose, still, still)).ravel()
-        beyond = scipy.linalg.null_space(np.array(mechanism.dynamics.effort_map(pose)).T)
-        return beyond @ (beyond.T @ tau)  # in the coordinates' own axes: a null space's basis may turn from pose to pose
+        null = scipy.linalg.null_space(np.array(mechanism.dynamics.effort_map(pose)).T)
+        return null @ (null.T @ tau)  # independent of the null space's basis, which may jump from pose to pose
 
     try:
-        found = scipy.optimize.least_squares(left_over, base[columns], x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
-        rest = left_over(found.x)
+        found = scipy.optimize.least_squares(unbalanced, base[columns], x_scale="jac", xtol=1e-15, ftol=1e-15, gtol=1e-15)
+        rest = unbalanced(found.x)
     except AssemblyError:
         return None
-    if np.abs(rest).max(initial=0.0) > _BALANCED * _stiffness(mechanism).diagonal().max(initial=0.0):
+    one_radian = _stiffness(mechanism).diagonal().max(initial=0.0)  # the stiffest spring's effort
+    if np.abs(rest).max(initial=0.0) > ROUNDING_SHARE * one_radian:
         return None
     s = base.copy()
     s[columns] = found.x
@@ -72,7 +70,7 @@ def resting(mechanism: Mechanism, named: Mapping[int, float], unnamed: tuple[int
 
 
 def _stiffness(mechanism: Mechanism) -> np.ndarray:
-    """Return the springs' stiffness along the coordinates at home (n_s, n_s), by differences of what they do."""
+    """Return the springs' stiffness matrix (n_s, n_s) at home, by central differences."""
     home, still = mechanism.home, np.zeros(mechanism.n_q)
     velocity_map = np.array(mechanism.dynamics.velocity_map(home))
     step = 1e-6

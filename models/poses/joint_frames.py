@@ -1,4 +1,4 @@
-"""Where joints stand and which way their axes point, at given poses."""
+"""Positions and axes of joints at given poses."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from linkplan.models.mechanism import Mechanism
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class JointFrames:
-    """MuJoCo's joints at n poses, in the world's frame: `anchors` (n, n_joints, 3) [m], unit vectors `axes` the same."""
+    """MuJoCo's joints at n poses in the world's frame: `anchors` and unit vectors `axes`, both (n, n_joints, 3) [m]."""
 
     anchors: np.ndarray
     axes: np.ndarray

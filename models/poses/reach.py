@@ -1,4 +1,4 @@
-"""How far a mechanism goes: the interval of an independent joint on the home branch, and what ends it."""
+"""The reach of a mechanism: the interval of an independent joint on the home branch, and the reasons for its ends."""
 
 import functools
 from dataclasses import dataclass
@@ -8,49 +8,45 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
-from linkplan.models.poses.assembly import advance, led, step_sizes
+from linkplan.models.poses.assembly import advance, continue_to, step_sizes
 from linkplan.models.poses.continuation import in_loops
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
     closure_rank,
-    dips,
-    has_one_way_on,
+    has_single_motion,
     is_branching,
+    is_singular,
     least_values,
-    vanishes,
+    local_minima,
 )
 from linkplan.models.tree.joints import Joint
 
-# A rate of a dependent joint below this share of the independent one's is rounding.
-_STILL = 1e-9
-# A range is left where a joint stands outside it by more than this [rad or m], what assembly and rounding leave.
-_RANGE_SLACK = 1e-8
-# Neighbours to either side of a spline of poses: with these its error at half degree steps is below 1e-8.
-_SPLINED = 5
-# Steps that are led together before ranges are looked at, and how many times more the next time.
-_FIRST_STEPS, _MORE = 16, 4
-# Ways of more steps than a full turn's are looked at by `reach` itself.
-_MOST_LOOKS = 361
+# A dependent joint's rate below this share of the independent joint's rate is zero to rounding.
+_ZERO_RATE_SHARE = 1e-9
+# Violations of a joint's range below this are rounding of the assembly [rad or m].
+_RANGE_ROUNDING = 1e-8
+# Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
+_SPLINE_NEIGHBOURS = 5
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class End:
-    """Where the reach ends: the independent position there [rad or m], and why in a few words."""
+    """An end of the reach: the independent position there [rad or m] and the reason."""
 
     position: float
     reason: str  # "range of A", "end of rod_rx's chart", "singular pose", "full turn"
-    joint: int | None  # whose range it is
+    joint: int | None  # the joint whose range ends the reach
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Reach:
-    """What one independent joint can do while the other independent joints stay at home.
+    """The interval of one independent joint while the other independent joints stay at home.
 
-    `poses` (n, n_q) samples the interval, ends included. `toggles` are (dependent joint, independent position) where a
-    dependent joint turns back: the dead centres of that joint. `singular` are positions where J_z loses rank, by crossing
-    zero at an end or by touching it on the way; `branching` are (position, rank of the closure there) of those among them
-    where J loses rank as well: there the mechanism may branch, at the others the coordinate alone is at a dead centre.
-    `single` are positions of those where to second order one motion alone leads through.
+    `poses` (n, n_q) samples the interval, ends included. `toggles` are pairs (dependent joint, independent position) at
+    which a dependent joint reverses, its dead centres. `singular` are positions where J_z loses rank: det J_z crosses zero
+    at an end or touches zero on the way. `branching` are pairs (position, rank of the closure) at singular positions where J
+    loses rank as well, so that the mechanism may branch. At the other singular positions only the coordinate is at a dead
+    centre. `single` are branching positions through which only one motion passes to second order.
     """
 
     coordinate: int
@@ -64,13 +60,13 @@ class Reach:
 
     @property
     def turns_fully(self) -> bool:
-        """Whether nothing stops the joint within a turn to either side."""
+        """True if nothing stops the joint within a turn to either side."""
         return self.lower.reason == self.upper.reason == "full turn"
 
 
 @functools.lru_cache(maxsize=64)
 def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
-    """Return the interval of an independent joint on the home branch: to a joint's range, a singular pose, or a turn."""
+    """Return the reach of an independent joint on the home branch, up to a joint's range, a singular pose or a turn."""
     down, lower, singular_down = _walk(mechanism, coordinate, -1)
     up, upper, singular_up = _walk(mechanism, coordinate, +1)
     poses = np.array([*down[::-1], mechanism.home, *up])
@@ -86,15 +82,15 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
         poses=poses,
         singular=tuple(float(pose[index]) for pose in singular),
         branching=tuple((float(pose[index]), closure_rank(mechanism, pose)) for pose in lost),
-        single=tuple(float(pose[index]) for pose in lost if has_one_way_on(mechanism, pose)),
+        single=tuple(float(pose[index]) for pose in lost if has_single_motion(mechanism, pose)),
         toggles=_toggles(mechanism, coordinate, poses) if turns else (),
     )
 
 
 def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
-    """Return whether the straight way from home to s (n_s,) is surely open: no singular pose, no joint beyond its range.
+    """Return True if the straight path from home to s (n_s,) surely meets no singular pose and no end of a joint's range.
 
-    Looked at in the steps of `reach`, and much sooner known; where it was looked at before, at once.
+    The steps are those of `reach`, but the check is much faster. Results are cached.
     """
     return _is_open(mechanism, tuple(s.tolist()))
 
@@ -105,28 +101,28 @@ def _is_open(mechanism: Mechanism, s: tuple[float, ...]) -> bool:
     ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
     if poses is None:
         return False
-    kept = (poses >= ranges[:, 0] - _RANGE_SLACK) & (poses <= ranges[:, 1] + _RANGE_SLACK)
+    kept = (poses >= ranges[:, 0] - _RANGE_ROUNDING) & (poses <= ranges[:, 1] + _RANGE_ROUNDING)
     return bool(np.all(kept))
 
 
 def _way(mechanism: Mechanism, start: np.ndarray, s: np.ndarray) -> np.ndarray | None:
-    """Return the poses (n, n_q) on the straight way to s in the steps of `reach`; None where it is shut, or very long."""
+    """Return the poses (n, n_q) on the straight path to s in the steps of `reach`, or None if it is blocked or too long."""
     first = start[mechanism.independent]
     n = int(np.ceil(2 * np.max(np.abs(s - first) / step_sizes(mechanism)[mechanism.independent], initial=0.0)))
-    if not n < _MOST_LOOKS:
+    if not n < 361:  # about a full turn
         return None
-    poses, arrived = led(mechanism, start, np.linspace(first, s, n + 1))
+    poses, arrived = continue_to(mechanism, start, np.linspace(first, s, n + 1))
     return poses if arrived == n + 1 else None
 
 
 def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[np.ndarray]:
-    """Return the poses inside a reach at which J_z loses rank though no determinant changes sign."""
+    """Return the poses inside a reach at which J_z loses rank although no determinant changes sign."""
     import scipy
 
     index, found = int(mechanism.independent[coordinate]), []
-    for k in dips(mechanism, poses):
-        # Next to such a pose Newton has no ground; the motion is smooth, and a spline of its neighbours exact enough.
-        near = poses[max(0, k - _SPLINED) : k + _SPLINED + 1]
+    for k in local_minima(mechanism, poses):
+        # Newton is ill-conditioned next to such a pose. The motion is smooth, so a spline of its neighbours is accurate.
+        near = poses[max(0, k - _SPLINE_NEIGHBOURS) : k + _SPLINE_NEIGHBOURS + 1]
         motion = scipy.interpolate.CubicSpline(near[:, index], near)
 
         def least(x: float, motion=motion) -> float:
@@ -134,20 +130,20 @@ def _touched(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> list[n
 
         ends = (float(poses[k - 1, index]), float(poses[k + 1, index]))
         x = scipy.optimize.minimize_scalar(least, bounds=ends, method="bounded", options={"xatol": 1e-12}).x
-        if vanishes(mechanism, motion(x)):
+        if is_singular(mechanism, motion(x)):
             found.append(motion(x))
     return found
 
 
 def _at(mechanism: Mechanism, start: np.ndarray, coordinate: int, x: float) -> np.ndarray:
-    """Return the pose where one coordinate stands at x, led there from `start`; the last one before where it cannot."""
+    """Return the pose with one coordinate at x by continuation from `start`, or the last pose before the loop opens."""
     s = start[mechanism.independent].copy()
     s[coordinate] = x
     return advance(mechanism, start, s)[0]
 
 
 def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.ndarray], End, list[np.ndarray]]:
-    """Return the poses from home (left out) to the end in one direction, the end, and a singular pose if one."""
+    """Return the poses after home up to the end in one direction, the end, and the singular pose there, if any."""
     index = int(mechanism.independent[coordinate])
     joint = mechanism.joints[index]
     step = step_sizes(mechanism)[index] / 2
@@ -162,9 +158,9 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
     path = np.tile(home[mechanism.independent], (max(n_steps, 1), 1))
     path[:, coordinate] = home[index] + sign * step * np.arange(1, len(path) + 1)
     path[-1, coordinate] = last
-    begin, n = 0, _FIRST_STEPS
+    begin, n = 0, 16  # ranges are checked after 16 steps, and then after four times as many each time
     while begin < len(path):
-        found, arrived = led(mechanism, q, path[begin : begin + n])
+        found, arrived = continue_to(mechanism, q, path[begin : begin + n])
         outside = _leaves_ranges(mechanism, found).any(axis=1)
         for trial, leaves in zip(found, outside.tolist(), strict=True):
             stop = _range_stop(mechanism, q, trial, coordinate) if leaves else None
@@ -176,7 +172,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
         if arrived < len(path[begin : begin + n]):
             pose = _singular_pose(mechanism, q, coordinate)
             return poses, End(position=float(pose[index]), reason="singular pose", joint=None), [pose]
-        begin, n = begin + n, _MORE * n
+        begin, n = begin + n, 4 * n
     reason = "full turn" if last != limit else _end_of(joint)
     return poses, End(position=float(last), reason=reason, joint=index if last == limit else None), []
 
@@ -186,11 +182,11 @@ def _end_of(joint: Joint) -> str:
 
 
 def _leaves_ranges(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
-    """Return which dependent joints are out of their ranges at poses (n, n_q): (n, n_z)."""
+    """Return a mask (n, n_z) of the dependent joints outside their ranges at poses (n, n_q)."""
     ranges = [(mechanism.joints[i].lower, mechanism.joints[i].upper) for i in mechanism.dependent]
     low, high = np.array(ranges).reshape(-1, 2).T
     z = poses[:, mechanism.dependent]
-    return np.maximum(z - high, low - z) > _RANGE_SLACK
+    return np.maximum(z - high, low - z) > _RANGE_ROUNDING
 
 
 def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int):
@@ -201,8 +197,8 @@ def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
         joint = mechanism.joints[i]
         for limit, outside in ((joint.upper, trial[i] - joint.upper), (joint.lower, joint.lower - trial[i])):
             outward = trial[i] - q[i] if limit == joint.upper else q[i] - trial[i]
-            # A joint that does not move with the coordinate, or comes back into its range, does not stop it.
-            if not outside > _RANGE_SLACK or not outward > _STILL * step_sizes(mechanism)[i]:
+            # A joint that does not move with the coordinate, or returns into its range, is no stop.
+            if not outside > _RANGE_ROUNDING or not outward > _ZERO_RATE_SHARE * step_sizes(mechanism)[i]:
                 continue
             pose = _pose_where(mechanism, q, trial, coordinate, lambda p, i=i, limit=limit: p[i] - limit)
             distance = abs(pose[mechanism.independent[coordinate]] - q[mechanism.independent[coordinate]])
@@ -212,7 +208,7 @@ def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
 
 
 def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordinate: int, function) -> np.ndarray:
-    """Return the pose between two poses at which `function(pose)` changes sign (the start if it does not)."""
+    """Return the pose between two poses at which `function(pose)` changes sign, or the first pose if it does not."""
     index = mechanism.independent[coordinate]
 
     def pose_at(x: float) -> np.ndarray:
@@ -225,7 +221,7 @@ def _pose_where(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
 
 
 def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> np.ndarray:
-    """Return the pose with phi = 0 and det J_z = 0 next to `near`; `near` itself where that does not converge."""
+    """Return the pose with phi = 0 and det J_z = 0 next to `near`, or `near` itself if the solver does not converge."""
     import scipy
 
     index = int(mechanism.independent[coordinate])
@@ -245,7 +241,7 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
         phi = np.array(closure(q)).ravel()
         return np.append(phi, fold(q))
 
-    # Normal equations are blind to the gap that opens where J_z loses rank: all rows are looked at there.
+    # Normal equations do not see the gap that opens where J_z loses rank, so all rows of phi are used for these loops.
     closure = mechanism.dynamics.closure if mechanism.projected else mechanism.dynamics.independent_closure
     method = "lm" if mechanism.projected else "hybr"
     solution = scipy.optimize.root(system, near[free], tol=1e-14, method=method)
@@ -256,7 +252,7 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
 
 
 def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[tuple[int, float], ...]:
-    """Return where each dependent joint's rate against the independent one changes sign."""
+    """Return the dead centres (joint, independent position) of the dependent joints, where their rates change sign."""
     index = mechanism.independent[coordinate]
 
     def rate(pose: np.ndarray, joint: int) -> float:
@@ -264,9 +260,9 @@ def _toggles(mechanism: Mechanism, coordinate: int, poses: np.ndarray) -> tuple[
 
     found = []
     rates = sampled(mechanism.dynamics.velocity_map, poses)[:, :, coordinate]
-    rates[np.abs(rates) < _STILL] = 0.0
+    rates[np.abs(rates) < _ZERO_RATE_SHARE] = 0.0
     for joint in mechanism.dependent:
-        moving = np.flatnonzero(rates[:, joint])  # a sample on the toggle itself has no sign: its neighbours have
+        moving = np.flatnonzero(rates[:, joint])  # the rate at a dead centre itself has no sign
         for before, after in pairwise(moving):
             if rates[before, joint] * rates[after, joint] > 0:
                 continue

@@ -1,22 +1,19 @@
-"""Where a function of one variable changes its sign. scipy.optimize takes longer to import than a large model to look at."""
+"""The root of a function of one variable by Ridders' method. Importing scipy.optimize takes longer than the search."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-# Ridders' method doubles the right digits with every two evaluations; from a bracket of 1e3 this many are plenty.
-_MOST_STEPS = 100
-
 
 def sign_change(function: Callable[[float], float], a: float, b: float, xtol: float) -> float:
     """Return x between a and b where f(x) = 0, to xtol, by Ridders' method (IEEE Trans. Circuits Syst. 26, 1979).
 
-    f's values at the ends are of opposite signs, or one of them is 0. The root stays bracketed all along.
+    The values of f at the ends have opposite signs, or one of them is 0. The root stays bracketed.
     """
     at_a, at_b = function(a), function(b)
     if at_a == 0 or at_b == 0:
         return a if at_a == 0 else b
-    for _ in range(_MOST_STEPS):
+    for _ in range(100):
         middle = 0.5 * (a + b)
         if not abs(b - a) > xtol or middle in (a, b):
             break

@@ -1,4 +1,4 @@
-"""A stick drawing of a mechanism: each body as the points where it is pinned to others."""
+"""A stick drawing of a mechanism: each body as the polygon of its pins."""
 
 from dataclasses import dataclass
 
@@ -14,10 +14,7 @@ from linkplan.models.tree.ties import tied_points
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Stick:
-    """One body: its name, whether it is fixed to the world, and its pins at n poses.
-
-    `pins` (n, n_pins, 2) [m] are in the plane of the drawing, `places` (n, n_pins, 3) [m] in the world's frame.
-    """
+    """One body with its pins at n poses [m]: `pins` (n, n_pins, 2) in the drawing, `places` (n, n_pins, 3) in the world."""
 
     body: str
     fixed: bool
@@ -26,7 +23,7 @@ class Stick:
 
 
 def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
-    """Return the bodies of a mechanism at poses (n, n_q), seen along the axis that most hinges share."""
+    """Return the bodies of a mechanism at poses (n, n_q), viewed along the axis that most hinges share."""
     right, up = view(mechanism.model)
     return tuple(
         Stick(
@@ -40,10 +37,10 @@ def sticks(mechanism: Mechanism, poses: np.ndarray) -> tuple[Stick, ...]:
 
 
 def pins_in_space(mechanism: Mechanism, poses: np.ndarray) -> dict[int, np.ndarray]:
-    """Return where bodies are pinned to others at poses (n, n_q): by MuJoCo's index of the body, (n, n_pins, 3) [m].
+    """Return the positions (n, n_pins, 3) [m] of each body's pins at poses (n, n_q), by MuJoCo's index of the body.
 
     A body's pins are its own joint's anchor, its children's anchors and the points where closures tie it. A body that slides
-    in a moving one is drawn from that body's own pin on; one that is pinned at a single point, as far as its centre of mass.
+    in a moving body is drawn from that body's own pin. A body with a single pin is drawn to its centre of mass.
     """
     model = mechanism.model
     tree = build_tree(model, mechanism.qpos_of(mechanism.reference))
@@ -58,7 +55,7 @@ def pins_in_space(mechanism: Mechanism, poses: np.ndarray) -> dict[int, np.ndarr
             if model.jnt_type[joint] != SLIDE:
                 pins.setdefault(_solid(model, parent), []).append(anchor)
             elif _solid(model, parent) == 0:
-                # A slide's own anchor moves with it: on the ground it stands where the joint is at its reference.
+                # A slide's own anchor moves with it. The ground's pin is the anchor at the joint's reference.
                 pins.setdefault(0, []).append(tree.point(parent, np.array(model.body_pos[body])))
             else:
                 pins[body].insert(0, pins[_solid(model, parent)][0])
@@ -78,18 +75,18 @@ def pins_in_space(mechanism: Mechanism, poses: np.ndarray) -> dict[int, np.ndarr
 
 
 def _solid(model: mujoco.MjModel, body: int) -> int:
-    """Return the body that `body` is rigidly part of: the nearest one up the tree with a joint, or the world (0)."""
+    """Return the root of the rigid group of a body: the nearest ancestor with a joint, or the world (0)."""
     return int(model.body_weldid[body])
 
 
 def body_name(model: mujoco.MjModel, body: int) -> str:
-    """Return what the stick is called that a body is part of."""
+    """Return the name of the stick that contains a body."""
     body = _solid(model, body)
     return "ground" if body == 0 else model.body(body).name or f"body {body}"
 
 
 def view(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
-    """Return the drawing's right and up directions: across the hinges' common axis, up against gravity."""
+    """Return the drawing's right and up directions (3,), normal to the hinges' common axis, with up near +z."""
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     axes = np.array(data.xaxis[~np.isin(model.jnt_type, (SLIDE, BALL, FREE))]).reshape(-1, 3)
@@ -103,5 +100,5 @@ def view(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:
         up /= np.linalg.norm(up)
         return np.cross(up, normal), up
     up /= np.linalg.norm(up)
-    # Looking along +y, +x is to the right when +z is up.
+    # Viewed along +y, +x points right if +z points up.
     return np.cross(normal, up), up

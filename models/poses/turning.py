@@ -1,4 +1,4 @@
-"""What coordinates go on by where a motion repeats itself turn after turn."""
+"""Whole turns of joints over one cycle of a periodic motion."""
 
 import numpy as np
 
@@ -6,6 +6,6 @@ from linkplan.models.mechanism import Mechanism
 
 
 def whole_turns(mechanism: Mechanism, travelled: np.ndarray) -> np.ndarray:
-    """Return the whole turns [rad] nearest to what joints have travelled (n_q,) [rad or m]; 0 of what does not turn."""
+    """Return the whole turns (n_q,) [rad] nearest to the joints' travel [rad or m]; 0 for joints that do not turn."""
     hinges = np.array([joint.turns for joint in mechanism.joints])
     return np.where(hinges, 2 * np.pi * np.round(travelled / (2 * np.pi)), 0.0)

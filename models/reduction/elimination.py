@@ -1,19 +1,20 @@
-"""Solving A x = b in symbols, A given by its expressions: by blocks of its structure, each by the shortest exact way.
+"""Symbolic solution of A x = b by the block triangular form of A.
 
-The loops of a mechanism as a rule follow one another (the first fixes what the second hangs on), so that J_z is block
-triangular with blocks of two or three. Blocks up to three are solved by Cramer's rule, which is shortest and has no pivot
-that might vanish while A is regular; larger ones by QR, which needs none either.
+The second loop of a mechanism is usually attached to the first, so J_z is block triangular with blocks of two or three
+rows. Blocks of up to three rows are solved by Cramer's rule, larger blocks by QR. Neither needs a pivot, which could vanish
+while A is regular.
 """
 
 from collections.abc import Callable
 
 import casadi as ca
 
-_CRAMER = 3
+# Largest block that is solved by Cramer's rule, which gives the shortest expressions up to this size.
+_MAX_CRAMER_SIZE = 3
 
 
 def factorise(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
-    """Return the function b -> A^-1 b; what depends on A alone is written once."""
+    """Return the function b -> A^-1 b, whose calls share the expressions that depend only on A."""
     n = A.shape[0]
     if n == 0:
         return lambda b: ca.SX(0, b.shape[1])
@@ -28,7 +29,7 @@ def factorise(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
     def solve(b: ca.SX) -> ca.SX:
         b = b[rows, :]
         x = ca.SX(n, b.shape[1])
-        # CasADi's form is a lower block triangle: the first block stands alone.
+        # CasADi's block triangular form is lower triangular.
         for block, solver in zip(blocks, solvers, strict=True):
             known = slice(0, block.start)
             x[block, :] = solver(b[block, :] - (permuted[block, known] @ x[known, :] if block.start else 0))
@@ -38,19 +39,19 @@ def factorise(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
 
 
 def solve_positive(A: ca.SX, b: ca.SX) -> ca.SX:
-    """Return A^-1 b for a positive definite A, an inertia: by LDL^T beyond three unknowns, a quarter as long as QR."""
-    if A.shape[0] <= _CRAMER:
+    """Return A^-1 b for a positive definite A such as an inertia. Beyond three unknowns LDL^T is a quarter as long as QR."""
+    if A.shape[0] <= _MAX_CRAMER_SIZE:
         return factorise(A)(b)
     A = ca.sparsify(A)
-    pattern = A.sparsity()  # terms that cancel need not do so on both sides of the diagonal
+    pattern = A.sparsity()  # may be asymmetric where terms cancel on one side of the diagonal only
     D, LT, order = ca.ldl(ca.project(A, pattern.unite(pattern.T)))
     return ca.ldl_solve(b, D, LT, order)
 
 
 def block_determinants(A: ca.SX) -> ca.SX:
-    """Return the determinants (n_blocks,) of A's diagonal blocks; det A is their product, but for its sign.
+    """Return the determinants (n_blocks,) of A's diagonal blocks; det A is their product up to its sign.
 
-    Where two loops fold at once, as in a mirrored gripper, both change sign and their product does not.
+    If two loops fold at once, as in a mirrored gripper, both determinants change sign and their product does not.
     """
     if A.shape[0] == 0:
         return ca.SX(ca.DM.ones(1))
@@ -69,7 +70,7 @@ def block_rows(A: ca.SX) -> list[list[int]]:
 
 
 def determinant(A: ca.SX) -> ca.SX:
-    """Return det A, with the sign that A's own order gives."""
+    """Return det A with its sign."""
     if A.shape[0] == 0:
         return ca.SX(1)
     rows, columns, _ = _blocks(ca.sparsify(A))
@@ -86,7 +87,7 @@ def _blocks(A: ca.SX) -> tuple[list[int], list[int], list[slice]]:
 
 
 def _block_solver(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
-    if A.shape[0] <= _CRAMER:
+    if A.shape[0] <= _MAX_CRAMER_SIZE:
         adjugate, det = _adjugate(A), _minor(A)
         return lambda b: (adjugate @ b) / det
     Q, R = ca.qr(A)
@@ -104,7 +105,7 @@ def _adjugate(A: ca.SX) -> ca.SX:
 
 
 def _minor(A: ca.SX) -> ca.SX:
-    """Return det A by expansion along rows, each minor of the rows below worked out once."""
+    """Return det A by expansion along rows. Each minor of the rows below is computed once."""
     n, sparsity, known = A.shape[0], A.sparsity(), {}
 
     def below(row: int, columns: tuple[int, ...]) -> ca.SX:

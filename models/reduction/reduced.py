@@ -3,78 +3,77 @@
     q' = Gamma v,   Gamma = [I; -J_z^-1 J_s],   q'' = Gamma a + gamma,   gamma_z = -J_z^-1 (J' q')
     Gamma^T (M q'' + h - tau_passive) = Gamma^T B u
 
-v = s' and a = s'' belong to the independent joints, z are the dependent ones, J = dphi/dq over independent rows
-(Wehage & Haug, J. Mech. Design 104, 1982). Multipliers follow from the dependent rows, J_z^T lambda = (...)_z. Where no rows
-are independent all along, in overconstrained loops, E J stands in place of J: see `models.closure.redundancy`.
+v = s' and a = s'' belong to the independent joints, z are the dependent joints, and J = dphi/dq has the independent rows
+(Wehage & Haug, J. Mech. Design 104, 1982). The multipliers follow from the dependent rows, J_z^T lambda = (...)_z.
+Overconstrained loops have no rows that are independent at every pose: there E J replaces J, see `models.closure.redundancy`.
 """
 
 import functools
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
 import casadi as ca
 import numpy as np
 
-from linkplan.models.closure.equations import Closure, pins_together
+from linkplan.models.closure.equations import Closure, rows_by_pin
 from linkplan.models.closure.redundancy import ProjectedLoops, combination, jacobians_at_random
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.dynamics import Tree
 from linkplan.models.tree.sites import site_places
 from linkplan.models.tree.tendons import limited_tendons
 
-# The name of the input that parameters are.
+# Name of the functions' parameter input.
 _PARAMETERS = "parameters"
-# Below the determinant that rounding leaves of one that vanishes: its root's slope stays finite.
-_TINY = 1e-40
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ReducedDynamics:
     """CasADi functions of a closed chain; each can be called with numbers or with SX.
 
-    q (n_q,) are all joints, v and a (n_s,) the independent joints' rates and accelerations, u (n_u,) efforts.
-    Generalised efforts are (n_s,), [N.m] on a hinge and [N] on a slide.
+    q (n_q,) contains all joints, v and a (n_s,) the independent joints' rates and accelerations, u (n_u,) the efforts.
+    Generalised efforts (n_s,) are in [N.m] on a hinge and [N] on a slide.
     """
 
     closure: ca.Function  # q -> phi (n_rows,) [m], every row
-    independent_closure: ca.Function  # q -> E phi (rank,) [m], independent rows or those of normal equations
+    independent_closure: ca.Function  # q -> E phi (rank,) [m], independent rows or normal equations
     closure_jacobian: ca.Function  # q -> J (n_rows, n_q)
-    closure_step: ca.Function  # q -> phi (rank,), Newton's step -J_z^-1 phi in z, Gamma, the dets of J_z's blocks
+    closure_step: ca.Function  # q -> phi (rank,), Newton's step -J_z^-1 phi in z, Gamma, determinants of J_z's blocks
     velocity_map: ca.Function  # q -> Gamma (n_q, n_s)
     singularity: ca.Function  # q -> det J_z, zero at a singular pose
-    block_singularity: ca.Function  # q -> the dets of J_z's blocks, each of loops that close together
-    orientation: ca.Function  # q_0, q -> as block_singularity, times q_0's: negative where one of the two is beyond a fold
-    projected: bool  # whether some loops are closed in normal equations, whose determinants have no sign of their own
+    block_singularity: ca.Function  # q -> determinants of J_z's blocks; a block contains coupled loops
+    orientation: ca.Function  # q_0, q -> products of block_singularity at q_0 and q: negative if a fold lies between
+    projected: bool  # true if some loops are closed by normal equations, whose determinants have no sign
     mass_matrix: ca.Function  # q -> M (n_q, n_q), armature included
     bias: ca.Function  # q, q' -> h (n_q,), MuJoCo's qfrc_bias
     passive: ca.Function  # q, q' -> springs and dampers (n_q,)
     reduced_inertia: ca.Function  # q -> Gamma^T M Gamma (n_s, n_s)
-    gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that holds the weight
-    tree_effort: ca.Function  # (q, qd, qdd) -> M q'' + h without passive forces and friction (n_q,), loops cut open
+    gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that balances gravity
+    tree_effort: ca.Function  # (q, qd, qdd) -> M q'' + h - tau_passive - friction (n_q,) of the tree with open loops
     effort_matrix: ca.Function  # q -> B (n_q, n_u), each actuator's generalised effort
-    actuator_length: ca.Function  # q -> l (n_u,), MuJoCo's, not a number for sites and slider-cranks
-    tendon_length: ca.Function  # q -> l (n_tendons,) of the tendons whose length is limited
+    actuator_length: ca.Function  # q -> MuJoCo's actuator lengths (n_u,), NaN for sites and slider-cranks
+    tendon_length: ca.Function  # q -> l (n_tendons,) of the tendons with a limited length
     effort_map: ca.Function  # q -> Gamma^T B (n_s, n_u)
-    inverse_dynamics: ca.Function  # q, v, a -> Gamma^T B u that the motion needs (n_s,)
+    inverse_dynamics: ca.Function  # q, v, a -> the required Gamma^T B u (n_s,)
     residual: ca.Function  # q, v, a, u -> inverse_dynamics - Gamma^T B u (n_s,)
-    sliding: ca.Function  # q, v, a, u -> the residual without dry friction, whose slope while things slide is none
+    sliding: ca.Function  # q, v, a, u -> the residual without dry friction, which is constant while joints slide
     acceleration: ca.Function  # q, v, u -> a (n_s,)
     flow: ca.Function  # q, v, u -> q' (n_q,), v' (n_s,)
-    closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N], the least that does it; zero on closures left out
+    closure_force: ca.Function  # q, v, a, u -> lambda (n_rows,) [N] of least norm; zero on redundant closures
     energy: ca.Function  # q, v -> kinetic, potential [J]
-    site_places: ca.Function  # q -> p_world (3, n_sites) [m] of every site of the model, whatever the payload
+    site_places: ca.Function  # q -> p_world (3, n_sites) [m] of every site of the model, without parameters
 
     @property
     def linearisation(self) -> ca.Function:
-        """q, v, u -> da/ds, da/dv, da/du along the closed chain; made when it is first asked for."""
+        """q, v, u -> da/ds, da/dv, da/du along the closed chain; built at the first use."""
         return _linearisation(self)
 
 
 @functools.lru_cache(maxsize=64)
 def _linearisation(dynamics: ReducedDynamics) -> ca.Function:
-    """Return it by the implicit function theorem: M_r da = -(dr/dq Gamma ds + dr/dv dv) + Gamma^T B du, r the residual.
+    """Return the linearisation by the implicit function theorem: M_r da = -(dr/dq Gamma ds + dr/dv dv) + Gamma^T B du.
 
-    Of a mechanism that slides: next to rest dry friction would count as damping that no machine has.
+    r is the residual without dry friction. Near rest, smoothed dry friction would add damping that no machine has.
     """
     of = dynamics.sliding
     inputs = [ca.SX.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in())]
@@ -91,9 +90,9 @@ def _linearisation(dynamics: ReducedDynamics) -> ca.Function:
 
 
 def linearised(dynamics: ReducedDynamics, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return da/ds, da/dv (n_s, n_s) and da/du (n_s, n_u) at one pose: the `linearisation` there, in a third of the time.
+    """Return da/ds, da/dv (n_s, n_s) and da/du (n_s, n_u) at one pose, in a third of the time of `linearisation`.
 
-    What is a number at the pose is one in the expressions that are differentiated; the linear system is solved in numbers.
+    Constants replace symbols before the differentiation, and the linear system is solved numerically.
     """
     a = ca.DM(dynamics.acceleration(q, v, u))
     x, w = ca.SX.sym("q", len(q)), ca.SX.sym("v", len(v))
@@ -115,44 +114,22 @@ def reduce_tree(
     projected: Sequence[ProjectedLoops] = (),
     lengths: ca.SX | None = None,
 ) -> ReducedDynamics:
-    """Return the reduced dynamics of `tree` under its closures, of whose equations phi (n_rows,) `rows` are independent.
+    """Return the reduced dynamics of `tree` under its closures, whose equations phi (n_rows,) have independent `rows`.
 
-    `effort_matrix` is B (n_q, n_u), an expression of the tree's q. Where the tree has `parameters`, they are every
-    function's last input. `projected` loops are closed in the normal equations of all their rows.
+    `effort_matrix` is B (n_q, n_u), an expression of the tree's q. If the tree has `parameters`, they are the last input of
+    every function that depends on them. `projected` loops are closed by the normal equations of all their rows.
     """
     further = [] if parameters is None else [parameters]
-    phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
     q, qd, qdd = tree.q, tree.qd, tree.qdd
     n_s, n_u = len(independent), effort_matrix.shape[1]
     v, a, u = ca.SX.sym("v", n_s), ca.SX.sym("a", n_s), ca.SX.sym("u", n_u)
-    jacobian = ca.jacobian(phi, q)
-    chosen = [int(row) for row in rows]
-    E = combination(jacobian[:, [int(i) for i in dependent]], chosen, projected) if projected else None
-    J, independent_phi = (jacobian[chosen, :], phi[chosen]) if E is None else (E @ jacobian, E @ phi)
-    gapes = any(loop.gapes for loop in projected)
-    if gapes:
-        J = ca.jacobian(independent_phi, q)
-    J_s, J_z = J[:, [int(i) for i in independent]], J[:, [int(i) for i in dependent]]
-
-    gamma_map = ca.SX.zeros(q.numel(), n_s)
-    gamma_map[[int(i) for i in independent], :] = ca.SX.eye(n_s)
-    solve = factorise(J_z)
-    if chosen:
-        gamma_map[[int(i) for i in dependent], :] = -solve(J_s)
-    det, dets = determinant(J_z), block_determinants(J_z)
-    both = ca.SX.sym("q_0", q.numel())
-    oriented = dets * ca.substitute(dets, q, both)
-    if projected:
-        dets, oriented = _projected_determinants(jacobian, q, both, dependent, chosen, J_z, dets, oriented, projected)
-        det = ca.SX(1)
-        for one in ca.vertsplit(dets):
-            det *= one
-    turning = ca.jtimes(J @ qd, q, qd) if E is None or gapes else E @ ca.jtimes(jacobian @ qd, q, qd)
-    convective = ca.Function("convective", [q, qd], [turning])
+    loops = _partition(tree, closures, rows, independent, dependent, projected)
+    phi, gamma_map = loops.phi, loops.velocity_map
+    det, dets, orientation = _determinants(loops, q, projected)
     rates = gamma_map @ v
     gamma = ca.SX.zeros(q.numel())
-    if chosen:
-        gamma[[int(i) for i in dependent]] = -solve(convective(q, rates))
+    if loops.rows:
+        gamma[loops.dependent] = -loops.solve(loops.convective(q, rates))
 
     without = tree.inverse_dynamics - tree.passive
     tree_effort = ca.Function("tree_effort", [q, qd, qdd, *further], [without - tree.friction])
@@ -165,17 +142,7 @@ def reduce_tree(
     inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
     reduced_bias = gamma_map.T @ tree_effort(q, rates, gamma, *further)
     acceleration = solve_positive(inertia, effort_map @ u - reduced_bias)
-
-    force = ca.SX.zeros(phi.numel())
-    if chosen:
-        held = _solve(J_z.T, (needed - B @ u)[[int(i) for i in dependent]])
-        if E is None:
-            force[chosen] = held
-        else:
-            force = E.T @ held
-        whole = {row for loop in projected for row in loop.rows}  # their forces are the least already
-        kept = [row for row in range(phi.numel()) if row in whole or row in chosen]
-        force = _least_norm(ca.Function("J", [q], [ca.densify(jacobian)]), kept, pins_together(tree.model, closures)) @ force
+    force = _closure_force(tree, closures, loops, projected, needed - B @ u)
     limited = ca.vertcat(ca.SX(0, 1), *[tree.tendon_lengths[tendon.index] for tendon in limited_tendons(tree.model)])
     kinetic_at = ca.Function("kinetic", [q, qd, *further], [tree.kinetic_energy])
 
@@ -186,13 +153,15 @@ def reduce_tree(
 
     return ReducedDynamics(
         closure=function("closure", [q], phi),
-        independent_closure=function("independent_closure", [q], independent_phi),
-        closure_jacobian=function("closure_jacobian", [q], jacobian),
-        closure_step=function("closure_step", [q], independent_phi, -solve(independent_phi), gamma_map, dets),
+        independent_closure=function("independent_closure", [q], loops.independent_phi),
+        closure_jacobian=function("closure_jacobian", [q], loops.jacobian),
+        closure_step=function(
+            "closure_step", [q], loops.independent_phi, -loops.solve(loops.independent_phi), gamma_map, dets
+        ),
         velocity_map=function("velocity_map", [q], gamma_map),
         singularity=function("singularity", [q], det),
         block_singularity=function("block_singularity", [q], dets),
-        orientation=ca.Function("orientation", [both, q], [ca.densify(oriented)]),
+        orientation=orientation,
         projected=bool(projected),
         mass_matrix=function("mass_matrix", [q], tree.mass_matrix),
         bias=function("bias", [q, qd], tree.bias),
@@ -216,7 +185,7 @@ def reduce_tree(
 
 
 def with_numbers(dynamics: ReducedDynamics, numbers: np.ndarray) -> ReducedDynamics:
-    """Return dynamics with numbers (k,) in place of their parameters, every function's last input."""
+    """Return dynamics with numbers (k,) in place of their parameters."""
 
     def given(function: ca.Function) -> ca.Function:
         if function.name_in(function.n_in() - 1) != _PARAMETERS:
@@ -229,32 +198,108 @@ def with_numbers(dynamics: ReducedDynamics, numbers: np.ndarray) -> ReducedDynam
     return ReducedDynamics(**{k: given(f) if isinstance(f, ca.Function) else f for k, f in functions.items()})
 
 
-def _projected_determinants(jacobian, q, other, dependent, chosen, A, dets, oriented, projected) -> tuple[ca.SX, ca.SX]:
-    """Return the blocks' determinants, sqrt(det J_z^T J_z) in projected loops, and det(J_z(q_0)^T J_z(q)) beside them."""
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class _Partition:
+    """Expressions of coordinate partitioning over the tree's q."""
+
+    rows: list[int]  # independent rows of phi
+    dependent: list[int]
+    phi: ca.SX  # (n_rows,) every row [m]
+    jacobian: ca.SX  # dphi/dq (n_rows, n_q)
+    combination: ca.SX | None  # E (rank, n_rows), None without overconstrained loops
+    independent_phi: ca.SX  # E phi, or the independent rows of phi (rank,)
+    J_z: ca.SX  # (rank, rank)
+    solve: Callable[[ca.SX], ca.SX]  # b -> J_z^-1 b
+    velocity_map: ca.SX  # Gamma (n_q, n_s)
+    convective: ca.Function  # q, q' -> J' q' (rank,)
+
+
+def _partition(
+    tree: Tree,
+    closures: Sequence[Closure],
+    rows: np.ndarray,
+    independent: np.ndarray,
+    dependent: np.ndarray,
+    projected: Sequence[ProjectedLoops],
+) -> _Partition:
+    """Return the kinematics of coordinate partitioning."""
+    chosen, free, bound = ([int(i) for i in indices] for indices in (rows, independent, dependent))
+    q, qd = tree.q, tree.qd
+    phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
+    jacobian = ca.jacobian(phi, q)
+    E = combination(jacobian[:, bound], chosen, projected) if projected else None
+    J, independent_phi = (jacobian[chosen, :], phi[chosen]) if E is None else (E @ jacobian, E @ phi)
+    inexact = any(loop.inexact for loop in projected)
+    if inexact:
+        J = ca.jacobian(independent_phi, q)
+    J_z = J[:, bound]
+    solve = factorise(J_z)
+    gamma_map = ca.SX.zeros(q.numel(), len(free))
+    gamma_map[free, :] = ca.SX.eye(len(free))
+    if chosen:
+        gamma_map[bound, :] = -solve(J[:, free])
+    convective = ca.jtimes(J @ qd, q, qd) if E is None or inexact else E @ ca.jtimes(jacobian @ qd, q, qd)
+    return _Partition(
+        rows=chosen,
+        dependent=bound,
+        phi=phi,
+        jacobian=jacobian,
+        combination=E,
+        independent_phi=independent_phi,
+        J_z=J_z,
+        solve=solve,
+        velocity_map=gamma_map,
+        convective=ca.Function("convective", [q, qd], [convective]),
+    )
+
+
+def _determinants(loops: _Partition, q: ca.SX, projected: Sequence[ProjectedLoops]) -> tuple[ca.SX, ca.SX, ca.Function]:
+    """Return det J_z, the determinants of its blocks, and the function `orientation` of `ReducedDynamics`.
+
+    The block of a projected loop has the determinant sqrt(det J_z^T J_z), and the orientation det(J_z(q_0)^T J_z(q)).
+    """
+    before = ca.SX.sym("q_0", q.numel())
+    dets = block_determinants(loops.J_z)
+    oriented = dets * ca.substitute(dets, q, before)
+    if not projected:
+        return determinant(loops.J_z), dets, ca.Function("orientation", [before, q], [ca.densify(oriented)])
     own, signed = ca.vertsplit(dets), ca.vertsplit(oriented)
-    J_z = jacobian[:, [int(i) for i in dependent]]
-    for block, rows in enumerate(block_rows(A)):
-        of = {chosen[row] for row in rows}
+    J_z = loops.jacobian[:, loops.dependent]
+    for block, rows in enumerate(block_rows(loops.J_z)):
+        of = {loops.rows[row] for row in rows}
         for loop in projected:
             if of <= set(loop.rows):
-                own[block] = ca.sqrt(ca.fmax(own[block], _TINY))
+                own[block] = ca.sqrt(ca.fmax(own[block], 1e-40))  # the derivative stays finite at zero
                 here = J_z[list(loop.rows), list(loop.columns)]
-                both = ca.mtimes(ca.substitute(here, q, other).T, here)
-                signed[block] = determinant(both)
-    return ca.vertcat(*own), ca.vertcat(*signed)
+                signed[block] = determinant(ca.mtimes(ca.substitute(here, q, before).T, here))
+    orientation = ca.Function("orientation", [before, q], [ca.densify(ca.vertcat(*signed))])
+    return math.prod(own, start=ca.SX(1)), ca.vertcat(*own), orientation
 
 
-def _solve(A: ca.SX, b: ca.SX) -> ca.SX:
-    """Return A^-1 b."""
-    return factorise(A)(b)
+def _closure_force(
+    tree: Tree, closures: Sequence[Closure], loops: _Partition, projected: Sequence[ProjectedLoops], left: ca.SX
+) -> ca.SX:
+    """Return the closure forces lambda (n_rows,) [N] of least norm that balance the generalised forces `left` (n_q,)."""
+    force = ca.SX.zeros(loops.phi.numel())
+    if not loops.rows:
+        return force
+    multipliers = factorise(loops.J_z.T)(left[loops.dependent])
+    if loops.combination is None:
+        force[loops.rows] = multipliers
+    else:
+        force = loops.combination.T @ multipliers
+    whole = {row for loop in projected for row in loop.rows}  # their forces have least norm already
+    kept = [row for row in range(loops.phi.numel()) if row in whole or row in loops.rows]
+    jacobian = ca.Function("J", [tree.q], [ca.densify(loops.jacobian)])
+    return _least_norm(jacobian, kept, rows_by_pin(tree.model, closures)) @ force
 
 
 def _least_norm(jacobian: ca.Function, chosen: list[int], gaps: list[list[int]]) -> ca.DM:
-    """Return the matrix (n_rows, n_rows) from forces on the chosen rows to the least forces on all rows that do the same.
+    """Return the matrix (n_rows, n_rows) that maps forces on the chosen rows to equivalent forces of least norm on all rows.
 
-    In a planar loop one of a connect's three rows depends on the other two, J_c = C J_chosen with C constant; then
-    C (C^T C)^-1 mu has the size of the pin force whichever rows were chosen. Where C is not constant (spatial
-    loops, rows that depend on another closure's) forces stay on the chosen rows.
+    In a planar loop one of a connect's three rows depends on the other two, J_c = C J_chosen with a constant C. Then
+    C (C^T C)^-1 mu has the size of the pin force, whichever rows were chosen. If C is not constant (spatial loops, rows that
+    depend on another closure's rows), the forces stay on the chosen rows.
     """
     n_rows = jacobian.size1_out(0)
     spread = np.eye(n_rows)

@@ -1,6 +1,6 @@
-"""Whether the reduced inertia M_r is positive definite: a motion without kinetic energy has no acceleration.
+"""Check that the reduced inertia M_r is positive definite. A motion without kinetic energy has no defined acceleration.
 
-Two hinges on one axis turn against each other and leave the body at rest; so do three hinges of a wrist in gimbal lock.
+Examples are two hinges on one axis that turn against each other, and three hinges of a wrist in gimbal lock.
 """
 
 from collections.abc import Sequence
@@ -10,37 +10,35 @@ import numpy as np
 from linkplan.models.errors import InertiaError
 from linkplan.models.tree.joints import Joint
 
-# M_r counts as singular where its least eigenvalue, its diagonal scaled to one, is below this: rounding of a sum of terms
-# leaves 1e-16, and accelerations would keep less than four digits.
-SINGULAR_INERTIA = 1e-12
-# The coordinates named are those that have at least this share of the largest part in the motion without kinetic energy.
-_NAMED_SHARE = 0.1
+# M_r, scaled to a unit diagonal, is singular if its least eigenvalue is below this. Accelerations would have less than four
+# correct digits; rounding leaves 1e-16.
+_SINGULAR_EIGENVALUE = 1e-12
 
 
 def is_regular(inertia: np.ndarray) -> np.ndarray:
-    """Return whether each reduced inertia (..., n_s, n_s) can be inverted: finite, and positive definite beyond rounding."""
+    """Return a mask (...) of the reduced inertias (..., n_s, n_s) that are finite and positive definite beyond rounding."""
     diagonal = np.diagonal(inertia, axis1=-2, axis2=-1)
     usable = np.isfinite(inertia).all(axis=(-2, -1)) & (diagonal > 0).all(axis=-1)
     scale = np.sqrt(np.where(usable[..., None], diagonal, 1.0))
     scaled = np.where(usable[..., None, None], inertia, np.eye(inertia.shape[-1])) / (
         scale[..., :, None] * scale[..., None, :]
     )
-    return usable & (np.linalg.eigvalsh(scaled)[..., 0] > SINGULAR_INERTIA)
+    return usable & (np.linalg.eigvalsh(scaled)[..., 0] > _SINGULAR_EIGENVALUE)
 
 
 def without_inertia(inertia: np.ndarray) -> list[int]:
-    """Return the coordinates that move together without kinetic energy, by a singular reduced inertia (n_s, n_s)."""
+    """Return the coordinates with a large part in the motion without kinetic energy of a singular inertia (n_s, n_s)."""
     diagonal = inertia.diagonal()
     bad = ~np.isfinite(inertia).all(axis=1) | ~(diagonal > 0)
     if bad.any():
         return np.flatnonzero(bad).tolist()
     scale = np.sqrt(diagonal)
     share = np.abs(np.linalg.eigh(inertia / np.outer(scale, scale))[1][:, 0])
-    return np.flatnonzero(share >= _NAMED_SHARE * share.max()).tolist()
+    return np.flatnonzero(share >= 0.1 * share.max()).tolist()
 
 
 def singular_inertia_text(joints: Sequence[Joint], inertia: np.ndarray) -> str:
-    """Return which of the independent joints (n_s,) move without kinetic energy, by a singular reduced inertia."""
+    """Return a clause that names the independent joints (n_s,) that move without kinetic energy."""
     names = [joints[column].name for column in without_inertia(inertia)]
     if len(names) == 1:
         return f"joint {names[0]} moves without moving any mass"
@@ -51,7 +49,7 @@ def refuse_singular_inertia(name: str, joints: Sequence[Joint], independent: np.
     """Refuse a mechanism whose reduced inertia is singular at its home pose (n_q,).
 
     Raises:
-        InertiaError: naming the coordinates that move without kinetic energy.
+        InertiaError: if it is singular; the message names the coordinates that move without kinetic energy.
     """
     inertia = np.array(dynamics.reduced_inertia(pose))
     if len(inertia) == 0 or is_regular(inertia):

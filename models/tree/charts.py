@@ -1,17 +1,18 @@
-"""Charts of a ball joint's rotation: three coordinates c, the quaternion that they are, and the angular velocity G c'.
+"""Charts of a ball joint's rotation: they map three coordinates c to a quaternion and rates c' to an angular velocity G c'.
 
-The quaternion is relative to the reference orientation, the angular velocity in the child's frame, as MuJoCo's qvel has it.
+The quaternion is relative to the reference orientation. The angular velocity is in the child's frame, like MuJoCo's qvel.
 
 `StereographicChart`: c = 4 tan(theta / 4) axis, four times the modified Rodrigues parameters sigma (Schaub & Junkins,
-Analytical Mechanics of Space Systems, 3.5): for small angles the rotation vector, and singular at a full turn only.
+Analytical Mechanics of Space Systems, 3.5). For small angles c is the rotation vector; c is singular only at a full turn.
 
     quaternion = (1 - |sigma|^2, 2 sigma) / (1 + |sigma|^2),
     G = [(1 - |sigma|^2) I - 2 [sigma x] + 2 sigma sigma^T] / (1 + |sigma|^2)^2
 
-`RodChart`, of a rod whose ball joint sits on a body that turns about a hinge: the rod goes round with every turn of the
-hinge, and may spin about its line. Its coordinates are those of a universal joint and a spin: R = R(a, alpha) R(b, beta)
-R(c, sigma), a along the hinge, c along the rod, b across both, c = (sigma, beta, alpha). Azimuth alpha and spin sigma go on
-for ever; singular where the rod lies along the hinge's axis. With theta the angle between the two, in the axes b x c, b, c:
+`RodChart` describes a rod whose ball joint sits on a body that turns about a hinge. The rod follows each turn of the hinge
+and may spin about its own line. The coordinates are the angles of a universal joint and a spin: R = R(a, alpha) R(b, beta)
+R(c, sigma) with a along the hinge, c along the rod, b normal to both, and c = (sigma, beta, alpha). Azimuth alpha and spin
+sigma are unlimited. The chart is singular where the rod lies along the hinge's axis. With theta the angle between hinge and
+rod, in the axes b x c, b, c:
 
     G = [[0, sin sigma, -sin theta cos sigma], [0, cos sigma, sin theta sin sigma], [1, 0, cos theta]]
 """
@@ -21,21 +22,21 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-# A stereographic chart's coordinates stay within this [rad], each: about one axis that is a turn of 218 deg to either side,
-# and where all three are at their ends, 270 deg, three quarters of the way to the singularity at a full turn.
+# Largest value [rad] of each coordinate of a stereographic chart. It allows a turn of 218 deg about one axis, and 270 deg
+# where all three coordinates are at their limits. The singularity is at 360 deg.
 CHART_RANGE = 5.56
-# A rod's line stays so far [rad] from the hinge's axis: rates of its azimuth are up to 19 times those of the rod there.
-_FROM_POLE = 0.0525
+# Least angle [rad] between a rod's line and the hinge's axis. The azimuth turns up to 19 times as fast as the rod there.
+_LEAST_POLE_ANGLE = 0.0525
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class StereographicChart:
-    """The chart of any ball: `axes` (3, 3) are, as columns, the coordinates' axes in the child's frame."""
+    """The chart of any ball joint. The columns of `axes` (3, 3) are the coordinates' axes in the child's frame."""
 
     axes: np.ndarray
 
     limits = np.array([[-CHART_RANGE, CHART_RANGE]] * 3)
-    turning = np.zeros(3, dtype=bool)  # which coordinates are the same after a whole turn
+    periodic = np.zeros(3, dtype=bool)  # true for a coordinate that repeats after a whole turn
     end = "218 deg about one axis from its reference orientation"
 
     def quaternion_of(self, c: np.ndarray) -> np.ndarray:
@@ -45,8 +46,8 @@ class StereographicChart:
         return np.concatenate([1 - square, 2 * sigma], axis=-1) / (1 + square)
 
     def coordinates_of(self, quaternion: np.ndarray) -> np.ndarray:
-        """Return the coordinates (..., 3) of quaternions (..., 4), whose sign is kept: infinite at a full turn."""
-        with np.errstate(divide="ignore", invalid="ignore"):  # a full turn is beyond the chart: infinite, not an error
+        """Return the coordinates (..., 3) of quaternions (..., 4) without changing their sign; infinite at a full turn."""
+        with np.errstate(divide="ignore", invalid="ignore"):  # the chart is singular at a full turn
             return 4 * (quaternion[..., 1:] @ self.axes) / (1 + quaternion[..., :1])
 
     def velocity_of(self, c: np.ndarray, rates: np.ndarray) -> np.ndarray:
@@ -82,21 +83,22 @@ class StereographicChart:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class RodChart:
-    """The chart of a rod along `line` on a hinge along `hinge`, both unit vectors (3,) in the child's frame at c = 0."""
+    """The chart of a rod. `hinge` and `line` are the directions (3,) of hinge and rod in the child's frame at c = 0."""
 
     hinge: np.ndarray
     line: np.ndarray
 
-    turning = np.array([True, False, True])
+    periodic = np.array([True, False, True])
     end = "3 deg from where the rod lies along the axis of the hinge that carries it"
 
     @property
     def limits(self) -> np.ndarray:
-        """How far the coordinates go (3, 2) [rad]."""
-        return np.array([[-np.inf, np.inf], np.array([_FROM_POLE, np.pi - _FROM_POLE]) - self._apart, [-np.inf, np.inf]])
+        """The lower and upper limits of the coordinates (3, 2) [rad]."""
+        tilt = np.array([_LEAST_POLE_ANGLE, np.pi - _LEAST_POLE_ANGLE]) - self._home_angle
+        return np.array([[-np.inf, np.inf], tilt, [-np.inf, np.inf]])
 
     @property
-    def _apart(self) -> float:
+    def _home_angle(self) -> float:
         """The angle [rad] between hinge and rod at c = 0."""
         return float(np.arctan2(np.linalg.norm(np.cross(self.hinge, self.line)), self.hinge @ self.line))
 
@@ -113,66 +115,66 @@ class RodChart:
     def quaternion_of(self, c: np.ndarray) -> np.ndarray:
         """Return the quaternions (..., 4) of coordinates (..., 3)."""
         c = np.asarray(c, dtype=float)
-        sigma, theta, alpha = c[..., 0], c[..., 1] + self._apart, c[..., 2]
-        near, far, total, apart = np.cos(theta / 2), np.sin(theta / 2), (alpha + sigma) / 2, (sigma - alpha) / 2
-        along = np.stack([far * np.sin(apart), far * np.cos(apart), near * np.sin(total)], axis=-1) @ self._euler.T
-        whole = np.concatenate([(near * np.cos(total))[..., None], along], axis=-1)
+        sigma, theta, alpha = c[..., 0], c[..., 1] + self._home_angle, c[..., 2]
+        cos, sin, total, difference = np.cos(theta / 2), np.sin(theta / 2), (alpha + sigma) / 2, (sigma - alpha) / 2
+        along = np.stack([sin * np.sin(difference), sin * np.cos(difference), cos * np.sin(total)], axis=-1) @ self._euler.T
+        whole = np.concatenate([(cos * np.cos(total))[..., None], along], axis=-1)
         return quaternion_product(whole, self._back)
 
     def coordinates_of(self, quaternion: np.ndarray) -> np.ndarray:
         """Return the coordinates (..., 3) of quaternions (..., 4), azimuth and spin within half a turn of zero."""
         whole = quaternion_product(quaternion, conjugate(self._back))
         w, (x, y, z) = whole[..., 0], np.moveaxis(whole[..., 1:] @ self._euler, -1, 0)
-        total, apart = np.arctan2(z, w), np.arctan2(x, y)
+        total, difference = np.arctan2(z, w), np.arctan2(x, y)
         theta = 2 * np.arctan2(np.hypot(x, y), np.hypot(w, z))
-        wound = np.stack([total + apart, theta - self._apart, total - apart], axis=-1)
-        wound[..., [0, 2]] -= 2 * np.pi * np.round(wound[..., [0, 2]] / (2 * np.pi))
-        return wound
+        c = np.stack([total + difference, theta - self._home_angle, total - difference], axis=-1)
+        c[..., [0, 2]] -= 2 * np.pi * np.round(c[..., [0, 2]] / (2 * np.pi))
+        return c
 
     def velocity_of(self, c: np.ndarray, rates: np.ndarray) -> np.ndarray:
         """Return the angular velocity (..., 3) of rates c'."""
         sin, cos, sin_tilt, cos_tilt = self._angles(c)
-        spin, tilt, round_ = np.moveaxis(np.asarray(rates, dtype=float), -1, 0)
-        turn = sin_tilt * round_
+        spin, tilt, azimuth = np.moveaxis(np.asarray(rates, dtype=float), -1, 0)
+        turn = sin_tilt * azimuth
         return (
-            np.stack([tilt * sin - turn * cos, tilt * cos + turn * sin, spin + cos_tilt * round_], axis=-1) @ self._frame.T
+            np.stack([tilt * sin - turn * cos, tilt * cos + turn * sin, spin + cos_tilt * azimuth], axis=-1) @ self._frame.T
         )
 
     def rates_of(self, c: np.ndarray, velocity: np.ndarray) -> np.ndarray:
         """Return the rates c' (..., 3) of an angular velocity."""
         sin, cos, sin_tilt, cos_tilt = self._angles(c)
         first, second, along = np.moveaxis(np.asarray(velocity, dtype=float) @ self._frame, -1, 0)
-        round_ = (second * sin - first * cos) / sin_tilt
-        return np.stack([along - cos_tilt * round_, first * sin + second * cos, round_], axis=-1)
+        azimuth = (second * sin - first * cos) / sin_tilt
+        return np.stack([along - cos_tilt * azimuth, first * sin + second * cos, azimuth], axis=-1)
 
     def quaternion(self, c: ca.SX) -> ca.SX:
         """Return the quaternion (4,) as an expression."""
-        theta, total, apart = c[1] + self._apart, (c[2] + c[0]) / 2, (c[0] - c[2]) / 2
-        near, far = ca.cos(theta / 2), ca.sin(theta / 2)
-        along = ca.DM(self._euler) @ ca.vertcat(far * ca.sin(apart), far * ca.cos(apart), near * ca.sin(total))
-        w, back = near * ca.cos(total), ca.DM(self._back)
+        theta, total, difference = c[1] + self._home_angle, (c[2] + c[0]) / 2, (c[0] - c[2]) / 2
+        cos, sin = ca.cos(theta / 2), ca.sin(theta / 2)
+        along = ca.DM(self._euler) @ ca.vertcat(sin * ca.sin(difference), sin * ca.cos(difference), cos * ca.sin(total))
+        w, back = cos * ca.cos(total), ca.DM(self._back)
         v = w * back[1:] + back[0] * along + ca.cross(along, back[1:])
         return ca.vertcat(w * back[0] - ca.dot(along, back[1:]), v)
 
     def velocity_matrix(self, c: ca.SX) -> ca.SX:
         """Return G (3, 3) as an expression."""
-        sin, cos, sin_tilt, cos_tilt = (f(x) for x in (c[0], c[1] + self._apart) for f in (ca.sin, ca.cos))
+        sin, cos, sin_tilt, cos_tilt = (f(x) for x in (c[0], c[1] + self._home_angle) for f in (ca.sin, ca.cos))
         rows = [ca.horzcat(0, sin, -sin_tilt * cos), ca.horzcat(0, cos, sin_tilt * sin), ca.horzcat(1, 0, cos_tilt)]
         return ca.DM(self._frame) @ ca.sparsify(ca.vertcat(*rows))
 
     def _angles(self, c: np.ndarray):
-        sigma, theta = np.asarray(c)[..., 0], np.asarray(c)[..., 1] + self._apart
+        sigma, theta = np.asarray(c)[..., 0], np.asarray(c)[..., 1] + self._home_angle
         return np.sin(sigma), np.cos(sigma), np.sin(theta), np.cos(theta)
 
     @property
     def _euler(self) -> np.ndarray:
-        """The axes (3, 3) x, y, z in which the rotation is by Euler's angles z, y, z, but for `_back`: b x a, b, a."""
+        """The axes (3, 3) b x a, b, a. In them the rotation, apart from `_back`, has Euler angles z, y, z."""
         return np.column_stack([np.cross(self._across, self.hinge), self._across, self.hinge])
 
     @property
     def _back(self) -> np.ndarray:
         """The quaternion (4,) that turns the rod's line back to the hinge's axis."""
-        return np.concatenate([[np.cos(self._apart / 2)], -np.sin(self._apart / 2) * self._across])
+        return np.concatenate([[np.cos(self._home_angle / 2)], -np.sin(self._home_angle / 2) * self._across])
 
 
 def quaternion_product(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -1,9 +1,10 @@
-"""The internal coordinates q of a mechanism: one for every degree of freedom of the tree, beside MuJoCo's qpos and qvel.
+"""The internal coordinates q of a mechanism and their conversion to MuJoCo's qpos and qvel.
 
-A hinge or slide is its own coordinate, MuJoCo's qpos. A ball joint has three, a chart of the rotation group centred at the
-reference orientation, see `models.tree.charts`: four times the modified Rodrigues parameters, along the child's axes; a rod
-that goes round with a hinge has spin, tilt and azimuth. A free joint is three slides along the world's axes and such a
-chart. So n_q = n_v, and velocities are rates of coordinates: qvel = T(q) q', T the identity but for the charts' blocks G.
+A hinge or slide has one coordinate, its value in qpos. A ball joint has three coordinates, a chart of the rotation group
+centred at the reference orientation (see `models.tree.charts`). They are four times the modified Rodrigues parameters along
+the child's axes, or spin, tilt and azimuth for a rod on a turning hinge. A free joint has three slides along the world's
+axes and three rotation coordinates. Hence n_q = n_v, and qvel = T(q) q', where T is the identity except for the charts'
+blocks G.
 """
 
 from dataclasses import dataclass
@@ -20,39 +21,35 @@ SLIDE = int(mujoco.mjtJoint.mjJNT_SLIDE)
 BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 
-# A rod has azimuth, tilt and spin where at the reference it is so far from its carrier's axis [cos]: 30 deg. Nearer, the
-# motion may well lead over the pole.
-_TILTED = 0.866
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Chart:
-    """The three rotation coordinates of a ball or free joint: MuJoCo's joint, their first, the quaternion's place."""
+    """The three rotation coordinates of a ball or free joint, with its index and addresses in MuJoCo's model."""
 
     name: str
     joint: int
-    first: int  # of the coordinates, and of the three angular velocities in qvel
+    first: int  # index of the first coordinate in q and of the first angular velocity in qvel
     quaternion: int  # address in qpos
     centre: np.ndarray  # (4,) the unit quaternion at c = 0
     rotation: StereographicChart | RodChart
 
     @property
     def place(self) -> slice:
-        """Where its coordinates stand in q, and the angular velocity in qvel."""
+        """The slice of its coordinates in q and of the angular velocity in qvel."""
         return slice(self.first, self.first + 3)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Coordinates:
-    """Conversions between internal coordinates and MuJoCo's; every array may carry samples in front."""
+    """Conversions between internal coordinates and MuJoCo's. Every array may have leading sample axes."""
 
     n_qpos: int
-    scalars: np.ndarray  # (n_scalars, 2) coordinate and its place in qpos
+    scalars: np.ndarray  # (n_scalars, 2) index in q and address in qpos
     charts: tuple[Chart, ...]
 
     @property
     def trivial(self) -> bool:
-        """Whether q is qpos and q' is qvel."""
+        """True if q is qpos and q' is qvel."""
         return not self.charts
 
     def qpos_of(self, q: np.ndarray) -> np.ndarray:
@@ -68,8 +65,8 @@ class Coordinates:
     def q_of(self, qpos: np.ndarray, near: np.ndarray | None = None) -> np.ndarray:
         """Return coordinates q (..., n_q) of MuJoCo's qpos (..., nq).
 
-        The quaternion's sign is kept: along a simulation it is continuous, and so are the coordinates up to a full turn.
-        Those that turn for ever are whole turns away from what they are `near` (..., n_q) zero, or a pose given.
+        The quaternion's sign is kept. The coordinates of a simulation are therefore continuous up to a full turn.
+        Periodic coordinates are shifted by whole turns to the values nearest to `near` (..., n_q), by default to zero.
         """
         qpos = np.asarray(qpos, dtype=float)
         q = np.zeros((*qpos.shape[:-1], len(self.scalars) + 3 * len(self.charts)))
@@ -79,8 +76,8 @@ class Coordinates:
             turned = turned / np.linalg.norm(turned, axis=-1, keepdims=True)
             c = chart.rotation.coordinates_of(turned)
             if near is not None:
-                gone = np.round((np.asarray(near)[..., chart.place] - c) / (2 * np.pi))
-                c = c + 2 * np.pi * np.where(chart.rotation.turning & np.isfinite(gone), gone, 0.0)
+                turns = np.round((np.asarray(near)[..., chart.place] - c) / (2 * np.pi))
+                c = c + 2 * np.pi * np.where(chart.rotation.periodic & np.isfinite(turns), turns, 0.0)
             q[..., chart.place] = c
         return q
 
@@ -105,8 +102,8 @@ class Coordinates:
             matrix[chart.place, chart.place] = chart.rotation.velocity_matrix(q[chart.place])
         return matrix
 
-    def left(self, q: np.ndarray) -> str | None:
-        """Return which joint's chart the poses q (..., n_q) leave, and how far it goes, in words, or None."""
+    def range_violation(self, q: np.ndarray) -> str | None:
+        """Return a description of the first chart whose range the poses q (..., n_q) leave, or None."""
         for chart in self.charts:
             low, high = chart.rotation.limits.T
             c = np.asarray(q)[..., chart.place]
@@ -121,7 +118,7 @@ def turned_quaternion(chart: Chart, q: ca.SX) -> ca.SX:
 
 
 def read_coordinates(model: mujoco.MjModel, reference: np.ndarray) -> Coordinates:
-    """Return a model's coordinates, charts centred at the orientations of `reference` (nq,), a qpos."""
+    """Return a model's coordinates, with charts centred at the orientations of `reference` (nq,), a qpos."""
     scalars, charts = [], []
     for joint in range(model.njnt):
         kind, dof, address = int(model.jnt_type[joint]), int(model.jnt_dofadr[joint]), int(model.jnt_qposadr[joint])
@@ -146,12 +143,13 @@ def read_coordinates(model: mujoco.MjModel, reference: np.ndarray) -> Coordinate
 
 
 def _rotation(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> StereographicChart | RodChart:
-    """Return the chart of a joint's rotation: of a rod on a hinge, or about the child's own axes.
+    """Return the chart of a joint's rotation: a `RodChart` for a rod on a hinge, else a `StereographicChart`.
 
-    The latter are turned the shortest way so that the first is a rod's line.
+    For a rod, the axes of the stereographic chart are the child's axes, rotated so that the first is the rod's line.
     """
     axis, spin = carrying_axis(model, joint, reference), spin_line(model, joint)
-    if axis is not None and spin is not None and abs(float(axis @ spin)) < _TILTED:
+    # Closer than 30 deg (0.866 is the cosine) to the carrier's axis the motion may pass a rod chart's pole.
+    if axis is not None and spin is not None and abs(float(axis @ spin)) < 0.866:
         return RodChart(hinge=axis, line=spin)
     line = rod_line(model, joint) if int(model.jnt_type[joint]) == BALL else None
     if line is None:
@@ -163,5 +161,5 @@ def _rotation(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> Stere
 
 
 def joint_label(model: mujoco.MjModel, joint: int) -> str:
-    """Return a joint's name, or one made of its index."""
+    """Return a joint's name, or a name made from its index."""
     return model.joint(joint).name or f"joint{joint}"

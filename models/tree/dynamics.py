@@ -2,9 +2,9 @@
 
     M(q) q'' + h(q, q') = tau_passive(q, q') + tau
 
-The recursion of Newton and Euler (`newton_euler.py`) is run once over CasADi SX with the accelerations kept symbolic; M is
-the derivative of the result by q''. Frames, inertias, anchors, axes and references come from the compiled `mjModel`, so that
-MuJoCo's own reading of the file is kept: quantities agree with MuJoCo's `qM`, `qfrc_bias` and `qfrc_passive` to rounding.
+The recursion of Newton and Euler (`newton_euler.py`) runs once over CasADi SX with symbolic accelerations; M is the
+derivative of the result with respect to q''. Frames, inertias, anchors, axes and references come from the compiled
+`mjModel`. The quantities therefore agree with MuJoCo's `qM`, `qfrc_bias` and `qfrc_passive` to rounding.
 """
 
 from collections.abc import Mapping
@@ -45,9 +45,9 @@ class Frame:
 class Tree:
     """Expressions of a tree's dynamics over its symbols `q`, `qd`, `qdd` (n_q each).
 
-    `inverse_dynamics` is M q'' + h without passive forces; `passive` is the generalised force of springs and dampers,
-    positive along +q, `friction` that of dry friction. [N.m] on a hinge, [N] on a slide. `tendon_lengths` [m] holds None for
-    a tendon whose length has no expression here.
+    `inverse_dynamics` is M q'' + h without passive forces. `passive` is the generalised force of springs and dampers and
+    `friction` the generalised force of dry friction, both positive along +q, in [N.m] on a hinge and [N] on a slide.
+    `tendon_lengths` [m] holds None for a tendon that wraps around a geom.
     """
 
     model: mujoco.MjModel
@@ -73,7 +73,7 @@ class Tree:
 
 
 def common_ancestor(model: mujoco.MjModel, first: int, second: int) -> int:
-    """Return the nearest body that carries both, the world (0) where that one does not move."""
+    """Return the nearest common ancestor of two bodies, or the world (0) if that ancestor is fixed."""
     above = {0}
     while first:
         above.add(first)
@@ -84,7 +84,7 @@ def common_ancestor(model: mujoco.MjModel, first: int, second: int) -> int:
 
 
 def frame_in(tree: Tree, ancestor: int, body: int) -> Frame:
-    """Return a body's frame as its ancestor's frame sees it, an expression of the joints between the two alone."""
+    """Return a body's frame relative to its ancestor's frame, an expression of the joints between the two."""
     if ancestor == 0:
         return tree.frames[body]
     frame, still = _fixed_frame(), ca.SX.zeros(tree.q.numel())
@@ -105,9 +105,9 @@ def build_tree(
 ) -> Tree:
     """Return the symbolic dynamics of a model in its internal coordinates.
 
-    On a hinge or slide q_i is MuJoCo's `qpos`, the joint's `ref` included; the rotation applied is qpos - qpos0. The charts
-    of ball and free joints are centred at `reference` (nq,), a qpos, `qpos0` by default. Bodies in `inertials` have those in
-    place of the model's own. `transition` is the speed of dry friction, see `models.tree.friction`.
+    On a hinge or slide q_i is MuJoCo's `qpos`, which includes the joint's `ref`; the rotation is qpos - qpos0. The charts of
+    ball and free joints are centred at `reference` (nq,), a qpos (default `qpos0`). `inertials` replaces the inertial
+    properties of the bodies that it names. `transition` is the transition speed of dry friction (`models.tree.friction`).
     """
     n_q = model.nv
     coordinates = read_coordinates(model, model.qpos0 if reference is None else reference)
@@ -137,12 +137,12 @@ def build_tree(
         speed = arm @ qd
         tau = tau + inertia * arm.T * (arm @ qdd + ca.jtimes(speed, q, qd))
         kinetic += 0.5 * inertia * speed**2
-    passive, spring_energy = joint_passive(model, q, velocity)
+    joint_force, spring_energy = joint_passive(model, q, velocity)
     if not coordinates.trivial:
-        passive = T.T @ passive
-    of_tendons, tendon_energy = tendon_passive(model, lengths, q, qd)
-    carried = _carried(model, frames, gravity)
-    held = -ca.jacobian(carried, q).T
+        joint_force = T.T @ joint_force
+    tendon_force, tendon_energy = tendon_passive(model, lengths, q, qd)
+    compensation_energy = _compensation_energy(model, frames, gravity)
+    compensation = -ca.jacobian(compensation_energy, q).T
     return Tree(
         model=model,
         coordinates=coordinates,
@@ -153,11 +153,11 @@ def build_tree(
         inverse_dynamics=tau,
         mass_matrix=ca.jacobian(tau, qdd),
         bias=ca.substitute(tau, qdd, ca.SX.zeros(n_q)),
-        gravity=weight - held,
-        passive=passive + of_tendons + held,
+        gravity=weight - compensation,
+        passive=joint_force + tendon_force + compensation,
         friction=dry_friction(model, lengths, q, qd, velocity, T, transition, extent_m(model)),
         kinetic_energy=kinetic,
-        potential_energy=potential + spring_energy + tendon_energy + carried,
+        potential_energy=potential + spring_energy + tendon_energy + compensation_energy,
         velocity_matrix=T,
         tendon_lengths=lengths,
     )
@@ -175,7 +175,7 @@ def _fixed_frame() -> Frame:
 
 
 def _child_frame(model, coordinates: Coordinates, body, parent: Frame, q, velocity) -> Frame:
-    """Return a body's frame and motion, its joints applied in file order; `velocity` is MuJoCo's qvel."""
+    """Return a body's frame and motion. Its joints are applied in file order; `velocity` is MuJoCo's qvel."""
     offset = parent.R_world_B @ ca.DM(model.body_pos[body])
     p = parent.p_world_B + offset
     R = parent.R_world_B @ ca.DM(rotation_from_quaternion(model.body_quat[body]))
@@ -185,7 +185,7 @@ def _child_frame(model, coordinates: Coordinates, body, parent: Frame, q, veloci
     start = model.body_jntadr[body]
     for joint in range(start, start + model.body_jntnum[body]):
         dof, kind = int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
-        if kind == FREE:  # stands in the world by itself, whatever its body's own place
+        if kind == FREE:  # MuJoCo ignores the body's own position here
             p, v = q[dof : dof + 3], velocity[dof : dof + 3]
             R, quaternion = ca.SX.eye(3), ca.SX([1, 0, 0, 0])
             dof += 3
@@ -219,8 +219,8 @@ def _child_frame(model, coordinates: Coordinates, body, parent: Frame, q, veloci
     return Frame(p_world_B=p, R_world_B=R, quaternion=quaternion, v_world_B=v, w_world_B=w)
 
 
-def _carried(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM) -> ca.SX:
-    """Return the energy [J] that gravity compensation takes off the bodies' weight: sum of gravcomp m g . p."""
+def _compensation_energy(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM) -> ca.SX:
+    """Return the potential energy [J] of gravity compensation: the sum of gravcomp m g . p over the bodies."""
     energy = ca.SX(0)
     if not compensates(model):
         return energy
@@ -233,7 +233,7 @@ def _carried(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM) -> ca.S
 
 
 def _potential(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM, inertials: Mapping[int, Inertial]) -> ca.SX:
-    """Return the energy [J] of the moving bodies' weight."""
+    """Return the potential energy [J] of the moving bodies in gravity."""
     energy = ca.SX(0)
     for body in range(1, model.nbody):
         if model.body_weldid[body] != 0:

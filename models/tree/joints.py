@@ -1,6 +1,6 @@
 """Joints as internal coordinates: hinges, slides, and the three rotations of a ball joint."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -11,16 +11,17 @@ from linkplan.models.names import nearest
 from linkplan.models.tree.coordinates import BALL, FREE, HINGE, Coordinates, joint_label
 from linkplan.models.tree.passive import limits_off
 
-# A position [rad or m] below this is zero to people: assembly closes loops to about 1e-12, and nobody sets an angle finer.
-_NOTHING = 1e-9
+# Positions below this are zero to rounding [rad or m]: assembly closes loops to about 1e-12.
+POSITION_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Joint:
     """A coordinate: a hinge [rad] or slide [m] with its range, infinite where the model sets none.
 
-    A ball joint `rod` is three of kind "hinge", `rod_rx`, `rod_ry` and `rod_rz`, a free joint has `_x`, `_y` and `_z` before
-    them; `chart` then names it. Their range is that of the chart (see `linkplan.models.tree.charts`), not a stop.
+    A ball joint `rod` has three coordinates of kind "hinge": `rod_rx`, `rod_ry` and `rod_rz`. A free joint has three slides
+    `_x`, `_y` and `_z` before them. `chart` then holds the joint's name, and the range is the chart's validity (see
+    `linkplan.models.tree.charts`), not a mechanical stop.
     """
 
     name: str
@@ -31,7 +32,7 @@ class Joint:
 
     @property
     def turns(self) -> bool:
-        """Whether a whole turn brings it back: a hinge, a rod's azimuth and spin."""
+        """True if the coordinate repeats after a whole turn: a hinge, or a rod's azimuth or spin."""
         return self.kind == "hinge" and (self.chart is None or not np.isfinite([self.lower, self.upper]).any())
 
     @property
@@ -44,8 +45,8 @@ class Joint:
         return float(np.degrees(position)) if self.kind == "hinge" else float(position)
 
     def said(self, position: float, digits: int = 4) -> str:
-        """Return a position [rad or m] as people read it, in so many digits: what is rounding of zero is zero."""
-        return f"{0.0 if abs(position) < _NOTHING else self.shown(position):.{digits}g}"
+        """Return a position [rad or m] as text in the unit of files and messages, rounded to `digits` digits."""
+        return f"{0.0 if abs(position) < POSITION_ROUNDING else self.shown(position):.{digits}g}"
 
     def read(self, value: float) -> float:
         """Return a value in the unit of files and messages as a position [rad or m]."""
@@ -81,17 +82,22 @@ def read_joints(name: str, model: mujoco.MjModel, coordinates: Coordinates) -> t
 
 
 def _free_range(name: str, label: str, model: mujoco.MjModel, index: int) -> tuple[float, float]:
-    """Return where a joint moves freely [rad or m]: its range but for its margin, within which MuJoCo pushes it back."""
+    """Return a joint's range less its margin at either end [rad or m]; MuJoCo's limit force acts within the margin."""
     if not model.jnt_limited[index]:
         return -np.inf, np.inf
     margin = float(model.jnt_margin[index])
     lower, upper = (float(end) for end in model.jnt_range[index])
     if lower + margin > upper - margin:
         raise ModelError(
-            f"model '{name}' leaves joint {label} no position: its margin of {margin:g} from either end of its range of"
-            f" {lower:g} to {upper:g} (rad or m) is all of it"
+            f"model '{name}' leaves joint {label} no position: a margin of {margin:g} at either end leaves nothing of its"
+            f" range {lower:g} to {upper:g} (rad or m)"
         )
     return lower + margin, upper - margin
+
+
+def unit_steps(joints: Sequence[Joint], extent_m: float) -> np.ndarray:
+    """Return a unit step of each joint (n_joints,): 1 rad on a hinge, the mechanism's extent [m] on a slide."""
+    return np.array([1.0 if joint.kind == "hinge" else extent_m for joint in joints])
 
 
 def index_of(
@@ -100,7 +106,7 @@ def index_of(
     """Return the index of a joint by name.
 
     Raises:
-        error: with the joints that there are, in one line.
+        error: if there is no such joint; the message lists the joints.
     """
     names = [joint.name for joint in joints]
     if name not in names:
@@ -111,5 +117,5 @@ def index_of(
 
 
 def where(joints: tuple[Joint, ...], positions: Mapping[int, float]) -> str:
-    """Return positions [rad or m] by joint index in words: "O = 10 deg, B = 0.2 m"."""
+    """Return positions [rad or m] by joint index as text: "O = 10 deg, B = 0.2 m"."""
     return ", ".join(f"{joints[i].name} = {joints[i].said(x, 6)} {joints[i].unit}" for i, x in positions.items())

@@ -1,8 +1,8 @@
-"""The recursion of Newton and Euler over a kinematic tree, each body's motion and forces in its own axes.
+"""The recursion of Newton and Euler over a kinematic tree, with each body's motion and forces in its own axes.
 
-Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5. In a body's own axes its inertia is constant and a joint's
-turn meets velocities and forces once: second derivatives are a third as long as those of the same recursion in the world's
-axes. Gravity is an acceleration of the world upwards, the origin's included in `Motion.acceleration`.
+Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 5. In a body's own axes its inertia is constant, and each joint's
+rotation multiplies velocities and forces only once. Second derivatives are therefore a third as long as with the world's
+axes. Gravity is modelled as an upward acceleration of the world, which `Motion.acceleration` includes.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,8 +15,8 @@ import numpy as np
 from linkplan.models.tree.coordinates import FREE, HINGE, SLIDE, Coordinates, turned_quaternion
 from linkplan.models.tree.rotations import rotation_about, rotation_from_quaternion, rotation_of
 
-# Force and moment (3,) about a body's origin, before a step of the way to it, from those after it; and the generalised
-# forces that the step takes, by dof.
+# A step from a parent's frame towards a body's frame. It maps the force and moment (3,) after the step to those before it,
+# and returns the generalised forces of the step's degrees of freedom.
 Carry = Callable[[ca.SX, ca.SX], tuple[ca.SX, ca.SX, dict[int, ca.SX]]]
 
 
@@ -45,13 +45,13 @@ class Motion:
         return replace(self, velocity=self.velocity + turning, acceleration=self.acceleration + carried)
 
     def seen_from(self, R: ca.SX | ca.DM) -> "Motion":
-        """Return it in the axes R (3, 3), which does not move in the frame."""
+        """Return the motion in the axes R (3, 3), which are fixed in the frame."""
         return Motion(
             w=R.T @ self.w, alpha=R.T @ self.alpha, velocity=R.T @ self.velocity, acceleration=R.T @ self.acceleration
         )
 
     def spun(self, rate: ca.SX, rate_of_rate: ca.SX) -> "Motion":
-        """Return the motion of what spins in the frame about its origin, axes as they are."""
+        """Return the motion of a body that spins in the frame about its origin, in the frame's axes."""
         return replace(self, w=self.w + rate, alpha=self.alpha + ca.cross(self.w, rate) + rate_of_rate)
 
 
@@ -64,9 +64,9 @@ def newton_euler(
     gravity: ca.DM,
     inertials: Mapping[int, Inertial],
 ) -> tuple[ca.SX, ca.SX]:
-    """Return the generalised forces (nv,) on MuJoCo's qvel that a motion takes, weight included, and its kinetic energy.
+    """Return the generalised forces (nv,) that a motion requires, gravity included, and its kinetic energy [J].
 
-    `velocity` is qvel and `acceleration` its derivative, expressions; armature is not in it.
+    `velocity` is MuJoCo's qvel and `acceleration` its derivative, both expressions. Armature is not included.
     """
     zero = ca.SX.zeros(3)
     motions = [Motion(w=zero, alpha=zero, velocity=zero, acceleration=ca.SX(-gravity))]
@@ -119,10 +119,10 @@ def _to_body(
     velocity: ca.SX,
     acceleration: ca.SX,
 ) -> tuple[Motion, list[Carry]]:
-    """Return a body's motion from its parent's, its joints applied in file order, and the steps of the way."""
+    """Return a body's motion from its parent's, and the steps between their frames. Joints are applied in file order."""
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
     way: list[Carry] = []
-    if not any(int(model.jnt_type[joint]) == FREE for joint in joints):  # that stands in the world by itself
+    if not any(int(model.jnt_type[joint]) == FREE for joint in joints):  # a free body has no offset
         offset, R = ca.DM(model.body_pos[body]), ca.DM(rotation_from_quaternion(model.body_quat[body]))
         motion = motion.at(offset).seen_from(R)
         way.append(_turned(R, offset))
@@ -161,7 +161,7 @@ def _to_body(
 
 
 def _turned(R: ca.SX | ca.DM, arm: ca.DM) -> Carry:
-    """Return the step to axes R whose origin stands at `arm`."""
+    """Return the step to axes R with their origin at `arm`."""
 
     def carry(f: ca.SX, n: ca.SX) -> tuple[ca.SX, ca.SX, dict[int, ca.SX]]:
         f = R @ f
@@ -171,7 +171,7 @@ def _turned(R: ca.SX | ca.DM, arm: ca.DM) -> Carry:
 
 
 def _held(axes: ca.DM, anchor: ca.DM, dofs: range) -> Carry:
-    """Return the step to an origin from which a joint's anchor is `anchor` away; the joint takes moments about its axes."""
+    """Return the step to an origin with the joint's anchor at `anchor`. The generalised forces are moments about `axes`."""
 
     def carry(f: ca.SX, n: ca.SX) -> tuple[ca.SX, ca.SX, dict[int, ca.SX]]:
         n = n - ca.cross(anchor, f)
@@ -181,7 +181,7 @@ def _held(axes: ca.DM, anchor: ca.DM, dofs: range) -> Carry:
 
 
 def _pushed(axes: ca.DM, travel: ca.SX | ca.DM, dofs: range | list[int]) -> Carry:
-    """Return the step of a slide by `travel` along axes (3, n), which takes forces."""
+    """Return the step of a slide by `travel`. The generalised forces are the forces along `axes` (3, n)."""
 
     def carry(f: ca.SX, n: ca.SX) -> tuple[ca.SX, ca.SX, dict[int, ca.SX]]:
         return f, n + ca.cross(travel, f), dict(zip(dofs, ca.vertsplit(axes.T @ f), strict=True))

@@ -1,7 +1,7 @@
 """Springs, dampers and armatures of joints and tendons, and of the actuators on them.
 
-A spring's force is -(a x + b x^2 + c x^3) from its rest, a damper's -(a v + b v|v| + c v^3) (MuJoCo, Computation,
-"Polynomial forces"). What an actuator brings of its own is reflected by gear^2, each coefficient.
+A spring's force is -(a x + b x^2 + c x^3) with x measured from its rest position. A damper's force is
+-(a v + b v|v| + c v^3) (MuJoCo, Computation, "Polynomial forces"). An actuator's own coefficients are multiplied by gear^2.
 """
 
 import itertools
@@ -16,24 +16,24 @@ from linkplan.models.tree.coordinates import HINGE, SLIDE
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
-def disabled(model: mujoco.MjModel, bit: mujoco.mjtDisableBit) -> bool:
-    """Return whether a flag of the model's options switches something off."""
-    return bool(model.opt.disableflags & int(bit))
+def disabled(model: mujoco.MjModel, *bits: mujoco.mjtDisableBit) -> bool:
+    """Return True if any of these disable flags of the model's options is set."""
+    return any(model.opt.disableflags & int(bit) for bit in bits)
 
 
 def compensates(model: mujoco.MjModel) -> bool:
-    """Return whether the simulator compensates the gravity of any body.
+    """Return True if the simulator compensates the gravity of any body.
 
-    It counts bodies with a positive `gravcomp`, and where there is none it passes over negative ones too; with springs and
-    dampers both switched off it passes over all passive forces, this one among them.
+    MuJoCo ignores negative `gravcomp` values if no body has a positive one. It skips all passive forces, including gravity
+    compensation, if springs and dampers are both switched off.
     """
-    off = (mujoco.mjtDisableBit.mjDSBL_SPRING, mujoco.mjtDisableBit.mjDSBL_DAMPER)
-    return model.ngravcomp > 0 and not all(disabled(model, bit) for bit in off)
+    no_springs = disabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
+    return model.ngravcomp > 0 and not (no_springs and disabled(model, mujoco.mjtDisableBit.mjDSBL_DAMPER))
 
 
 def limits_off(model: mujoco.MjModel) -> bool:
-    """Return whether the simulator keeps no range of a joint or tendon: limits, or all constraints, are switched off."""
-    return disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT) or disabled(model, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+    """Return True if the model's options switch off joint and tendon limits, or all constraints."""
+    return disabled(model, mujoco.mjtDisableBit.mjDSBL_LIMIT, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
 
 def joint_armature(model: mujoco.MjModel) -> np.ndarray:
@@ -65,9 +65,9 @@ def _gear(model: mujoco.MjModel, actuator: int) -> float:
 
 
 def tendon_inertias(model: mujoco.MjModel, lengths: Sequence, q: ca.SX) -> list[tuple[float, ca.SX]]:
-    """Return the armatures of tendons, their actuators' among them, each with its tendon's length.
+    """Return the armature of each tendon, its actuators' included, with the tendon's length.
 
-    Those that MuJoCo honours in full: its mass matrix has no room for a tendon that couples two branches of the tree.
+    Tendons that couple two branches of the tree are left out: MuJoCo's sparse mass matrix has no entries for them.
     """
     return [
         (inertia, lengths[tendon])
@@ -77,7 +77,7 @@ def tendon_inertias(model: mujoco.MjModel, lengths: Sequence, q: ca.SX) -> list[
 
 
 def tendon_armatures(model: mujoco.MjModel) -> list[float]:
-    """Return each tendon's armature, its actuators' among them (reflected by gear^2)."""
+    """Return each tendon's armature, its actuators' included (multiplied by gear^2)."""
     inertia = np.array(model.tendon_armature, dtype=float)
     for tendon, gear, actuator in _tendon_actuators(model):
         inertia[tendon] += gear**2 * model.actuator_armature[actuator]
@@ -85,7 +85,7 @@ def tendon_armatures(model: mujoco.MjModel) -> list[float]:
 
 
 def spans_branches(model: mujoco.MjModel, length: ca.SX, q: ca.SX) -> bool:
-    """Return whether a length depends on two coordinates of which neither carries the other."""
+    """Return True if a length depends on two coordinates of which neither carries the other."""
     reached = sorted(set(ca.jacobian(length, q).sparsity().get_triplet()[1]))
     for lower, upper in itertools.pairwise(reached):
         above = upper
@@ -97,9 +97,9 @@ def spans_branches(model: mujoco.MjModel, length: ca.SX, q: ca.SX) -> bool:
 
 
 def tendon_passive(model: mujoco.MjModel, lengths, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the generalised force (n_q,) of tendons' springs and dampers, and the springs' energy.
+    """Return the generalised force (n_q,) of tendons' springs and dampers, and the springs' energy [J].
 
-    A tendon's spring is slack between its two rest lengths; otherwise as in `joint_passive`.
+    A tendon's spring is slack between its two rest lengths. The force laws are those of `joint_passive`.
     """
     force, energy = ca.SX.zeros(model.nv), ca.SX(0)
     springs = not disabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)
@@ -126,10 +126,9 @@ def tendon_passive(model: mujoco.MjModel, lengths, q: ca.SX, qd: ca.SX) -> tuple
 
 
 def joint_passive(model: mujoco.MjModel, q: ca.SX, velocity: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return the force (nv,) of joint springs and dampers as MuJoCo's qvel counts it, and the springs' energy.
+    """Return the generalised force (nv,) of joint springs and dampers along MuJoCo's qvel, and the springs' energy [J].
 
-    A spring's force is -(a x + b x^2 + c x^3) from `springref`, a damper's -(a v + b v|v| + c v^3) (MuJoCo,
-    "Polynomial forces"); an actuator's own damping is reflected to its joint by gear^2, each coefficient.
+    A spring's x is measured from `springref`. An actuator's own damping coefficients are multiplied by gear^2.
     """
     force, energy = ca.SX.zeros(model.nv), ca.SX(0)
     springs = not disabled(model, mujoco.mjtDisableBit.mjDSBL_SPRING)

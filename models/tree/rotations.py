@@ -1,11 +1,11 @@
-"""Rotations as matrices and quaternions, of numbers and of expressions."""
+"""Rotation matrices and quaternions, as numbers and as expressions."""
 
 import casadi as ca
 import numpy as np
 
 
 def rotation_from_quaternion(quaternion: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix (3, 3) of a unit quaternion (w, x, y, z), exact zeros kept."""
+    """Return the rotation matrix (3, 3) of a unit quaternion (w, x, y, z). Exact zeros stay exact."""
     w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
     return np.array(
         [
@@ -23,13 +23,13 @@ def product(a: ca.SX, b: ca.SX) -> ca.SX:
 
 
 def rotation_of(quaternion: ca.SX) -> ca.SX:
-    """Return the rotation matrix of a unit quaternion's expression."""
+    """Return the rotation matrix (3, 3) of a unit quaternion (4,), an expression."""
     w, v = quaternion[0], quaternion[1:]
     return ca.SX.eye(3) + 2 * w * ca.skew(v) + 2 * ca.skew(v) @ ca.skew(v)
 
 
 def rotation_about(axis: np.ndarray, angle: ca.SX) -> ca.SX:
-    """Return Rodrigues' rotation, written so that a coordinate axis leaves exact zeros and ones."""
+    """Return the rotation matrix (3, 3) about an axis (Rodrigues). A coordinate axis gives exact zeros and ones."""
     a = np.asarray(axis) / np.linalg.norm(axis)
     along = np.outer(a, a)
     cross = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])

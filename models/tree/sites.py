@@ -1,4 +1,4 @@
-"""Sites of a model: points fixed to its bodies, by name, and where they are in the world."""
+"""Sites of a model: named points fixed to its bodies, and their positions in the world."""
 
 import casadi as ca
 import mujoco
@@ -9,14 +9,14 @@ from linkplan.models.tree.dynamics import Tree
 
 
 def site_places(tree: Tree) -> ca.SX:
-    """Return the world positions (3, n_sites) [m] of a model's sites, expressions of q."""
+    """Return the world positions (3, n_sites) [m] of a model's sites as expressions of q."""
     model = tree.model
     points = [tree.point(int(model.site_bodyid[site]), model.site_pos[site]) for site in range(model.nsite)]
     return ca.horzcat(ca.SX(3, 0), *points)
 
 
 def site_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the names of a model's sites, in its order; sites without a name are left out."""
+    """Return the names of a model's named sites in file order."""
     return tuple(name for name in (model.site(site).name for site in range(model.nsite)) if name)
 
 
@@ -24,7 +24,7 @@ def site_index(model: mujoco.MjModel, name: str, what: str, error: type[Exceptio
     """Return a site's index by name.
 
     Raises:
-        error: naming `what` asks for it and the sites that there are, where there is no such site.
+        error: if there is no such site; the message contains `what` and lists the sites.
     """
     names = site_names(model)
     if name in names:

@@ -1,17 +1,17 @@
-"""The size of a mechanism: what a radian is compared with where a length is wanted."""
+"""The size of a mechanism: the length that converts radians to metres."""
 
 import mujoco
 import numpy as np
 
 from linkplan.models.tree.ties import tied_points
 
-# MuJoCo's own extent serves where it is within this factor of what moves; a floor, or the file's own statistic for the
-# viewer, can make it something else.
-_FACTOR = 3.0
-
 
 def extent_m(model: mujoco.MjModel) -> float:
-    """Return a model's extent [m]: MuJoCo's, unless that is far from the largest side of the box about what moves."""
+    """Return a model's extent [m]: MuJoCo's own, or the size of the moving bodies if the two differ by a factor above 3.
+
+    The size is the largest side of the box around the moving bodies. A floor, or a statistic in the file, can falsify
+    MuJoCo's own extent.
+    """
     stated = float(model.stat.extent)
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
@@ -25,6 +25,4 @@ def extent_m(model: mujoco.MjModel) -> float:
             points.append((data.xpos[body] + data.xmat[body].reshape(3, 3) @ place)[None])
     box = np.ptp(np.vstack(points), axis=0)
     size = float(box.max()) if len(moving) else 0.0
-    if size <= 0 or size / _FACTOR <= stated <= size * _FACTOR:
-        return stated
-    return size
+    return stated if size <= 0 or size / 3.0 <= stated <= size * 3.0 else size

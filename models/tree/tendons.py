@@ -1,7 +1,7 @@
 """Tendon lengths as expressions of the coordinates.
 
-A fixed tendon's length is a linear combination of joint positions; a spatial tendon's is that of its path through sites,
-each branch divided by its pulley's divisor. A path that wraps around a geom has no expression here.
+A fixed tendon's length is a linear combination of joint positions. A spatial tendon's length is the length of its path
+through sites, with each branch divided by its pulley's divisor. A path that wraps around a geom has no expression here.
 """
 
 from collections.abc import Sequence
@@ -17,33 +17,31 @@ HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 PULLEY = int(mujoco.mjtWrap.mjWRAP_PULLEY)
 SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
-# Sites nearer to each other coincide [m]: MuJoCo's own least length (mjMINVAL), below which it takes the world's x axis.
-NO_LENGTH_M = 1e-15
 
 
 def tendon_label(model: mujoco.MjModel, tendon: int) -> str:
-    """Return a tendon's name, or one made of its index."""
+    """Return a tendon's name, or a name made from its index."""
     return model.tendon(tendon).name or f"tendon {tendon}"
 
 
 def path_of(model: mujoco.MjModel, tendon: int) -> range:
-    """Return the places of a tendon's path in the model's list of wrap objects."""
+    """Return the indices of a tendon's path in the model's list of wrap objects."""
     start = int(model.tendon_adr[tendon])
     return range(start, start + int(model.tendon_num[tendon]))
 
 
 def is_fixed(model: mujoco.MjModel, tendon: int) -> bool:
-    """Return whether a tendon is a linear combination of joint positions."""
+    """Return True if a tendon is a linear combination of joint positions."""
     return all(int(model.wrap_type[k]) == JOINT for k in path_of(model, tendon))
 
 
 def wraps(model: mujoco.MjModel, tendon: int) -> bool:
-    """Return whether a tendon's path goes around or through a geom."""
+    """Return True if a tendon's path goes around or through a geom."""
     return any(int(model.wrap_type[k]) not in (JOINT, PULLEY, SITE) for k in path_of(model, tendon))
 
 
 def tendon_joints(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
-    """Return the coordinates of a fixed tendon's joints, each with its coefficient in the length."""
+    """Return the coefficients of a fixed tendon's length by coordinate index."""
     found: dict[int, float] = {}
     for k in path_of(model, tendon):
         dof = int(model.jnt_dofadr[model.wrap_objid[k]])
@@ -53,9 +51,9 @@ def tendon_joints(model: mujoco.MjModel, tendon: int) -> dict[int, float]:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class TendonLimit:
-    """The range [low, high] of a tendon's length, but for its margin; in `unit`, none where it sums angles.
+    """The range [low, high] of a tendon's length less its margin; `unit` is "m", or "" if the length sums angles.
 
-    `span` is its size, which lengths are measured by.
+    `span` is high - low, the scale of the limit's residual.
     """
 
     name: str
@@ -67,7 +65,7 @@ class TendonLimit:
 
 
 def limited_tendons(model: mujoco.MjModel) -> tuple[TendonLimit, ...]:
-    """Return the limits of a model on tendons whose length has an expression here."""
+    """Return a model's tendon limits, except for tendons that wrap around a geom."""
     if limits_off(model):
         return ()
     found = []
@@ -78,8 +76,8 @@ def limited_tendons(model: mujoco.MjModel) -> tuple[TendonLimit, ...]:
         low, high = (float(end) for end in model.tendon_range[tendon])
         if low + margin >= high - margin:
             raise ModelError(
-                f"tendon {name} is left no length: its margin of {margin:g} from either end of its range of {low:g} to"
-                f" {high:g} is all of it"
+                f"tendon {name} is left no length: a margin of {margin:g} at either end leaves nothing of its range {low:g}"
+                f" to {high:g}"
             )
         hinges = is_fixed(model, tendon) and any(
             int(model.jnt_type[model.dof_jntid[dof]]) == HINGE for dof in tendon_joints(model, tendon)
@@ -93,10 +91,10 @@ def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int
     """Return a tendon's length [m], or None where its path wraps around a geom.
 
     Args:
-        model: whose tendon it is.
+        model: the compiled model.
         frames: the bodies' frames in the world.
         q: the coordinates (n_q,).
-        tendon: its index.
+        tendon: the tendon's index.
     """
     if wraps(model, tendon):
         return None
@@ -113,7 +111,7 @@ def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int
         if before is not None and int(model.site_bodyid[site]) == int(model.site_bodyid[before[0]]):
             length += float(ca.norm_2(ca.DM(model.site_pos[site] - model.site_pos[before[0]]))) / divisor
         elif before is not None:
-            # Of sites that coincide the root has no slope: kept off zero, its slope there is zero and not 0 / 0.
-            length += ca.sqrt(ca.fmax(ca.sumsqr(point - before[1]), NO_LENGTH_M**2)) / divisor
+            # MuJoCo's least length (mjMINVAL) makes the derivative zero, and not 0 / 0, where two sites coincide.
+            length += ca.sqrt(ca.fmax(ca.sumsqr(point - before[1]), 1e-15**2)) / divisor
         before = (site, point)
     return length

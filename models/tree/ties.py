@@ -1,4 +1,4 @@
-"""What a model's equality constraints tie: points of two bodies."""
+"""The points of two bodies that a model's equality constraints tie together."""
 
 import mujoco
 import numpy as np
@@ -7,14 +7,12 @@ BALL, FREE, HINGE = (
     int(kind) for kind in (mujoco.mjtJoint.mjJNT_BALL, mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_HINGE)
 )
 CONNECT, WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
-# Points are in line where the sine of the angle between them is below this.
-_IN_LINE = 1e-6
 
 
 def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray]]:
-    """Return the two points that a connect or weld ties, each as its body and its place (3,) [m] in that body's frame.
+    """Return the two points that a connect or weld ties, each as a body and a position (3,) [m] in that body's frame.
 
-    An equality of another kind ties no points: the list is empty.
+    The list is empty for an equality constraint of another kind.
     """
     kind = int(model.eq_type[index])
     if kind not in (CONNECT, WELD):
@@ -23,16 +21,15 @@ def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray
     if int(model.eq_objtype[index]) == int(mujoco.mjtObj.mjOBJ_SITE):
         return [(int(model.site_bodyid[site]), model.site_pos[site]) for site in (first, second)]
     points = [model.eq_data[index, 0:3], model.eq_data[index, 3:6]]
-    if kind == WELD:  # whose data name the second body's point first
+    if kind == WELD:  # MuJoCo stores the second body's point first
         points.reverse()
     return [(first, points[0]), (second, points[1])]
 
 
 def rod_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
-    """Return the line (3,) about which a body on a ball joint may spin, in its frame, or None where it has none.
+    """Return the line (3,) about which a rod on a ball joint may spin, in its own frame, or None if the body is not a rod.
 
-    That of a rod: what ties it, connects and the ball joints of bodies that it carries, is at one point, or at points in
-    line with the joint.
+    A body is a rod if its connects and the ball joints of the bodies that it carries lie on one line through its joint.
     """
     points = _held_at(model, joint)
     if points is None:
@@ -42,9 +39,9 @@ def rod_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
 
 
 def spin_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
-    """Return the line (3,) that a body on a ball or free joint turns about, in its frame, or None where it has none.
+    """Return the line (3,) about which a body on a ball or free joint may spin, in its own frame, or None.
 
-    A rod's; of a floating body, or one that a rod carries, that through the points at which connects hold it.
+    For a rod it is the line of `rod_line`. For a floating body, or a body on a rod, it passes through the body's connects.
     """
     if int(model.jnt_type[joint]) == BALL and (line := rod_line(model, joint)) is not None:
         return line
@@ -57,10 +54,9 @@ def spin_line(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
 
 
 def carrying_axis(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> np.ndarray | None:
-    """Return the axis (3,) about which what carries a body turns, in the body's frame at `reference` (nq,), or None.
+    """Return the axis (3,) about which a body's carrier turns, in the body's frame at `reference` (nq,), or None.
 
-    That of the hinge of the body before it, or the line of the rod before it; of a floating body, the hinge of a body that
-    it is tied to.
+    It is the hinge axis, or the rod's line, of the parent. For a floating body it is the hinge axis of a body tied to it.
     """
     body = int(model.jnt_bodyid[joint])
     before = [_moving(model, int(model.body_parentid[body]))]
@@ -80,21 +76,21 @@ def carrying_axis(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> n
 
 
 def _rod_before(model: mujoco.MjModel, joint: int) -> np.ndarray | None:
-    """Return the line (3,) of the rod that carries a joint's body, in the rod's frame, or None where none does."""
+    """Return the line (3,) of the rod that carries a joint's body, in the rod's frame, or None if the carrier is no rod."""
     carrier = _moving(model, int(model.body_parentid[int(model.jnt_bodyid[joint])]))
     first = int(model.body_jntadr[carrier])
     return rod_line(model, first) if first >= 0 and int(model.jnt_type[first]) == BALL else None
 
 
 def _moving(model: mujoco.MjModel, body: int) -> int:
-    """Return the body with joints that a body is welded to, or the body itself."""
+    """Return the root of the rigid group that a body belongs to."""
     return int(model.body_weldid[body])
 
 
 def _held_at(model: mujoco.MjModel, joint: int) -> list[np.ndarray] | None:
-    """Return the points (3,) [m] of a joint's body at which connects and carried ball joints hold it, in its frame.
+    """Return the points (3,) [m], in the body's frame, of the connects and carried ball joints of a joint's body.
 
-    None where something else does, or it has a second joint.
+    None if anything else constrains the body, or if it has a second joint.
     """
     body, points = int(model.jnt_bodyid[joint]), []
     if int(model.body_jntnum[body]) != 1:
@@ -115,10 +111,11 @@ def _held_at(model: mujoco.MjModel, joint: int) -> list[np.ndarray] | None:
 
 
 def _unit(v: np.ndarray) -> np.ndarray | None:
-    """Return a vector's direction, None of one without."""
+    """Return a vector's direction, or None for the zero vector."""
     length = float(np.linalg.norm(v))
     return v / length if length > 0 else None
 
 
 def _in_line(lines: list) -> bool:
-    return all(line is not None and np.linalg.norm(np.cross(lines[0], line)) <= _IN_LINE for line in lines)
+    """Return True if all directions are parallel to 1e-6 rad."""
+    return all(line is not None and np.linalg.norm(np.cross(lines[0], line)) <= 1e-6 for line in lines)

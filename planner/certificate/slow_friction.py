@@ -5,7 +5,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
-from linkplan.models.tree.friction import rubbing_of
+from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.trajectory import Trajectory
 
 # Instants that are looked at, and the share of Coulomb's force below which friction falls short.
@@ -21,7 +21,7 @@ def slow_share(mechanism: Mechanism, trajectory: Trajectory) -> tuple[float, str
 
     Too slowly is where f tanh(v / v_0) is below nine tenths of f. None where no joint has any.
     """
-    joints = [one for one in rubbing_of(mechanism.model) if one.dof is not None]
+    joints = [one for one in frictions_of(mechanism.model) if one.dof is not None]
     if not joints:
         return None
     time = np.linspace(trajectory.breaks_s[0], trajectory.breaks_s[-1], _INSTANTS)

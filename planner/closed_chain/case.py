@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
-from linkplan.models.tree.friction import rubbing_of
+from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.certificate.certificate import INTEGRATION_M, RANGE_SLACK, Certificate, certify
 from linkplan.planner.closed_chain.formulate import SMOOTHING, formulate
 from linkplan.planner.closed_chain.guess import Guess, motion_of
@@ -143,7 +143,7 @@ def _target(problem: PlanningProblem, *, kinks: bool, enclosed: bool) -> Refinem
         objective_tolerance=_JUMPS_INSIDE if enclosed else tolerance,
         kinks_at_limits=True,
         enclosed=enclosed,
-        layers=any(rubbing_of(problem.mechanism.model)),  # where dry friction turns over
+        layers=any(frictions_of(problem.mechanism.model)),  # where dry friction turns over
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import resting, sprung_freedoms
+from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
 from linkplan.planner.closed_chain.prescribed import is_whole
 from linkplan.planner.files.joint_values import joint_values
 from linkplan.planner.files.sites_file import points_of, pose_at
@@ -149,7 +149,7 @@ def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> d
         for column, index in enumerate(mechanism.independent.tolist())
         if index in values
     }
-    s = resting(mechanism, named, unnamed)
+    s = spring_equilibrium(mechanism, named, unnamed)
     if s is None:
         names = ", ".join(joints[int(mechanism.independent[c])].name for c in unnamed)
         raise ProblemError(

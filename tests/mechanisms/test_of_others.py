@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import resting, sprung_freedoms
+from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from linkplan.studies.check.inspection import inspect
@@ -110,7 +110,7 @@ def test_a_sprung_leg_rests_where_mujocos_forces_leave_nothing_to_its_springs():
     """At the rest found, MuJoCo's gravity and springs do no work along the freedoms that no motor reaches."""
     columns = sprung_freedoms(leg())
     named = {c: float(leg().home[i]) for c, i in enumerate(leg().independent.tolist()) if c not in columns}
-    s = resting(leg(), named, columns)
+    s = spring_equilibrium(leg(), named, columns)
     assert s is not None
     q, still = close_at(leg(), s), np.zeros(leg().n_q)
     at = simulated(leg().model, leg().qpos_of(q), leg().qvel_of(q, still))

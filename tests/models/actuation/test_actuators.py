@@ -227,7 +227,7 @@ UNUSABLE = {
     "cylinder": ('<cylinder name="x" joint="cart" timeconst="0.1"/>', "filter", False),
     "adhesion": ('<adhesion name="x" body="rod" ctrlrange="0 1"/>', "transmissions", False),
     "wrapping tendon": ('<motor name="x" tendon="wrapped"/>', "wraps", False),
-    "servo on a rotation": ('<position name="x" site="end" refsite="ground" gear="0 0 0 0 1 0"/>', "circle", True),
+    "servo on a rotation": ('<position name="x" site="end" refsite="ground" gear="0 0 0 0 1 0"/>', "one turn", True),
     "pid": ('<pid name="x" joint="crank" kp="3"/>', "2 controls", True),
     "dc motor": ('<dcmotor name="x" joint="crank" motorconst="0.1" resistance="1"/>', "", True),
     "delayed": ('<motor name="x" joint="crank" delay="0.01" nsample="4"/>', "delayed", False),

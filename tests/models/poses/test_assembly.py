@@ -262,7 +262,7 @@ def test_a_pose_asked_for_again_is_looked_up_and_is_the_askers_own(monkeypatch):
     pose = close_at(mechanism, s)
     expected = follow(mechanism, s[None])[0]
     pose += 1.0
-    monkeypatch.setattr("linkplan.models.poses.assembly.led", lambda *_: pytest.fail("led again"))
+    monkeypatch.setattr("linkplan.models.poses.assembly.continue_to", lambda *_: pytest.fail("continued again"))
     np.testing.assert_array_equal(close_at(mechanism, s), expected)
 
 

@@ -7,7 +7,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses import assembly
 from linkplan.models.poses.along import evaluated
-from linkplan.models.poses.assembly import advance, follow, led, step_sizes
+from linkplan.models.poses.assembly import advance, continue_to, follow, step_sizes
 from linkplan.models.poses.continuation import stride_along
 from linkplan.models.poses.reach import is_open, reach
 from linkplan.models.poses.singular_poses import all_regular
@@ -30,7 +30,7 @@ def test_led_poses_are_those_of_the_walk(name):
     mechanism = load_mechanism(name)
     s = mechanism.home[mechanism.independent]
     path = s + 0.3 * np.linspace(0.0, 1.0, 37)[:, None] * np.linspace(1.0, -0.5, mechanism.dof)
-    poses, n = led(mechanism, mechanism.home, path)
+    poses, n = continue_to(mechanism, mechanism.home, path)
     assert n == len(path)
     np.testing.assert_allclose(poses, walked(mechanism, path), rtol=0, atol=ASSEMBLY)
 
@@ -46,7 +46,7 @@ def test_leading_stops_at_the_singular_pose_where_the_walk_does():
     end = reach(mechanism).upper
     assert end.reason == "singular pose"
     path = np.linspace(mechanism.home[mechanism.independent], [end.position + 0.1], 50)
-    poses, n = led(mechanism, mechanism.home, path)
+    poses, n = continue_to(mechanism, mechanism.home, path)
     assert n < len(path)
     assert len(poses) == n + 1
     assert poses[-1, mechanism.independent[0]] == pytest.approx(end.position, abs=1e-3)

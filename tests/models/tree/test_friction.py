@@ -8,7 +8,7 @@ from linkplan.models.audit import audit
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import sliding_friction
-from linkplan.models.tree.friction import gives_way_below, rubbing_of
+from linkplan.models.tree.friction import frictions_of, viscous_below
 from tests.support.linkages import GRIPPER, RSSR, WELDED
 from tests.support.mechanisms import replaced
 from tests.support.tolerances import TREE, relative_error
@@ -75,13 +75,13 @@ def test_a_mechanism_that_moves_on_is_rubbed_by_all_its_joints():
     mechanism = load_mechanism(RUBBED)
     gamma = np.array(mechanism.dynamics.velocity_map(mechanism.home))[:, 0]
     rub = sliding_friction(mechanism, mechanism.home[None])
-    assert np.allclose(rub, sum(0.3 * abs(gamma[one.dof]) for one in rubbing_of(mechanism.model)))
+    assert np.allclose(rub, sum(0.3 * abs(gamma[one.dof]) for one in frictions_of(mechanism.model)))
 
 
 def test_the_simulators_own_gives_way_below_the_speed_that_is_named():
     model = load_mechanism(ARM).model
-    (one,) = rubbing_of(model)
-    slowest = gives_way_below(model, one)
+    (one,) = frictions_of(model)
+    slowest = viscous_below(model, one)
     assert slowest > 1e-3
     for share, expected in ((0.5, 0.5), (0.9, 0.9), (1.1, 1.0), (3.0, 1.0)):
         data = mujoco.MjData(model)
@@ -92,8 +92,8 @@ def test_the_simulators_own_gives_way_below_the_speed_that_is_named():
 
 def test_stiff_makes_the_simulators_friction_dry():
     model = load_mechanism(ARM, solref="stiff").model
-    (one,) = rubbing_of(model)
-    assert gives_way_below(model, one) < 0.02 * gives_way_below(load_mechanism(ARM).model, one)
+    (one,) = frictions_of(model)
+    assert viscous_below(model, one) < 0.02 * viscous_below(load_mechanism(ARM).model, one)
 
 
 def test_friction_is_honoured_and_noted_by_name():

@@ -80,9 +80,9 @@ def test_a_rod_that_comes_to_lie_along_the_hinge_is_named():
     mechanism = load_mechanism(ROUND["ball"])
     poses = np.tile(mechanism.home, (2, 1))
     poses[1, 1:4] = [20.0, 0.3, -20.0]
-    assert mechanism.coordinates.left(poses) is None, "spin and azimuth go on for ever"
+    assert mechanism.coordinates.range_violation(poses) is None, "spin and azimuth go on for ever"
     poses[1, 2] = mechanism.joints[2].upper + 0.01
-    left = mechanism.coordinates.left(poses)
+    left = mechanism.coordinates.range_violation(poses)
     assert left is not None
     assert "'rod'" in left
     assert "hinge" in left

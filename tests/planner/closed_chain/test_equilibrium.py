@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.equilibrium import resting, sprung_freedoms
+from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
 from linkplan.planner.files.problem_file import problem_from_tables
 from linkplan.planner.planning import plan_motion
 from tests.support.fourbar import G
@@ -88,7 +88,7 @@ def test_a_rest_within_a_loop_is_where_no_effort_is_missing():
 <actuator><motor name="m" joint="a" ctrlrange="-9 9"/></actuator></mujoco>"""
     mechanism = load_mechanism(text, independent=["a", "c"])
     assert sprung_freedoms(mechanism) == (1,)
-    s = resting(mechanism, {0: np.radians(5.0)}, (1,))
+    s = spring_equilibrium(mechanism, {0: np.radians(5.0)}, (1,))
     assert s is not None
     assert abs(s[1]) > 1e-3
     still = np.zeros(2)
