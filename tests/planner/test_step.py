@@ -6,9 +6,15 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import ProblemError
+from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.closed_chain.transcribe import transcribe
 from linkplan.planner.files.problem_file import load_problem
+from linkplan.planner.motion_step import motion_step
 from linkplan.planner.problem.planning_problem import PlanningProblem
 from linkplan.planner.replan import Planner
+from linkplan.planner.search.presolve import start_pose_of
+from linkplan.planner.solvers.newton import NewtonStep, Optimum
+from linkplan.planner.transcription.mesh import uniform
 from tests.support.tolerances_planner import SOLVERS_OWN_EFFORT, SOLVERS_OWN_POSITION
 
 
@@ -104,3 +110,18 @@ def test_a_plan_after_a_step_is_certified(problem):
     planner = prepared(problem)
     planner.step(with_goal(problem, 55.5))
     assert planner.plan(with_goal(problem, 55.0)).status == "optimal"
+
+
+def test_the_bounds_are_the_error_of_an_unknown_in_its_unit(problem):
+    numbered = transcribe(problem, first_guess(problem, start_pose_of(problem)), uniform(8), np.array([0.16]))
+    left = 1e-4
+    begin = numbered.start
+
+    def at(x: np.ndarray):
+        optimum = Optimum(x=x, rows=np.zeros(0), bounds=np.zeros(0))
+        return motion_step(problem, numbered, NewtonStep(optimum=optimum, left=left, violation=0.0, steps=1), 0.0)
+
+    step, moved = at(begin), at(begin + left)
+    change = np.abs(moved.trajectory.effort - step.trajectory.effort).max()
+    assert change == pytest.approx(step.effort_error[0], rel=1e-6)
+    assert np.all(step.position_error > 0)

@@ -8,6 +8,7 @@ import pytest
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import Certificate, certify
+from linkplan.planner.limits.samples import sample_points
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, body_problem
 from tests.support.fourbar import KNEE_PROBLEMS, SHANK, knee
@@ -238,3 +239,10 @@ def test_a_trajectory_with_an_interval_missing_is_refused(name):
 def test_a_trajectory_s_arrays_cannot_be_written_to():
     with pytest.raises(ValueError, match="read-only"):
         motion().position[0] = 0.0
+
+
+def test_a_limit_is_checked_at_instants_closer_than_a_seventh_of_an_interval():
+    points = sample_points(3)
+    assert points[0] == 0.0
+    assert points[-1] == pytest.approx(1.0)
+    assert np.diff(points).max() < 1 / 7

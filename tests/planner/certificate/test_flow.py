@@ -2,10 +2,11 @@
 
 import casadi as ca
 import numpy as np
+import pytest
 from scipy.integrate import DOP853, solve_ivp
 
 from linkplan.planner.certificate import dormand_prince
-from linkplan.planner.certificate.flow import side_by_side, strides
+from linkplan.planner.certificate.flow import _short, side_by_side, strides
 
 
 def pendulum():
@@ -58,3 +59,13 @@ def test_intervals_side_by_side_are_none_where_one_fails():
     shares, begins = np.array([0.5, 1.0]), np.array([[0.1], [0.5]])
     assert side_by_side(rate, np.full(2, 1.0), np.zeros((2, 1)), begins, shares) is not None
     assert side_by_side(rate, np.full(2, 3.0), np.zeros((2, 1)), begins, shares) is None
+
+
+@pytest.mark.parametrize(
+    ("fifth", "third", "is_short"), [(2.0, 2.0, False), (0.9, 0.0, True), (0.9, 0.9, True), (1.1, 1.1, False)]
+)
+def test_the_error_of_a_step_weighs_its_estimates_as_hairer_norsett_and_wanner_do(fifth, third, is_short):
+    """err = err5^2 / sqrt((err5^2 + err3^2 / 100) n) <= 1, with both in units of the tolerance (II.10, after (10.17))."""
+    state = np.zeros((1, 1))
+    tolerance = 1e-13
+    assert _short(state, state, tolerance * np.array([[fifth], [third]]), 1).tolist() == [is_short]

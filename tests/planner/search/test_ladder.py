@@ -12,12 +12,14 @@ from linkplan.planner.files.problem_file import load_problem
 from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import recording
+from linkplan.planner.refinement.refine import refine
+from linkplan.planner.search import attempts
 from linkplan.planner.search.attempts import with_constant_efforts
 from linkplan.planner.search.continuation import Steps, followed
 from linkplan.planner.search.first_mesh import first_mesh
 from linkplan.planner.search.ladder import Budget, Rung, Search, climb
 from linkplan.planner.search.presolve import start_pose_of
-from linkplan.planner.search.starts import from_first_starts
+from linkplan.planner.search.starts import from_first_starts, no_time
 from linkplan.planner.solvers.outcome import OUT_OF_TIME
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
@@ -207,3 +209,20 @@ def test_efforts_constant_over_intervals_are_the_best_only_where_they_cost_next_
     assert (plan.status, plan.certificate.passed) == (status, True)
     assert ("may cost 4.2%" in plan.message) == (status == "feasible")
     assert ("optimal" in plan.message) == (status == "optimal")
+
+
+@pytest.mark.parametrize(("duration", "too_short"), [(0.995, False), (0.98, True)])
+def test_along_speed_limits_the_phase_plane_rules_a_duration_out_beyond_a_hundredth_only(duration, too_short):
+    search = search_for(load_problem("knee-reach", [f"motion.duration_s={duration}"]))
+    known = replace(search.smooth, duration_s=1.0, switch_times_s=None, boundaries_s=None)
+    search.__dict__["quickest"] = known
+    assert no_time(search) is too_short
+
+
+@pytest.mark.parametrize(("change", "status"), [(0.04, "optimal"), (0.06, "feasible")])
+def test_a_plan_whose_objective_still_moves_by_a_twentieth_is_not_called_optimal(monkeypatch, change, status):
+    found = refine
+    monkeypatch.setattr(attempts, "refine", lambda *given, **how: replace(found(*given, **how), moved=change))
+    plan = plan_motion(load_problem("knee-reach"))
+    assert plan.status == status
+    assert f"changed its objective by {change:.1g}" in plan.message

@@ -14,6 +14,7 @@ from linkplan.planner.search import waiting
 from linkplan.planner.search.ladder import PATIENT, Search
 from linkplan.planner.search.least_time import shortest_motion
 from linkplan.planner.search.presolve import start_pose_of
+from tests.support.bodies import PENDULUM, body_problem
 
 DURATION_S = 0.8
 # Efforts that hold a pose, of inverse dynamics and of the plan, relative.
@@ -71,3 +72,12 @@ def test_what_adds_to_an_objective_beyond_effort_and_time_is_not_waited_through(
     tracked = replace(search.problem, objective={"effort": 1.0, "work": 1.0})
     other = replace(search, problem=tracked)
     assert waiting._rest_and_motion(other, PATIENT, None) is None
+
+
+@pytest.mark.parametrize(("share", "can_wait"), [(1 - 1e-7, False), (1 + 1e-12, True)])
+def test_a_pose_is_held_only_by_an_effort_within_its_limit(share, can_wait):
+    """Held at 30 deg, the pendulum's rod needs m g l sin 30 deg; at 60 deg it needs more."""
+    limit = share * 9.81 * 0.5 * np.sin(np.radians(30.0))
+    motion = 'kind = "reach"\nstart_deg = { J = 30.0 }\ngoal_deg = { J = 60.0 }\nduration_s = 4.0\n'
+    problem = body_problem(PENDULUM.format(limit=repr(float(limit))), motion)
+    assert waiting.may_wait(Search(problem=problem, start_pose=start_pose_of(problem))) is can_wait

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import scipy.stats
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread, spread_of
@@ -147,3 +148,10 @@ def test_a_value_that_is_none_is_refused_by_its_key(value, said):
     with pytest.raises(ProblemError, match=said) as refused:
         spread_of(value, "delay_periods", "delay_periods")
     assert "imperfections.delay_periods" in str(refused.value)
+
+
+@pytest.mark.parametrize(("hits", "n"), [(3, 10), (1, 7), (90, 100)])
+def test_a_share_has_wilsons_interval(hits, n):
+    exact = scipy.stats.binomtest(hits, n).proportion_ci(COVERAGE, method="wilson")
+    found = share_of(hits, n)
+    assert (found.low, found.high) == pytest.approx((exact.low, exact.high), rel=1e-9)
