@@ -1,0 +1,135 @@
+"""Mutants: small changes of the planner and the controllers, and whether the nearest tests detect them.
+
+    python -m tests.bench.mutants [--count 60] [--seed 1] [--slow] [--timeout 600]
+
+Each mutant changes one constant, sign, comparison or bound in a copy of the tree. The nearest tests are those of the same
+folder under tests/, the file of the same name first; they run until the first failure. Prints every mutant with "detected" or
+"SURVIVED", and the share detected.
+"""
+
+import argparse
+import ast
+import random
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("planner", "controllers")
+COPIED = ("linkplan", "models", "planner", "controllers", "studies", "tests", "pyproject.toml", "docs", "README.md")
+# What stands for what in a mutant.
+COMPARISONS = {ast.Lt: ">", ast.LtE: ">", ast.Gt: "<", ast.GtE: "<"}
+OPERATORS = {ast.Add: "-", ast.Sub: "+"}
+BOUNDS = {"maximum": "minimum", "minimum": "maximum", "max": "min", "min": "max", "fmax": "fmin", "fmin": "fmax"}
+CONSTANT_FACTOR = 10.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Mutant:
+    """A replacement of the characters from `begin` to `end` of one line."""
+
+    path: Path
+    line: int
+    begin: int
+    end: int
+    text: str
+
+    def applied_to(self, source: str) -> str:
+        """Return the source with the change."""
+        lines = source.splitlines(keepends=True)
+        old = lines[self.line - 1].encode()
+        lines[self.line - 1] = (old[: self.begin] + self.text.encode() + old[self.end :]).decode()
+        return "".join(lines)
+
+    def words(self) -> str:
+        """Return the place, and the line before and after the change."""
+        source = (ROOT / self.path).read_text(encoding="utf-8")
+        before, after = (text.splitlines()[self.line - 1].strip() for text in (source, self.applied_to(source)))
+        return f"{self.path}:{self.line}\n    - {before}\n    + {after}"
+
+
+def mutants_of(path: Path) -> Iterator[Mutant]:
+    """Yield the mutants of a file."""
+    source = (ROOT / path).read_text(encoding="utf-8")
+    lines = [line.encode() for line in source.splitlines()]
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Assign) and node.col_offset == 0 and isinstance(node.value, ast.Constant):
+            value = node.value
+            if type(value.value) in (int, float) and value.value:
+                text = repr(type(value.value)(value.value * CONSTANT_FACTOR))
+                yield Mutant(path=path, line=value.lineno, begin=value.col_offset, end=value.end_col_offset or 0, text=text)
+        elif isinstance(node, ast.Compare | ast.BinOp):
+            left, right = (node.left, node.comparators[0]) if isinstance(node, ast.Compare) else (node.left, node.right)
+            table = COMPARISONS if isinstance(node, ast.Compare) else OPERATORS
+            operator = table.get(type(node.ops[0] if isinstance(node, ast.Compare) else node.op))
+            if operator is None or left.end_lineno != right.lineno or (left.end_col_offset or 0) >= right.col_offset:
+                continue
+            begin, end = left.end_col_offset or 0, right.col_offset
+            between = lines[right.lineno - 1][begin:end].decode()
+            if between.strip().replace("=", "") not in ("<", ">", "+", "-"):
+                continue
+            yield Mutant(path=path, line=right.lineno, begin=begin, end=end, text=f" {operator} ")
+        elif isinstance(node, ast.Call):
+            name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+            if name in BOUNDS and node.func.end_col_offset is not None:
+                end = node.func.end_col_offset
+                yield Mutant(path=path, line=node.func.end_lineno or 0, begin=end - len(name), end=end, text=BOUNDS[name])
+
+
+def nearest_tests(path: Path) -> list[str]:
+    """Return the tests nearest to a file: those of its own name, then those of its folder."""
+    folder = Path("tests") / path.parent
+    folder = folder if (ROOT / folder).is_dir() else folder.parent
+    own = folder / f"test_{path.name}"
+    return [*([str(own)] if (ROOT / own).is_file() else []), str(folder)]
+
+
+def is_detected(mutant: Mutant, copy: Path, *, slow: bool, timeout_s: float) -> bool:
+    """Return True if the nearest tests fail with the change; the copy is as before afterwards."""
+    target = copy / mutant.path
+    source = target.read_text(encoding="utf-8")
+    target.write_text(mutant.applied_to(source), encoding="utf-8")
+    marks = [] if slow else ["-m", "not slow"]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *marks, *nearest_tests(mutant.path)]
+    try:
+        return subprocess.run(command, cwd=copy, capture_output=True, timeout=timeout_s, check=False).returncode != 0
+    except subprocess.TimeoutExpired:
+        return True  # a test that never ends is seen
+    finally:
+        target.write_text(source, encoding="utf-8")
+
+
+def main() -> int:
+    """Draw mutants, run the nearest tests on each, and print the share detected."""
+    parser = argparse.ArgumentParser(description="Changes of the code, and whether the nearest tests see them.")
+    parser.add_argument("--count", type=int, default=60, help="number of mutants")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--slow", action="store_true", help="run the slow tests, too")
+    parser.add_argument("--timeout", type=float, default=600.0, help="longest run of the tests of one mutant [s]")
+    arguments = parser.parse_args()
+    files = [path.relative_to(ROOT) for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    every = [mutant for path in files for mutant in mutants_of(path)]
+    drawn = random.Random(arguments.seed).sample(every, arguments.count)
+    detected = 0
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder)
+        for name in COPIED:
+            source = ROOT / name
+            if source.is_dir():
+                shutil.copytree(source, copy / name, symlinks=True)
+            else:
+                shutil.copy(source, copy / name)
+        for number, mutant in enumerate(drawn, 1):
+            seen = is_detected(mutant, copy, slow=arguments.slow, timeout_s=arguments.timeout)
+            detected += seen
+            print(f"{number}/{len(drawn)} {'detected' if seen else 'SURVIVED'}: {mutant.words()}", flush=True)
+    print(f"{detected} of {len(drawn)} detected ({detected / len(drawn):.0%}), out of {len(every)} possible mutants")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
