@@ -3,8 +3,8 @@
     python -m tests.bench.mutants [--count 60] [--seed 1] [--slow] [--timeout 600]
 
 Each mutant changes one constant, sign, comparison or bound in a copy of the tree. The nearest tests are those of the same
-folder under tests/, the file of the same name first; they run until the first failure. Prints every mutant with "detected" or
-"SURVIVED", and the share detected.
+folder under tests/, the file of the same name first; they run until the first failure. Prints every mutant with "detected"
+or "SURVIVED", and the share detected.
 """
 
 import argparse
