@@ -8,14 +8,14 @@ import numpy as np
 
 from linkplan.planner.limits.path_limit import Margin, Tightened
 
-# A little more than the overrun is taken off, so that the next motion keeps the limit and does not creep towards it.
-_MORE = 1.1
-_FLOOR = 1e-7
-# So little of a limit is taken off all along: where one interval alone is to keep more of it than its neighbours, what its
-# polynomial errs by at its end grows with that.
-_LITTLE = 2e-5
-# Bounds are never tightened beyond this share of what lies between them.
-_MOST = 0.45
+# The tightening is this multiple of the overrun and this share of the limit: the next motion keeps the limit at once.
+_OVERRUN_FACTOR = 1.1
+_MIN_TIGHTENING = 1e-7
+# Up to this share a limit is tightened evenly along the motion. A limit that is tighter on one interval than on its
+# neighbours increases the error of the polynomial at the ends of that interval.
+_EVEN_TIGHTENING = 2e-5
+# The largest tightening, as a share of the distance between the two bounds.
+_MAX_TIGHTENING_SHARE = 0.45
 
 
 class TightenedRow(NamedTuple):
@@ -39,7 +39,7 @@ class Tightening:
 
 def tightened_share(overrun: np.ndarray) -> np.ndarray:
     """Return the share of itself (n,) by which a limit is tightened on intervals where it is overrun by so much."""
-    return np.where(overrun > 0, _MORE * overrun + _FLOOR, 0.0)
+    return np.where(overrun > 0, _OVERRUN_FACTOR * overrun + _MIN_TIGHTENING, 0.0)
 
 
 def tightenings_of(margins: tuple[Margin, ...], speed_overrun: np.ndarray, breaks_s: np.ndarray) -> tuple[Tightening, ...]:
@@ -74,7 +74,7 @@ def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:
     """Return tightenings of which little ones are the same all along the motion."""
     most = [one.share.max(initial=0.0) for one in tightenings]
     return tuple(
-        replace(one, share=np.full_like(one.share, share)) if share <= _LITTLE else one
+        replace(one, share=np.full_like(one.share, share)) if share <= _EVEN_TIGHTENING else one
         for one, share in zip(tightenings, most, strict=True)
     )
 
@@ -92,7 +92,7 @@ def tightening_over(
     size[[column for column, row in enumerate(rows) if row.tightened is Tightened.IN_UNITS]] = 1.0
     factor = [2.0 if row.tightened is Tightened.SQUARED else 1.0 for row in rows]
     columns = {(row.what, row.item): column for column, row in enumerate(rows)}
-    most = np.where(np.all(np.isfinite(path), axis=1), _MOST * (path[:, 1] - path[:, 0]), np.inf)
+    most = np.where(np.all(np.isfinite(path), axis=1), _MAX_TIGHTENING_SHARE * (path[:, 1] - path[:, 0]), np.inf)
 
     def tightening(breaks_s: np.ndarray) -> np.ndarray:
         middle = (0.5 * (breaks_s[1:] + breaks_s[:-1]) - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
