@@ -1,6 +1,6 @@
 """The study behind `linkplan bode`: a tracker's loop at several poses, predicted and measured, and the worst case."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -32,8 +32,8 @@ from linkplan.studies.frequency.response import Response
 from linkplan.studies.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 
 DEFAULT_POSES = 5
-# Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may be
-# singular.
+# Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may
+# be singular.
 _REACH_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
 SCAN_POSITIONS = 41
 # A worst pose closer than this share of the line to a chosen pose is that pose.
@@ -246,10 +246,7 @@ def bode_study(
     positions = np.atleast_2d(positions)
     for position in positions:
         operating_point(mechanism, position, effort_limit)  # refuses a pose that cannot be held before any work
-    lines: list[tuple[int | None, Line]] = []
-    if scanned:
-        own = 0 if mechanism.dof == 1 else None
-        lines = _reach_lines(mechanism, positions) if line is None else [(own, line)]
+    lines = _scan_lines(mechanism, positions, line) if scanned else []
     scans = tuple(_scans(mechanism, lines, settings, effort_limit, timing, law, scanned, say))
     if line is not None:
         positions = _with_worst(positions, scans)
@@ -273,20 +270,7 @@ def bode_study(
             taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
             steps, conditions = steps + taken.simulated_steps, taken.conditions
             measured = dict(zip(stable, taken.responses, strict=True))
-        for i, (loop, continuous) in enumerate(zip(loops, ideal, strict=True)):
-            responses = measured.get(i, {})
-            points.append(
-                BodePoint(
-                    sampled=loop,
-                    continuous=continuous,
-                    channel=channel,
-                    margins=bounds[i],
-                    continuous_margins=margins(continuous, channel),
-                    settles_in_mujoco=bool(trials[i]),
-                    measured=responses,
-                    predicted={q: loop.response(q, r.frequency_hz, channel) for q, r in responses.items()},
-                )
-            )
+        points += _channel_points(channel, loops, ideal, bounds, trials, measured)
     return BodeStudy(
         mechanism=mechanism,
         law=law,
@@ -300,6 +284,33 @@ def bode_study(
         conditions=conditions,
         contacts=pairs,
     )
+
+
+def _channel_points(
+    channel: int,
+    loops: Sequence[FeedbackLoop],
+    ideal: Sequence[FeedbackLoop],
+    bounds: Sequence[Margins],
+    trials: np.ndarray,
+    measured: Mapping[int, dict[str, Response]],
+) -> list[BodePoint]:
+    """Return one joint's results at all poses, from its sampled and continuous loops and the responses by pose index."""
+    points = []
+    for i, (loop, continuous) in enumerate(zip(loops, ideal, strict=True)):
+        responses = measured.get(i, {})
+        points.append(
+            BodePoint(
+                sampled=loop,
+                continuous=continuous,
+                channel=channel,
+                margins=bounds[i],
+                continuous_margins=margins(continuous, channel),
+                settles_in_mujoco=bool(trials[i]),
+                measured=responses,
+                predicted={q: loop.response(q, r.frequency_hz, channel) for q, r in responses.items()},
+            )
+        )
+    return points
 
 
 def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit: np.ndarray) -> np.ndarray:
@@ -327,8 +338,14 @@ def _scans(mechanism, lines: Sequence[tuple[int | None, Line]], settings, effort
                 yield Scan(channel=channel, line=line, positions=positions, margins=found)
 
 
-def _reach_lines(mechanism: Mechanism, positions: np.ndarray) -> list[tuple[int | None, Line]]:
-    """Return a line for each coordinate over its reach and all positions (n, n_s); other coordinates as in the first."""
+def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: Line | None) -> list[tuple[int | None, Line]]:
+    """Return the lines to scan, with their coordinate or None for a motion.
+
+    By default there is a line for each coordinate over its reach and all positions (n, n_s). The other coordinates are as
+    in the first position.
+    """
+    if line is not None:
+        return [(0 if mechanism.dof == 1 else None, line)]
     lines: list[tuple[int | None, Line]] = []
     for channel in range(mechanism.dof):
         low, high = inner_reach(mechanism, channel)

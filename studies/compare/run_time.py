@@ -11,9 +11,9 @@ from linkplan.controllers.trackers.computed_torque import ComputedTorque
 from linkplan.controllers.trackers.feedforward import Feedforward
 from linkplan.controllers.trackers.integral_lqr import IntegralLQR
 from linkplan.controllers.trackers.lqr import LQR
-from linkplan.controllers.trackers.mpc import BLOCKS, MPC
+from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS, MPC
 from linkplan.controllers.trackers.pd import PD
-from linkplan.controllers.trackers.prediction import FLOWS
+from linkplan.controllers.trackers.prediction import RUNGE_KUTTA_STAGES
 from linkplan.controllers.trackers.stepping import steps_of
 from linkplan.controllers.trackers.tracker import AnyTracker
 from linkplan.models.mechanism import Mechanism
@@ -78,9 +78,9 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
         free = 7 * n_s + closing + _size(dynamics.effort_map) + _size(dynamics.inverse_dynamics) + 2 * n_u * n_s
         return state + n_s + n_q, free, free
     if isinstance(tracker, MPC):
-        m, n, many = len(tracker.kept), BLOCKS, BLOCKS * n_u
+        m, n, many = len(tracker.kept), HORIZON_BLOCKS, HORIZON_BLOCKS * n_u
         free = state + 2 * n_u * m + many * (2 * m + 1)
-        predicted = closing + n * (FLOWS * _size(dynamics.flow) + _size(dynamics.linearisation))
+        predicted = closing + n * (RUNGE_KUTTA_STAGES * _size(dynamics.flow) + _size(dynamics.linearisation))
         # Responses of states to efforts, and the Hessian of a cost that weighs every state.
         program = m * m * n_u * n * (n - 1) + 2 * many * many * n * m + 2 * n * m * many * m
         stored = state + n_q + n_u + m * m + n_u * m * (1 + n) + n_u
