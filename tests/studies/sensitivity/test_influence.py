@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.studies.sensitivity.influence import influence_of
-from linkplan.studies.sensitivity.scheme import LEVELS, SENSITIVE, scheme_of
+from linkplan.studies.sensitivity.scheme import MORRIS_LEVELS, SENSITIVE, scheme_of
 
 SLOPES = np.array([3.0, -2.0, 1.0, 0.0])
 # Ishigami and Homma, First international symposium on uncertainty modelling and analysis (1990); a = 7, b = 0.1.
@@ -116,7 +116,7 @@ def test_one_thing_changes_at_a_time(design, noisy):
     assert len(np.unique(scheme.draws)) == (2 * scheme.n_groups if noisy else 1)
     if design == "morris":
         step = np.abs(after - before)[..., :3]
-        assert step[step > 0] == pytest.approx(LEVELS / (2 * (LEVELS - 1)))
+        assert step[step > 0] == pytest.approx(MORRIS_LEVELS / (2 * (MORRIS_LEVELS - 1)))
 
 
 def test_the_same_seed_gives_the_same_trials_and_another_one_others():
