@@ -176,23 +176,27 @@ class MujocoStepper:
         )
         spread(self._batch, model, models)
         bind = self._batch.bind
-        self._qpos, self._qvel, self.ctrl, self._speeds = (
-            bind(name) for name in ("qpos", "qvel", "ctrl", "actuator_velocity")
-        )
+        self._qpos, self._qvel, self.ctrl, self._speeds = map(bind, ("qpos", "qvel", "ctrl", "actuator_velocity"))
         self._lengths = None if self._servos is None else bind("actuator_length")
         if pushes is not None:
             self._forces, self._efforts = bind("xfrc_applied"), bind("qfrc_applied")
         self._watch = ClosureWatch(self._batch, models) if watched else None
-        self._channels = _columns(np.array([actuator.channel for actuator in driven], dtype=int))
-        self._outputs = _columns(np.array([actuator.output for actuator in driven], dtype=int))
-        self._scale, self._bias = _ctrl_scale(driven)
-        self._direct = bool(np.all(self._scale == 1.0) and np.all(self._bias == 0.0)) and self._servos is None
+        self._map_actuators(driven)
         self._ids: np.ndarray | None = None  # of the running machines; None for all
         self._near = np.array([one.pose for one in plants])
         changing = pushes is not None or self._servos is not None
         self._stretches = [(j, 1) for j in range(substeps)] if changing else stretches(drives, substeps)
         self._start(plants)
         self.k = 0
+
+    def _map_actuators(self, driven: Sequence[Actuator]) -> None:
+        """Set the columns of the driven actuators, and ctrl = (effort - bias) scale with scale 1 and bias 0 for servos."""
+        self._channels = _columns(np.array([actuator.channel for actuator in driven], dtype=int))
+        self._outputs = _columns(np.array([actuator.output for actuator in driven], dtype=int))
+        is_servo = [actuator.is_servo for actuator in driven]
+        self._scale = 1.0 / np.where(is_servo, 1.0, [actuator.gain for actuator in driven])
+        self._bias = np.where(is_servo, 0.0, [actuator.biases[0] for actuator in driven])
+        self._direct = bool(np.all(self._scale == 1.0) and np.all(self._bias == 0.0)) and self._servos is None
 
     def _start(self, plants: Sequence[Plant]) -> None:
         """Set the machines' initial poses and rates."""
@@ -280,13 +284,6 @@ def simulation_conditions(model: mujoco.MjModel) -> dict[str, Any]:
         "solref": [model.eq_solref[index].tolist() for index in active],
         "solimp": [model.eq_solimp[index].tolist() for index in active],
     }
-
-
-def _ctrl_scale(driven: Sequence[Actuator]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the scale and bias (n_u,) of ctrl = (effort - bias) scale; 1 and 0 for servos."""
-    is_servo = [actuator.is_servo for actuator in driven]
-    scale = 1.0 / np.where(is_servo, 1.0, [actuator.gain for actuator in driven])
-    return scale, np.where(is_servo, 0.0, [actuator.biases[0] for actuator in driven])
 
 
 def _columns(index: np.ndarray) -> np.ndarray | slice:

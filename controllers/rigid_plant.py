@@ -16,12 +16,11 @@ from linkplan.controllers.imperfections.driving import arrived, driving, take
 from linkplan.controllers.imperfections.imperfections import Drives, Imperfections
 from linkplan.controllers.imperfections.plant import start_of
 from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.trackers.closing import MAX_LOOP_GAP_M
 from linkplan.controllers.trackers.prediction import runge_kutta
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped
 
-# A larger loop gap after a Newton step means that the mechanism was driven beyond the poses where its loop closes.
-_MAX_LOOP_GAP_M = 1e-6
 LOST = "the rigid loop was driven to where it cannot be closed"
 
 
@@ -78,7 +77,8 @@ class RigidStepper:
             if np.any(duration):
                 after, opened = evaluated(self._onward, state.T, effort.T, duration)
                 state, gap = after.T, np.maximum(gap, opened.ravel())
-        lost = ~((gap <= _MAX_LOOP_GAP_M) & np.isfinite(state).all(axis=1))
+        # A larger gap means that the mechanism was driven beyond the poses where its loop closes.
+        lost = ~((gap <= MAX_LOOP_GAP_M) & np.isfinite(state).all(axis=1))
         # A frozen machine stays at its start, where the batched dynamics can be evaluated.
         self._state = self._start.copy()
         self._state[self.rows] = np.where(lost[:, None], np.nan, state)[self.rows]

@@ -6,12 +6,6 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 
-# A swing is a change of the effort from one limit to the other within this many control periods. The run is a limit cycle if
-# swings exceed this share of all instants and this count; a bang-bang plan has one or two swings.
-_SWING_PERIODS = 10
-_SWING_SHARE = 0.02
-_MIN_SWINGS = 6
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ControlLoop:
@@ -71,15 +65,19 @@ class Rollout:
     @property
     def stable(self) -> bool:
         """True if the run stayed finite without a limit cycle between effort limits."""
-        return self.finite and not any(self._swings(j) for j in range(self.applied.shape[1]))
+        return self.finite and not any(self._is_limit_cycle(j) for j in range(self.applied.shape[1]))
 
-    def _swings(self, j: int) -> bool:
+    def _is_limit_cycle(self, j: int) -> bool:
+        """Return True if an effort swings between its limits at least 6 times, and at 2 % of all instants or more.
+
+        A swing is a change from one limit to the other within 10 control periods. A bang-bang plan has one or two swings.
+        """
         low, high = self.effort_limit[j]
         at = np.where(self.applied[:, j] >= high, 1, np.where(self.applied[:, j] <= low, -1, 0))
         touched = np.flatnonzero(at)
-        near = np.diff(touched) <= _SWING_PERIODS
+        near = np.diff(touched) <= 10
         count = int(np.sum(near & (at[touched[1:]] != at[touched[:-1]])))
-        return count >= max(_MIN_SWINGS, _SWING_SHARE * len(at))
+        return count >= max(6, 0.02 * len(at))
 
 
 def closure_gaps(mechanism: Mechanism, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,6 @@ from linkplan.models.mechanism import Mechanism
 _ROUNDING_RESIDUAL = 1e-13
 # Largest accepted residual [m or rad], far below the gap of a soft loop.
 _MAX_RESIDUAL = 1e-9
-_MAX_ITERATIONS = 50
 
 
 def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
@@ -21,7 +20,7 @@ def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism
     """
     dependent = mechanism.dependent
     q, best, residual = np.array(pose, dtype=float), np.array(pose, dtype=float), np.inf
-    for _ in range(_MAX_ITERATIONS):
+    for _ in range(50):
         r, J = _equalities(model, data, mechanism, q)
         size = float(np.abs(r).max(initial=0.0))
         if not size < residual:

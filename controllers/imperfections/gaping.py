@@ -12,8 +12,6 @@ from mujoco.batch import Batch
 
 from linkplan.controllers.trackers.linear import added
 
-# Most steps evaluated together, and the memory of their copies.
-_MAX_STEPS, _MAX_BYTES = 64, 1 << 23
 _CONNECT, _WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 _FIRST, _SECOND = slice(0, 3), slice(3, 6)
 
@@ -34,7 +32,7 @@ class ClosureWatch:
         names = ["ncon", *(["site_xpos"] if self._at_sites else []), *(["xpos", "xmat"] if self._at_bodies else [])]
         self._live = {name: batch.bind(name) for name in names}
         size = sum(array.nbytes for array in self._live.values())
-        steps = max(1, min(_MAX_STEPS, _MAX_BYTES // max(size, 1)))
+        steps = max(1, min(64, 8_388_608 // max(size, 1)))  # copies of at most 8 MiB
         self._copies = {name: np.empty((steps, *array.shape), array.dtype) for name, array in self._live.items()}
         self._pairs = [(self._copies[name], array) for name, array in self._live.items()]
         self._steps, self._noted = steps, 0

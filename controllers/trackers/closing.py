@@ -12,8 +12,8 @@ CLOSING_CALLS = {
     "closure_step": _CONTINUATION_STEPS * _NEWTON_STEPS,
     "independent_closure": 1,
 }
-# A larger loop gap means that the closure failed, because the position is too far from the near pose.
-CLOSED_NEAR_M = 1e-6
+# Largest loop gap of a closed pose. A larger gap means that the position is too far from the near pose.
+MAX_LOOP_GAP_M = 1e-6
 
 
 def closed_near(mechanism: Mechanism, near: ca.MX, s: ca.MX) -> tuple[ca.MX, ca.MX]:

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.closing import CLOSED_NEAR_M, closed_near
+from linkplan.controllers.trackers.closing import MAX_LOOP_GAP_M, closed_near
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped, sampled
 
@@ -42,7 +42,7 @@ class ComputedTorque:
         s, v, a = (np.atleast_2d(x) for x in (position, velocity, acceleration))
         near = np.broadcast_to(reference.pose[k], (len(s), reference.pose.shape[1]))
         effort, gap = self._called(near, s, v, a)
-        far = ~(gap <= CLOSED_NEAR_M)
+        far = ~(gap <= MAX_LOOP_GAP_M)
         if np.any(far):
             there = np.broadcast_to(reference.position[k], s.shape)
             effort[far] = self._called(near[far], there[far], v[far], a[far])[0]

@@ -20,7 +20,6 @@ from linkplan.models.mechanism import Mechanism
 
 # Relative change over a cycle below which the periodic Riccati recursion has converged.
 _CYCLE_TOLERANCE = 1e-9
-_MAX_CYCLES = 200
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -96,7 +95,7 @@ def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repe
     gains, cost, P_next = _backward(A, B, Q, R, P)
     cycles = 0
     while repeats and np.abs(P_next - P).max() > _CYCLE_TOLERANCE * np.abs(P).max():
-        if (cycles := cycles + 1) > _MAX_CYCLES:
+        if (cycles := cycles + 1) > 200:
             raise LinkplanError("LQR found no gain that repeats with the motion: the periodic Riccati recursion diverges")
         P = P_next
         gains, cost, P_next = _backward(A, B, Q, R, P)

@@ -23,8 +23,6 @@ from linkplan.models.mechanism import Mechanism
 
 # Number of blocks of constant effort in the horizon.
 HORIZON_BLOCKS = 20
-# Tolerance of the effort limits, as a share of their range.
-_LIMIT_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -57,7 +55,7 @@ class MPC:
         error = np.concatenate([position - reference.position[k], velocity - reference.velocity[k]], axis=-1)[:, self.kept]
         effort = reference.effort[k] - times(self.regulator.gains[at], error)
         low, high = self.effort_limit.T
-        slack = _LIMIT_TOLERANCE * np.where(np.isfinite(high - low), high - low, 0.0)
+        slack = 1e-9 * np.where(np.isfinite(high - low), high - low, 0.0)
         predicted = self.drive[self.ahead[at, :-1]] + np.stack([times(K, error) for K in self.alone[at]], axis=1)
         beyond = ~np.all((predicted >= low - slack) & (predicted <= high + slack), axis=(1, 2))
         next_memory = self.start(len(position))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from linkplan.controllers.trackers.closing import CLOSED_NEAR_M, closed_near
+from linkplan.controllers.trackers.closing import MAX_LOOP_GAP_M, closed_near
 from linkplan.controllers.trackers.lqr import discretise
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped
@@ -35,7 +35,7 @@ class Predictor:
         motions, found = np.zeros((len(s), self.blocks + 1, len(near) + s.shape[1])), np.zeros(len(s), dtype=bool)
         for row, motion in enumerate(motions):
             q, gap = evaluated(self.begin, near, s[row])
-            if not gap.item() <= CLOSED_NEAR_M:
+            if not gap.item() <= MAX_LOOP_GAP_M:
                 continue
             motion[0] = np.concatenate([q.ravel(), v[row]])
             motion[1:] = evaluated(self.motion, motion[0], efforts[row].T)[0].T

@@ -250,13 +250,7 @@ def bode_study(
     scans = tuple(_scans(mechanism, lines, settings, effort_limit, timing, law, scanned, say))
     if line is not None:
         positions = _with_worst(positions, scans)
-    where = [operating_point(mechanism, position, effort_limit) for position in positions]
-    loops, ideal = [], []
-    for point in where:
-        say(f"predicted at {point.name}")
-        gain = law_gain(point, law, settings, effort_limit)
-        loops.append(feedback_loop(point, gain, timing, SIMULATED))
-        ideal.append(feedback_loop(point, gain, timing, CONTINUOUS))
+    loops, ideal = _predicted(mechanism, positions, settings, effort_limit, timing, law, say)
     pairs = touching(mechanism, loops)
     in_contact = touched(pairs, len(loops))
     trials = _settles(loops, in_contact, effort_limit)
@@ -284,6 +278,18 @@ def bode_study(
         conditions=conditions,
         contacts=pairs,
     )
+
+
+def _predicted(mechanism, positions: np.ndarray, settings: Tracking, effort_limit, timing: Sampling, law: str, say):
+    """Return the sampled and the continuous loops at positions (n, n_s)."""
+    loops, ideal = [], []
+    for position in positions:
+        point = operating_point(mechanism, position, effort_limit)
+        say(f"predicted at {point.name}")
+        gain = law_gain(point, law, settings, effort_limit)
+        loops.append(feedback_loop(point, gain, timing, SIMULATED))
+        ideal.append(feedback_loop(point, gain, timing, CONTINUOUS))
+    return loops, ideal
 
 
 def _channel_points(

@@ -9,11 +9,6 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.plan import Plan
 
-# Shares of the effort limit (or of the planned peak without a limit): the step of a 12-bit command, the most dry friction.
-_COMMAND_STEP_SHARE, _FRICTION_SHARE = 1.0 / 2048, 0.02
-# Encoder steps of a turn, and of a slide over the model's extent.
-_ENCODER_STEPS, _SLIDE_ENCODER_STEPS = 2**19, 2**16
-
 
 def default_imperfections(plan: Plan) -> dict:
     """Return the table [imperfections] of a carefully built machine for the plan's mechanism."""
@@ -33,22 +28,23 @@ def default_imperfections(plan: Plan) -> dict:
     kinds = {joint.kind for joint in mechanism.independent_joints}
     if "hinge" in kinds:
         table |= {
-            "encoder_resolution_deg": 360.0 / _ENCODER_STEPS,
+            "encoder_resolution_deg": 360.0 / 2**19,
             "encoder_offset_deg": {"normal": [0.0, 0.02]},
             "start_error_deg": {"normal": [0.0, 0.05]},
         }
     if "slide" in kinds:
-        step = mechanism.extent_m / _SLIDE_ENCODER_STEPS
+        step = mechanism.extent_m / 2**16
         table |= {
             "encoder_resolution_m": step,
             "encoder_offset_m": {"normal": [0.0, 10 * step]},
             "start_error_m": {"normal": [0.0, 20 * step]},
         }
     actuators = list(zip(mechanism.actuators, size.tolist(), strict=True))
-    table["torque_resolution"] = {actuator.name: _COMMAND_STEP_SHARE * most for actuator, most in actuators}
+    # A 12-bit command of both signs; friction up to 2 % of the effort limit, or of the planned peak without a limit.
+    table["torque_resolution"] = {actuator.name: most / 2048 for actuator, most in actuators}
     driven = {joint: most for actuator, most in actuators if (joint := _joint(mechanism, actuator)) is not None}
     if driven:
-        table["coulomb_friction"] = {joint: [0.0, _FRICTION_SHARE * most] for joint, most in driven.items()}
+        table["coulomb_friction"] = {joint: [0.0, 0.02 * most] for joint, most in driven.items()}
     return table
 
 

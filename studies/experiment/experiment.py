@@ -31,9 +31,6 @@ from linkplan.studies.experiment.metrics import Yardstick
 from linkplan.studies.sensitivity.salib import salib_version
 from linkplan.studies.sensitivity.scheme import MORRIS, SOBOL, Scheme
 
-# After its end, a motion is held for this share of its duration by default, so that errors can settle.
-_HOLD_SHARE = 0.25
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Settings:
@@ -130,7 +127,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     trajectory, tracking = plan.trajectory, problem.tracking
     ends = not trajectory.periodic
     if tracking.duration_s is None and ends:
-        tracking = replace(tracking, duration_s=(1 + _HOLD_SHARE) * trajectory.duration_s)
+        tracking = replace(tracking, duration_s=1.25 * trajectory.duration_s)  # so that errors can settle
     reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
     loop = ControlLoop(
         effort_limit=np.array(problem.limits.actuators_effort), delay_periods=int(problem.tracking.delay_periods)

@@ -16,9 +16,6 @@ from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.metrics import metrics_of
 from linkplan.studies.tasks.unfinished import PLAN, part
 
-# Relative tolerance of stored imperfections, which other versions of scipy reproduce approximately.
-_VALUE_TOLERANCE = 1e-9
-
 
 def keep_plan(folder: Path, plan: Plan) -> None:
     """Write the plan into a folder of parts, completely or not at all."""
@@ -93,7 +90,7 @@ def _wrong_value(results: Mapping[str, np.ndarray], experiment: Experiment, samp
         legal = (values >= 0) | (name == "energy_j") | (np.isnan(values) & ~(ran & is_needed))
         checks.append((name, legal, "a number of at least 0" if is_needed else "0, more, or none"))
     for name, values in experiment.varied_values().items():
-        alike = np.isclose(results[name], values[samples], rtol=_VALUE_TOLERANCE, atol=0.0)
+        alike = np.isclose(results[name], values[samples], rtol=1e-9, atol=0.0)  # scipy's versions differ by rounding
         checks.append((name, alike, "what the experiment's seed gives that machine"))
     for name, legal, what in checks:
         if not np.all(legal):

@@ -10,8 +10,6 @@ from linkplan.studies.sensitivity.scheme import SOBOL
 
 # Number of imperfections in the tables.
 _MAX_ROWS = 12
-# Numbers that need more decimals are written with an exponent.
-_MAX_DECIMALS = 6
 
 
 def sensitivity_text(name: str, sensitivity: Sensitivity, seed: int) -> str:
@@ -85,7 +83,7 @@ def _importance_text(sensitivity: Sensitivity, tracker: str, metric: str, i: int
         return "-"
     largest = max((size for size in sizes if math.isfinite(size)), default=0.0)
     digits = max(0, 1 - math.floor(math.log10(largest))) if largest > 0 else 0
-    if digits > _MAX_DECIMALS:
+    if digits > 6:
         return f"{one.value:.2g}"
     half = f" ± {one.half:.{digits}f}" if math.isfinite(one.half) and one.half > 0 else ""
     return f"{one.value:.{digits}f}{half}"

@@ -23,7 +23,6 @@ from linkplan.studies.frequency.feedback_loops import FeedbackLoop, refuse_above
 # A repetition holds this many cycles of the lowest frequency. The lines are odd multiples of the repetition rate.
 _CYCLES_PER_REPETITION = 3
 _MIN_LINES = 4
-_MAX_REPETITIONS = 400
 
 
 def run(
@@ -54,7 +53,7 @@ def run(
     longest = max(setup.windows + 1, int(np.ceil(setup.longest_s / (N * timing.period_s))))
     kept: list[np.ndarray] = []
     settled, repetition, cut = 0, 0, np.zeros(n)
-    while settled < setup.windows and repetition < min(longest, _MAX_REPETITIONS):
+    while settled < setup.windows and repetition < min(longest, 400):
         rise = np.clip((np.arange(N) / N + repetition) / max(setup.ramp_cycles / _CYCLES_PER_REPETITION, 1e-9), 0.0, 1.0)
         size = (0.5 - 0.5 * np.cos(np.pi * rise))[:, None]
         command, position, commands = excited.run(np.arange(n), size * signal, size * rate, size[:, :, None] * forward)
@@ -145,9 +144,9 @@ def _wave(spectrum: np.ndarray, N: int) -> np.ndarray:
 def _quality(spectrum: np.ndarray, lines: np.ndarray) -> dict[str, np.ndarray]:
     """Return coherence, distortion and residual (n,) of signals' spectrum (bins, signals).
 
-    Both signals have empty even bins: power beside a line is distortion and noise.
+    Both signals have empty even bins: power next to a line is distortion and noise.
     """
     power = np.abs(spectrum) ** 2
-    beside = np.maximum(power[lines - 1] * (lines[:, None] > 1), power[np.minimum(lines + 1, len(power) - 1)])
-    share = (beside / np.maximum(power[lines], 1e-300)).max(axis=1)
+    adjacent = np.maximum(power[lines - 1] * (lines[:, None] > 1), power[np.minimum(lines + 1, len(power) - 1)])
+    share = (adjacent / np.maximum(power[lines], 1e-300)).max(axis=1)
     return {"coherence": 1.0 / (1.0 + share), "distortion": np.sqrt(share), "residual": np.sqrt(share / (1 + share))}

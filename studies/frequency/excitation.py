@@ -27,9 +27,7 @@ EXCITATIONS = {
 MOTION_AMPLITUDE_RAD = np.radians(0.02)
 # The test signal is reduced if its command exceeds this share of the distance from the holding effort to the limit.
 EFFORT_SHARE = 0.05
-# Largest relative change of a frequency to one that repeats after whole samples, and the most cycles of such a repetition.
-_MAX_FREQUENCY_CHANGE = 0.004
-_MAX_CYCLES = 64
+
 # Longest window [control periods], which takes minutes, and the memory of all windows together [bytes].
 _MAX_WINDOW_PERIODS, _MAX_WINDOW_BYTES = 2_000_000, 1_000_000_000
 
@@ -104,10 +102,11 @@ def whole_samples(frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray
     refuse_long(1.0 / (frequency[0] * period_s), float(frequency[0]), 1.0)
     found: dict[float, tuple[int, int]] = {}
     for wanted in frequency:
-        p = np.arange(1, _MAX_CYCLES + 1)
+        # Up to 64 cycles in whole samples; the fewest cycles that change the frequency by less than 0.4 %.
+        p = np.arange(1, 65)
         N = np.maximum(np.round(p / (wanted * period_s)).astype(int), 2 * p + 1)
         change = np.abs(p / (N * period_s) / wanted - 1)
-        close = change < _MAX_FREQUENCY_CHANGE
+        close = change < 0.004
         best = int(np.argmax(close)) if np.any(close) else int(np.argmin(change))
         shared = int(np.gcd(p[best], N[best]))
         pair = int(p[best]) // shared, int(N[best]) // shared

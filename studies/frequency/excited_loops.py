@@ -35,7 +35,7 @@ class ExcitedLoops:
             active: indices (r,) of the simulations.
             signal: test signal (t, r) [rad, m, N.m or N].
             rate: derivative (t, r) of a reference signal [per second]; effort signals ignore it.
-            forward: feedforward efforts (t, r, n_u) beside the holding efforts [N.m or N].
+            forward: feedforward efforts (t, r, n_u) in addition to the holding efforts [N.m or N].
 
         Returns:
             The command (t, r) and the position (t, r) of the channel, both relative to the operating point, and all

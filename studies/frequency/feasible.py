@@ -16,11 +16,6 @@ from linkplan.models.poses.along import joint_rates, needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.studies.frequency.feedback_loops import OperatingPoint
 
-# Phases checked over half a cycle. The error of an extreme between two phases is of second order in their distance.
-_PHASES_PER_HALF_CYCLE = 181
-# Relative tolerance of a bisected frequency.
-_FREQUENCY_TOLERANCE = 1e-7
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FeasibleCurve:
@@ -75,8 +70,9 @@ def feasible_curve(
 
 def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit, channel: int, ranges, speeds):
     """Return the highest frequency [Hz] of an amplitude, and the reason."""
-    phase = np.linspace(0.0, np.pi, _PHASES_PER_HALF_CYCLE)
-    path = np.tile(point.state[: mechanism.dof], (_PHASES_PER_HALF_CYCLE, 1))
+    # The error of an extreme between two phases is of second order in their distance.
+    phase = np.linspace(0.0, np.pi, 181)
+    path = np.tile(point.state[: mechanism.dof], (len(phase), 1))
     path[:, channel] += a * np.cos(phase)
     try:
         poses = follow(mechanism, path, point.pose)
@@ -114,7 +110,7 @@ def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit
         return np.inf, "nothing"
     if good == 0.0:
         return 0.0, reason
-    while bad - good > _FREQUENCY_TOLERANCE * good:
+    while bad - good > 1e-7 * good:
         middle = 0.5 * (good + bad)
         there = broken(middle)
         if there is None:

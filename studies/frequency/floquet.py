@@ -23,12 +23,8 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 
-# A disturbance below this share of its initial size is lost in rounding: the measured decay ends there.
-_VISIBLE_SHARE = 1e-6
 # A transition matrix that grows beyond this is rescaled and its logarithm kept.
 _MAX_GROWTH = 1e50
-# A steady motion changes by less than this share from cycle to cycle.
-_STEADY_CHANGE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -69,8 +65,8 @@ class Floquet:
 
     @property
     def last_visible_sample(self) -> int:
-        """The last sample at which the predicted disturbance is larger than rounding."""
-        clear = np.flatnonzero(self.size > _VISIBLE_SHARE * self.size.max())
+        """The last sample at which the predicted disturbance is above 1e-6 of its largest size, far above rounding."""
+        clear = np.flatnonzero(self.size > 1e-6 * self.size.max())
         return int(clear[-1])
 
     @property
@@ -184,7 +180,7 @@ def _steady(mechanism, reference: SampledReference, tracker: Tracker, timing: Sa
     for _ in range(40):
         last = states[0]
         states, commands = batch.run(np.arange(1), along, forward, tracker_gains(tracker))
-        if np.all(np.abs(states[0] - last) <= _STEADY_CHANGE * np.abs(states).max(axis=0)):
+        if np.all(np.abs(states[0] - last) <= 1e-9 * np.abs(states).max(axis=0)):
             break
     position, velocity = states[:, 0, : mechanism.dof], states[:, 0, mechanism.dof :]
     acting = np.clip(np.roll(commands[:, 0], timing.whole, axis=0), *effort_limit.T)

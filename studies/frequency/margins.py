@@ -16,10 +16,6 @@ from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.studies.frequency.feedback_loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
 from linkplan.studies.frequency.worst import local_minima
 
-# Grid points per decade: two crossings or peaks closer than this count as one.
-_POINTS_PER_DECADE = 200
-# An imaginary part below this share of the gain is rounding.
-_ROUNDING_SHARE = 1e-10
 # Phase crossings below this frequency are ignored: a double integrator tends to -180 deg as the frequency tends to zero.
 _LOWEST_PHASE_CROSSING_HZ = 0.02
 # Relative accuracy of the delay margin: simulator steps are this share of it.
@@ -27,8 +23,6 @@ _DELAY_ACCURACY = 0.01
 # Longest delay found from the poles [control periods]. Beyond it the phase margin gives the same result.
 _MAX_POLE_DELAY_PERIODS = 40
 _MAX_STEPS_PER_PERIOD = 200
-# Peaks on the grid above this share of the largest are refined: the grid meets a narrow peak at half its height or more.
-_REFINED_PEAK_SHARE = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -64,10 +58,13 @@ class Margins:
 
 
 def frequency_grid(period_s: float) -> np.ndarray:
-    """Return frequencies [Hz] from a hundredth of a hertz to the Nyquist frequency, both included."""
+    """Return frequencies [Hz] from 0.01 Hz to the Nyquist frequency, both included, with 200 points per decade.
+
+    Two crossings or peaks within one grid interval count as one.
+    """
     nyquist = 0.5 / period_s
     lowest = min(0.01, 1e-3 * nyquist)
-    return np.geomspace(lowest, nyquist, max(200, int(_POINTS_PER_DECADE * np.log10(nyquist / lowest))))
+    return np.geomspace(lowest, nyquist, max(200, int(200 * np.log10(nyquist / lowest))))
 
 
 def margins(loop: FeedbackLoop, channel: int = 0, *, refine: bool = True) -> Margins:
@@ -130,7 +127,7 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
     pm = np.angle(-there)
     nearest = int(np.argmin(np.abs(pm))) if pm.size else 0
     # The gain of a loop without damping or delay is real up to rounding and has no phase crossing.
-    rounding = _ROUNDING_SHARE * np.abs(gain)
+    rounding = 1e-10 * np.abs(gain)
     turned = _roots(np.where(gain.real < 0, gain.imag, np.nan), frequency, lambda f: at(f).imag, rounding)
     gm = np.array([-1.0 / at(f).real for f in turned if f > max(_LOWEST_PHASE_CROSSING_HZ, 2 * frequency[0])])
     # A sampled gain is real at the Nyquist frequency: this phase crossing lies on the grid's last point.
@@ -178,7 +175,7 @@ def _roots(
 
 def _peak(frequency: np.ndarray, values: np.ndarray, function: Callable[[float], float]) -> tuple[float, float]:
     """Return the frequency [Hz] of a function's largest value, and the value, refined from values (n,) on a grid."""
-    high = values > _REFINED_PEAK_SHARE * values.max()
+    high = values > 0.5 * values.max()  # the grid meets even a narrow peak at half its height or more
     places = local_minima(lambda x: -function(float(np.exp(x))), np.log(frequency), np.where(high, -values, np.inf))
     k = int(np.argmax(values))
     peaks = [(float(values[k]), float(frequency[k])), *((function(float(f)), float(f)) for f in np.exp(places))]

@@ -7,8 +7,6 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError
 
-# Lower bound of a gain [dB], so that a zero gain has a finite number.
-_FLOOR_DB = -400.0
 _COLUMNS = ("uncertainty", "coherence", "distortion", "residual", "saturated")
 
 
@@ -51,9 +49,9 @@ class Response:
 
     @property
     def db(self) -> np.ndarray:
-        """The gain's size (n,) [dB of its unit]."""
+        """The gain's size (n,) [dB of its unit], at least -400 dB, so that a zero gain is finite."""
         with np.errstate(divide="ignore"):
-            return np.maximum(20 * np.log10(np.abs(self.gain)), _FLOOR_DB)
+            return np.maximum(20 * np.log10(np.abs(self.gain)), -400.0)
 
     @property
     def phase_deg(self) -> np.ndarray:

@@ -16,7 +16,6 @@ _KICK_EFFORT_SHARE = 1e-3
 _DECISIVE_FACTOR = 300.0
 # A speed of this many kicks is growth; the command is then still well inside the limits.
 _GROWTH_FACTOR = 100.0
-_CHECK_PERIODS = 100
 MAX_TRIAL_PERIODS = 40_000
 
 
@@ -50,7 +49,7 @@ def settle_trials(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_
     settles = np.zeros(n, dtype=bool)
     active, history = np.arange(n), []
     while active.size:
-        reference, push = (np.repeat(value[None, active], _CHECK_PERIODS, axis=0) for value in (state, hold))
+        reference, push = (np.repeat(value[None, active], 100, axis=0) for value in (state, hold))
         x, _ = batch.run(active, reference, push)
         speed = np.full(n, np.inf)
         with np.errstate(invalid="ignore"):
