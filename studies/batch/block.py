@@ -110,7 +110,7 @@ def unpacked(path: Path, cases: Sequence[Case], place: Path | None) -> list[Plan
         PlanFileError: if the archive is damaged, belongs to other cases, or holds an invalid plan.
     """
     if not path.is_file():
-        raise PlanFileError(f"'{path}' is no file; remove it, and the same command plans its cases again")
+        raise PlanFileError(f"'{path}' is not a file; remove it, and the same command plans its cases again")
     try:
         with zipfile.ZipFile(path) as archive:
             answers = msgspec.json.decode(read_member(archive, _CASES, _MAX_BYTES), type=list[_Answer])

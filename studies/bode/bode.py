@@ -175,9 +175,9 @@ def default_poses(
         return (low + shares * (high - low))[:, None], None
     kept, unheld, joint = tried[held], tried[~held], mechanism.independent_joints[0]
     return kept[(shares * (len(kept) - 1)).round().astype(int)][:, None], (
-        f"poses are taken from {joint.name} = {joint.said(kept[0], 4)} to {joint.said(kept[-1], 4)} {joint.unit}; of"
-        f" {len(tried)} from {joint.said(low, 4)} to {joint.said(high, 4)}, the actuators cannot hold {len(unheld)} at"
-        f" rest, between {joint.said(unheld[0], 4)} and {joint.said(unheld[-1], 4)}"
+        f"poses are taken from {joint.name} = {joint.said(kept[0], 4)} to {joint.said(kept[-1], 4)} {joint.unit}: the"
+        f" actuators cannot hold {len(unheld)} of {len(tried)} positions from {joint.said(low, 4)} to {joint.said(high, 4)}"
+        f" at rest, all between {joint.said(unheld[0], 4)} and {joint.said(unheld[-1], 4)}"
     )
 
 

@@ -173,5 +173,5 @@ def map_text(study: MapStudy) -> str:
             f"{gains} needs a control period below {1e3 * study.longest_s:.4g} ms"
             f" ({1e-3 / study.longest_s:.4g} kHz), for {study.longest_at.name}"
         )
-    lines.append(f"at {right} of {tried} gains next to the stability boundary MuJoCo settles or not as predicted")
+    lines.append(f"MuJoCo agrees with the prediction at {right} of {tried} gains next to the stability boundary")
     return "\n".join(lines)

@@ -91,7 +91,7 @@ def _along_motion(mechanism: Mechanism, problem: PlanningProblem | None, effort_
     positions = path[kept[np.linspace(0, len(kept) - 1, DEFAULT_POSES).round().astype(int)]]
     note = f"poses are taken along the path of {problem.name}, at equal times"
     if not held.all():
-        note += f", where the actuators hold them at rest: not at {int((~held).sum())} of {len(held)} instants"
+        note += f"; the actuators cannot hold the path at rest at {int((~held).sum())} of {len(held)} instants"
     return LoopPoses(positions=np.unique(positions, axis=0), note=note, line=motion_line(time, path))
 
 

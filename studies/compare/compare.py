@@ -190,7 +190,7 @@ def compare(
     trackers = {tracker.name: tracker for tracker in built}
     if len(trackers) < max(1, len(built)):
         names = ", ".join(tracker.name for tracker in built)
-        raise ProblemError(f"trackers that are compared are one or more with names of their own, got {names or 'none'}")
+        raise ProblemError(f"a comparison needs one or more trackers with different names, got {names or 'none'}")
     cases = [None] if mismatch is None else [None, mismatch]
     runs: list[dict[str, Rollout]] = [{}, {}]
     for case, results in zip(cases, runs, strict=False):

@@ -47,7 +47,7 @@ def source_files(module: str) -> dict[str, Path]:
     found: dict[str, Path] = {}
     first = _file_of(module)
     if first is None:
-        raise ProblemError(f"module '{module}' of a tracker is no file that Python finds")
+        raise ProblemError(f"Python does not find the module '{module}' of a tracker")
     top = module.partition(".")[0]
     folder = None if any(part in _INSTALLED for part in first.parts) else first.parent
     left = [module]

@@ -117,7 +117,7 @@ def trackers_named(text: str) -> list[TrackerLike]:
         return list(TRACKERS)
     names = [name for name in text.split(",") if name.strip()]
     if not names:
-        raise ProblemError(f"trackers are names with commas between them, or all; got '{text}'")
+        raise ProblemError(f"trackers are names separated by commas, or all; got '{text}'")
     return [tracker_named(name) for name in names]
 
 

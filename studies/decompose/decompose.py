@@ -71,7 +71,7 @@ def decompose(
     """
     whole(samples, "samples", 1, MOST_SAMPLES)
     if not asked:
-        raise ProblemError("trackers whose errors are decomposed are one or more, got none")
+        raise ProblemError("a decomposition needs one or more trackers, got none")
     experiment = experiment_of(plan, Settings(samples=samples, seed=seed))
     if not any(factor.spread.random or "noise" in factor.key for factor in experiment.section.factors):
         experiment = replace(experiment, values=experiment.values[:1])
@@ -79,7 +79,7 @@ def decompose(
     for one in asked:
         ladder = run_ladder(experiment, one)
         if any(ladder.tracker == other.name for other in found):
-            raise ProblemError(f"trackers whose errors are decomposed have names of their own, got '{ladder.tracker}' twice")
+            raise ProblemError(f"a decomposition needs trackers with different names, got '{ladder.tracker}' twice")
         kept = np.array([failed is None for failed in ladder.failure])
         say(f"{ladder.tracker}: {int(kept.sum())} of {len(kept)} machines")
         found.append(

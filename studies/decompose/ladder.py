@@ -103,7 +103,7 @@ def run_ladder(experiment: Experiment, asked: TrackerLike) -> Ladder:
         for i in range(n):
             reason = failed[i if len(failed) > 1 else 0]
             if failure[i] is None and reason is not None:
-                failure[i] = f"lost when {RUNGS[rung].partition(':')[0]} came in: {reason}"
+                failure[i] = f"lost after {RUNGS[rung].partition(':')[0]} was switched on: {reason}"
     t, n_s = reference.position.shape
     errors = np.array([np.broadcast_to(error, (t, n, n_s)) for error, _ in found])
     return Ladder(tracker=law.name, errors=errors, failure=tuple(failure))
@@ -156,8 +156,8 @@ def _ideal(experiment: Experiment, asked: TrackerLike) -> list[_Found]:
 def _rebuilt(experiment: Experiment, asked: TrackerLike, reference: SampledReference) -> AnyTracker:
     if not isinstance(asked, str) and not isinstance(asked, type) and callable(getattr(asked, "effort", None)):
         raise ProblemError(
-            "a tracker whose error is decomposed runs at shorter control periods too: a name or a function of the sampled"
-            f" reference that returns a law, got a law of one reference, {asked!r}"
+            "a decomposition also runs at a shorter control period: give a tracker's name, or a function of the sampled"
+            f" reference that returns a law; got a law of one reference, {asked!r}"
         )
     return build_tracker(asked, experiment.plan, reference)
 

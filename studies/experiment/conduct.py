@@ -96,7 +96,7 @@ def _work(
     """Return a block's columns; runs in any worker process."""
     if not (folder / PLAN).is_dir():
         raise LinkplanError(
-            f"a worker on {socket.gethostname()} does not see '{folder}': all workers share the disk that results go to"
+            f"a worker on {socket.gethostname()} does not see '{folder}': all workers must share the disk of the results"
         )
     refuse_other_sources(sources)
     return run_block(_opened(folder, settings, written), block, threads or share, batch)

@@ -51,7 +51,7 @@ class Settings:
     def __post_init__(self) -> None:
         names = tuple(self.trackers)
         if not names or len(set(names)) < len(names):
-            raise ProblemError(f"trackers of an experiment are one or more, each once, got {', '.join(names) or 'none'}")
+            raise ProblemError(f"an experiment needs one or more different trackers, got {', '.join(names) or 'none'}")
         for name in names:
             known_tracker(name)
         whole(self.samples, "samples", 1, MOST_SAMPLES)

@@ -57,7 +57,7 @@ def saturation(loop: FeedbackLoop, effort_limit: np.ndarray) -> Callable[[np.nda
     refuse_several_freedoms(loop.point.mechanism, "a response past the effort limit")
     low, high = effort_limit[0] - loop.point.hold[0]
     if not (np.isfinite(low) and np.isfinite(high)):
-        raise LinkplanError(f"actuator {loop.point.mechanism.actuators[0].name} has no limit to saturate at")
+        raise LinkplanError(f"actuator {loop.point.mechanism.actuators[0].name} has no effort limit")
     # Each half of the sine meets one limit, so N(A) is the mean of two symmetric saturations.
     cuts = [control.saturation_nonlinearity(float(limit)) for limit in (-low, high)]
 

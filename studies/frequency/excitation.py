@@ -41,9 +41,9 @@ def refuse_long(samples: float, lowest_hz: float, copies: float, *, bytes_a_samp
     most = min(_MAX_WINDOW_PERIODS, _MAX_WINDOW_BYTES / (bytes_a_sample * max(copies, 1.0)))
     if samples > most:
         raise LinkplanError(
-            f"{lowest_hz:g} Hz takes windows of {samples:.3g} control periods in {copies:g} simulations at once; at most"
-            f" {most:.3g} are kept, as from about {lowest_hz * samples / most:.3g} Hz on, or with a longer"
-            " control period"
+            f"{lowest_hz:g} Hz needs windows of {samples:.3g} control periods in {copies:g} simulations at once; at most"
+            f" {most:.3g} can be stored: measure from about {lowest_hz * samples / most:.3g} Hz on, or use a longer control"
+            " period"
         )
 
 

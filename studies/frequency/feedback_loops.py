@@ -105,8 +105,8 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
             shown = effort if abs(effort) > room else 0.0
             raise LinkplanError(
                 f"'{mechanism.name}' cannot be held at {point.name}: {actuator.name} would need {shown:.4g}"
-                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides"
-                " of what holds it"
+                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides of"
+                " the holding effort"
             )
     return point
 

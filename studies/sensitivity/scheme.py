@@ -61,7 +61,7 @@ def scheme_of(design: str, n_factors: int, noisy: bool, samples: int, seed: int)
         LinkplanError: if SALib is needed and not installed.
     """
     if n_factors + noisy == 0:
-        raise ProblemError(f"the design '{design}' varies what has a range, and no imperfection has one; give one a range")
+        raise ProblemError(f"the design '{design}' needs an imperfection with a range, and there is none")
     d = n_factors + noisy
     size = {ONE_AT_A_TIME: 2 * n_factors + 1, MORRIS: d + 1, SOBOL: d + 2}[design]
     groups = samples // size

@@ -50,7 +50,7 @@ def test_all_are_the_built_in_ones():
         ("no_module_of_this_name:Law", "No module named"),
         ("laws_of_mine:Sill", "has no attribute 'Sill'"),
         ("broken_laws:Law", "ZeroDivisionError"),
-        (",", "names with commas"),
+        (",", "names separated by commas"),
     ],
 )
 def test_a_tracker_that_cannot_be_had_is_refused_in_one_line(text, said):

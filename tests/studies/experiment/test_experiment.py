@@ -260,7 +260,7 @@ def test_a_push_that_no_machine_gets_before_its_run_ends_is_refused():
     ("asked", "said"),
     [
         ({"trackers": ("pdd",)}, "unknown tracker 'pdd'"),
-        ({"trackers": ("pd", "pd")}, "each once"),
+        ({"trackers": ("pd", "pd")}, "different trackers"),
         ({"samples": 0}, "samples is a whole number from 1"),
         ({"design": "sobel"}, r"unknown design 'sobel'"),
         ({"tube_deg": -1.0}, "tube_deg is a positive number"),

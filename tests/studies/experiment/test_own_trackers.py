@@ -146,7 +146,7 @@ def test_what_a_tracker_is_written_in_are_its_own_files(laws):
         ("laws_of_an_experiment:Missing", "cannot be loaded: AttributeError"),
         ("laws_of_an_experiment:OWN", "cannot be loaded: AttributeError"),
         ("laws_of_an_experiment:np", "a tracker is one of"),
-        ("no_such_module:Law", "is no file that Python finds"),
+        ("no_such_module:Law", "Python does not find the module"),
         ("pdd", "unknown tracker 'pdd' .did you mean 'pd'"),
     ],
 )

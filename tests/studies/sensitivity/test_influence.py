@@ -165,7 +165,7 @@ def test_a_figure_that_never_changes_owes_nothing_to_anything(design):
         (("sobol", 11, False, 200), r"'sobol' of 11 imperfections takes at least 208 samples, 16 groups of 13; got 200"),
         (("morris", 3, True, 19), r"'morris' of 4 imperfections takes at least 20 samples"),
         (("one-at-a-time", 3, True, 13), r"takes at least 14 samples, 2 groups of 7"),
-        (("morris", 0, False, 100), "no imperfection has one"),
+        (("morris", 0, False, 100), "needs an imperfection with a range"),
     ],
 )
 def test_too_little_to_tell_from_is_refused(asked, said):
